@@ -1,0 +1,52 @@
+r"""Ranges along a hand-mounted beam to one plane, from known hand poses.
+
+Beam: location r [m], unit direction v, hand frame. Plane: n . x + b = 0 in the world frame, seen
+from the hand as n_H = R'n, b_H = b + n . t. Predicted range [m], equation (6) of Wei and Hirzinger:
+
+    s = -(n_H . r + b_H) / (n_H . v)
+
+The residual is s - (d + k1 d + k2 d^2) for a reading d [m], equations (7) and (8). Undetermined
+where the beam grazes the plane (n_H . v near 0): evaluation then raises GrazingBeamError.
+"""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from handlaser_gtsam.keys import BeamKeys
+
+from .block import Noise, RangeBlock, range_factor
+
+
+def range_to_plane(
+    beam: BeamKeys,
+    plane: int,
+    world_T_hand: Sequence[gtsam.Pose3],
+    ranges: ArrayLike,
+    noise: Noise,
+) -> gtsam.CustomFactor:
+    """Return a factor on (r, v, [k,] plane) for readings of one beam to one plane.
+
+    Parameters
+    ----------
+    beam : BeamKeys
+        Keys of the Point3 location, Unit3 direction and, if modelled, vector range error.
+    plane : int
+        Key of the OrientedPlane3, world frame.
+    world_T_hand : N poses
+        Hand pose of every reading, exact.
+    ranges : (N,)
+        What the sensor read [m].
+    noise : float or gtsam.noiseModel.Base
+        Standard deviation of a reading [m], or a model of dimension N.
+
+    Raises
+    ------
+    InputError
+        Readings that are not positive, or numbers of poses, readings and noise that differ.
+    """
+    R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
+    t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
+    return range_factor(RangeBlock(beam, plane, ranges, R, t), noise)

@@ -1,0 +1,155 @@
+"""One vectorised evaluation handed out to many factors.
+
+While Python owns the Values, a driver evaluates every reading at once in NumPy and the factors only
+hand out their rows. The sharing is scoped: it holds inside `with shared.handed_out(evaluation)` and
+only for the Values of that evaluation; a factor met anywhere else evaluates its own block.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from handlaser_gtsam import model
+from handlaser_gtsam.arrays import FloatArray, IntArray
+from handlaser_gtsam.errors import SolverError
+
+from .block import RangeBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All rows of all blocks at one Values; Jacobians in GTSAM's tangent bases.
+
+    Shapes: residual (N,) [m]; location (N, 3); direction (N, 2); range_error (N, 2); plane (N, 3);
+    pose (N, 6).
+    """
+
+    residual: FloatArray
+    location: FloatArray
+    direction: FloatArray
+    range_error: FloatArray
+    plane: FloatArray
+    pose: FloatArray
+
+
+class SharedEvaluation:
+    """Evaluates the blocks of a graph together.
+
+    Parameters
+    ----------
+    blocks : sequence of RangeBlock
+        The error functions of the graph's range factors; their keys may be shared in any way.
+    """
+
+    def __init__(self, blocks: Sequence[RangeBlock]) -> None:
+        self.blocks = tuple(blocks)
+        sizes = np.array([len(block.distance) for block in blocks])
+        ends = np.cumsum(sizes)
+        self.slices = [slice(int(a), int(e)) for a, e in zip(ends - sizes, ends, strict=True)]
+        self.distance = np.concatenate([block.distance for block in blocks])
+        self._R = np.concatenate([block.world_R_hand for block in blocks])
+        self._t = np.concatenate([block.world_t_hand for block in blocks])
+        self.locations, self.location_of = _unique([b.beam.location for b in blocks], sizes)
+        self.directions, self.direction_of = _unique([b.beam.direction for b in blocks], sizes)
+        self.planes, self.plane_of = _unique([b.plane for b in blocks], sizes)
+        none = -1
+        errors = [none if b.beam.range_error is None else b.beam.range_error for b in blocks]
+        self.range_errors, self.range_error_of = _unique(errors, sizes)
+        self.poses, self.pose_of = _unique([none if b.pose is None else b.pose for b in blocks], sizes)
+        self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
+        self._terms: dict[int, int] = {none: 0}
+
+    def evaluate(self, values: gtsam.Values) -> Evaluation:
+        """Return every row at `values`; raises like `RangeBlock.evaluate`."""
+        direction = [values.atUnit3(key) for key in self.directions]
+        plane = [values.atOrientedPlane3(key) for key in self.planes]
+        normal = [p.normal() for p in plane]
+        R, t = self._hand_poses(values)
+        x = model.Scene(
+            R,
+            t,
+            np.array([values.atPoint3(key) for key in self.locations])[self.location_of],
+            np.array([v.point3() for v in direction])[self.direction_of],
+            np.array([n.point3() for n in normal])[self.plane_of],
+            np.array([p.distance() for p in plane])[self.plane_of],
+            self._range_error_rows(values),
+        )
+        at = model.linearize(x, self.distance)
+        if not np.isfinite(at.residual).all():
+            raise SolverError("residual of a range factor is not finite; expected finite values")
+        v_basis = np.array([v.basis() for v in direction])[self.direction_of]
+        n_basis = np.array([n.basis() for n in normal])[self.plane_of]
+        plane_block = np.empty((len(self.distance), 3))
+        plane_block[:, :2] = np.einsum("ni,nij->nj", at.normal, n_basis)
+        plane_block[:, 2] = at.offset
+        return Evaluation(
+            at.residual,
+            at.location,
+            np.einsum("ni,nij->nj", at.direction, v_basis),
+            at.range_error,
+            plane_block,
+            at.pose,
+        )
+
+    @contextmanager
+    def handed_out(self, at: Evaluation) -> Iterator[None]:
+        """Let every block hand out its rows of `at` until the context ends."""
+        try:
+            for block, rows in zip(self.blocks, self.slices, strict=True):
+                jacobians = [at.location[rows], at.direction[rows]]
+                if block.beam.range_error is not None:
+                    jacobians.append(at.range_error[rows, : self._terms[block.beam.range_error]])
+                jacobians.append(at.plane[rows])
+                if block.pose is not None:
+                    jacobians.append(at.pose[rows])
+                block.prepared = (at.residual[rows], tuple(jacobians))
+            yield
+        finally:
+            for block in self.blocks:
+                block.prepared = None
+
+    def squared_columns(self, at: Evaluation) -> dict[int, FloatArray]:
+        """Return, for every key, the squared lengths of its Jacobian columns."""
+        total: dict[int, FloatArray] = {}
+        for keys, index, block in (
+            (self.locations, self.location_of, at.location),
+            (self.directions, self.direction_of, at.direction),
+            (self.range_errors, self.range_error_of, at.range_error),
+            (self.planes, self.plane_of, at.plane),
+            (self.poses, self.pose_of, at.pose),
+        ):
+            sums = np.zeros((len(keys), block.shape[1]))
+            np.add.at(sums, index, block**2)
+            total |= {key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0}
+        return total
+
+    def _range_error_rows(self, values: gtsam.Values) -> FloatArray:
+        k = np.zeros((len(self.range_errors), 2))
+        for i, key in enumerate(self.range_errors):
+            if key >= 0:
+                vector = values.atVector(key)
+                if not 1 <= vector.size <= 2:
+                    raise SolverError(f"range error of {vector.size} terms; expected one or two")
+                k[i, : vector.size] = vector
+                self._terms[key] = vector.size
+        rows: FloatArray = k[self.range_error_of]
+        return rows
+
+    def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
+        if not self._posed.size:
+            return self._R, self._t
+        R, t, known = self._R.copy(), self._t.copy(), gtsam.Pose3()
+        poses = [values.atPose3(key) if key >= 0 else known for key in self.poses]
+        index = self.pose_of[self._posed]
+        R[self._posed] = np.array([pose.rotation().matrix() for pose in poses])[index]
+        t[self._posed] = np.array([pose.translation() for pose in poses])[index]
+        return R, t
+
+
+def _unique(keys: Sequence[int], sizes: IntArray) -> tuple[list[int], IntArray]:
+    """Return the different keys and, for every row, the index of its key."""
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return list(number), np.repeat(np.array([number[key] for key in keys], dtype=np.intp), sizes)

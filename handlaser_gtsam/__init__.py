@@ -1,0 +1,95 @@
+"""Self-calibration of laser distance sensors on robot hands, on GTSAM.
+
+Names are imported when they are first used, so that `import handlaser_gtsam` and
+`handlaser --help` answer at once.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from ._version import __version__
+
+if TYPE_CHECKING:
+    from . import factors, model, scenes, simulate, starts
+    from .pipeline import CalibrationOptions, calibrate
+    from .calibration import Beam, Calibration, Fit, Plane
+    from .diagnosis.cross_check import CrossCheck, cross_check
+    from .errors import GrazingBeamError, HandlaserError, InputError, SolverError
+    from .files.calibration_json import write_calibration
+    from .files.recording_csv import read_recording, write_recording
+    from .files.rig_toml import Rig, read_rig
+    from .keys import BeamKeys
+    from .noise import Noise
+    from .parameters import Parameters
+    from .recording import Readings, Recording
+    from .sensor import Sensor
+
+__all__ = [
+    "Beam",
+    "BeamKeys",
+    "Calibration",
+    "CalibrationOptions",
+    "CrossCheck",
+    "Fit",
+    "GrazingBeamError",
+    "HandlaserError",
+    "InputError",
+    "Noise",
+    "Parameters",
+    "Plane",
+    "Readings",
+    "Recording",
+    "Rig",
+    "Sensor",
+    "SolverError",
+    "__version__",
+    "calibrate",
+    "cross_check",
+    "factors",
+    "model",
+    "read_recording",
+    "read_rig",
+    "scenes",
+    "simulate",
+    "starts",
+    "write_calibration",
+    "write_recording",
+]
+
+_HOME = {
+    "Beam": "calibration",
+    "BeamKeys": "keys",
+    "Calibration": "calibration",
+    "CalibrationOptions": "pipeline",
+    "CrossCheck": "diagnosis.cross_check",
+    "Fit": "calibration",
+    "GrazingBeamError": "errors",
+    "HandlaserError": "errors",
+    "InputError": "errors",
+    "Noise": "noise",
+    "Parameters": "parameters",
+    "Plane": "calibration",
+    "Readings": "recording",
+    "Recording": "recording",
+    "Rig": "files.rig_toml",
+    "Sensor": "sensor",
+    "SolverError": "errors",
+    "calibrate": "pipeline",
+    "cross_check": "diagnosis.cross_check",
+    "read_recording": "files.recording_csv",
+    "read_rig": "files.rig_toml",
+    "write_calibration": "files.calibration_json",
+    "write_recording": "files.recording_csv",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOME:
+        return getattr(import_module(f".{_HOME[name]}", __name__), name)
+    if name in __all__:
+        return import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

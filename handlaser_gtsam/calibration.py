@@ -1,0 +1,189 @@
+"""The result of a calibration."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .arrays import FloatArray
+from .sensor import Rejected
+
+Status = Literal["converged", "unobservable", "not_converged"]
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """The mount of one beam, hand frame.
+
+    Attributes
+    ----------
+    name : str
+    location : (3,)
+        Where the range is zero, r [m].
+    direction : (3,)
+        Unit vector v.
+    range_error : (2,)
+        k1 [1], k2 [1/m]: the true range is d + k1 d + k2 d^2 for a reading d.
+    terms : int
+        How many of k1, k2 were estimated; the others are zero.
+    covariance : (8, 8) or None
+        Over (x, y, z, vx, vy, vz, k1, k2) in SI units, the direction in ambient coordinates (its
+        row along v is zero). None where the recording does not determine the calibration.
+    """
+
+    name: str
+    location: FloatArray
+    direction: FloatArray
+    range_error: FloatArray
+    terms: int
+    covariance: FloatArray | None
+
+    @property
+    def location_sigma(self) -> FloatArray | None:
+        """Standard deviations of the location (3,) [m]."""
+        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance)[:3])
+
+    @property
+    def direction_sigma(self) -> float | None:
+        """Largest standard deviation of the direction over its tangent plane [rad]."""
+        if self.covariance is None:
+            return None
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
+
+    @property
+    def range_error_sigma(self) -> FloatArray | None:
+        """Standard deviations of k1 [1] and k2 [1/m]; zero where not estimated."""
+        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance)[6:])
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """One plane, n . x + b = 0 in the world frame.
+
+    Attributes
+    ----------
+    name : str
+    normal : (3,)
+        Unit vector n; points away from the sensor.
+    offset : float
+        b [m].
+    covariance : (4, 4) or None
+        Over (nx, ny, nz, b), the normal in ambient coordinates.
+    """
+
+    name: str
+    normal: FloatArray
+    offset: float
+    covariance: FloatArray | None
+
+    @property
+    def normal_sigma(self) -> float | None:
+        """Largest standard deviation of the normal over its tangent plane [rad]."""
+        if self.covariance is None:
+            return None
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+    @property
+    def offset_sigma(self) -> float | None:
+        """Standard deviation of the offset [m]."""
+        return None if self.covariance is None else float(np.sqrt(self.covariance[3, 3]))
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well the readings agree with the calibration.
+
+    Attributes
+    ----------
+    readings : int
+        Readings used.
+    rms, largest : float
+        Root mean square and largest absolute residual [m].
+    chi2 : float
+        Sum of squared residuals over `range_sigma`^2 as given, or over 1 m^2 if not given.
+    dof : int
+        Readings less determined unknowns.
+    sigma0 : float
+        sqrt(chi2 / dof): near 1 when the given sigma is right; the estimated range sigma in metres
+        when none was given.
+    range_sigma : float
+        Standard deviation of a reading behind the covariances, given or estimated [m].
+    range_sigma_given : bool
+    residuals : (M, B)
+        Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
+    rejected : readings left out, each with its reason
+    """
+
+    readings: int
+    rms: float
+    largest: float
+    chi2: float
+    dof: int
+    sigma0: float
+    range_sigma: float
+    range_sigma_given: bool
+    residuals: FloatArray
+    rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Determined:
+    """What the readings determine; see `diagnosis.observability`.
+
+    Attributes
+    ----------
+    rank, unknowns : int
+    condition : float or None
+        Condition number in natural units; None when rank is short.
+    undetermined : tuple of str
+        What is left open, in words.
+    advice : tuple of str
+        Which motion would determine it.
+    """
+
+    rank: int
+    unknowns: int
+    condition: float | None
+    undetermined: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StartReport:
+    """Which start was used, and the rms residual [m] of every start tried, lowest first."""
+
+    method: str
+    tried: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Beams and planes with their uncertainty, and how they were found.
+
+    Attributes
+    ----------
+    status : str
+        `converged`; `unobservable` when the recording leaves something open: numbers are then
+        one of many solutions and have no covariance; `not_converged` when the solver gave up.
+    message : str
+        The same in words, with any warning.
+    beams, planes : mappings by name, in the order of the recording
+    fit : Fit
+    observability : Determined
+    start : StartReport
+    range_error_choice : str
+        Why this many range-error terms.
+    iterations : int
+        Steps of the final solution.
+    """
+
+    status: Status
+    message: str
+    beams: Mapping[str, Beam]
+    planes: Mapping[str, Plane]
+    fit: Fit
+    observability: Determined
+    start: StartReport
+    range_error_choice: str
+    iterations: int

@@ -1,0 +1,1 @@
+"""What a calibration can and cannot know, and how to check it."""

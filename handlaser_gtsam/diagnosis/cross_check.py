@@ -1,0 +1,91 @@
+"""Does an independent solver agree? Differences in units of the standard deviation."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..calibration import Calibration
+from ..errors import InputError
+from ..recording import Recording
+from ..solvers.reference import solve_reference
+from ..starts import find_start
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheck:
+    """Largest disagreement between the factor graph and the SciPy reference.
+
+    Attributes
+    ----------
+    largest : float
+        Largest difference of a parameter, in its standard deviations.
+    parameter : str
+        The parameter it belongs to.
+    largest_sigma : float
+        Largest relative difference of a standard deviation.
+    sigma_parameter : str
+        The parameter it belongs to.
+    iterations : int
+        Iterations of the reference.
+    """
+
+    largest: float
+    parameter: str
+    largest_sigma: float
+    sigma_parameter: str
+    iterations: int
+
+
+def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
+    """Solve the readings of `calibration` again with SciPy, from the same closed-form start.
+
+    Raises
+    ------
+    InputError
+        The calibration did not converge, so there is nothing to check.
+    """
+    if calibration.status != "converged":
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    used = replace(recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges))
+    start = find_start(used.readings()).parameters
+    terms = next(iter(calibration.beams.values())).terms
+    reference = solve_reference(used, start, terms)
+    found, variance = reference.parameters, calibration.fit.range_sigma**2
+    rows: list[tuple[str, float, float]] = []
+    for i, beam in enumerate(calibration.beams.values()):
+        mine = np.concatenate((beam.location, beam.direction, beam.range_error))
+        other = np.concatenate((found.locations[i], found.directions[i], found.range_errors[i]))
+        covariance = variance * reference.beam_covariances[i]
+        for label, part in (("location", slice(0, 3)), ("direction", slice(3, 6)), ("range error", slice(6, 6 + terms))):
+            rows += _compare(f"beam {beam.name} {label}", mine - other, beam.covariance, covariance, part)
+    for p, plane in enumerate(calibration.planes.values()):
+        difference = np.append(plane.normal - found.normals[p], plane.offset - found.offsets[p])
+        covariance = variance * reference.plane_covariances[p]
+        for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
+            rows += _compare(f"plane {plane.name} {label}", difference, plane.covariance, covariance, part)
+    worst = max(rows, key=lambda row: row[1])
+    worst_sigma = max(rows, key=lambda row: row[2])
+    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)
+
+
+def _compare(
+    name: str,
+    difference: FloatArray,
+    mine: FloatArray | None,
+    other: FloatArray,
+    part: slice,
+) -> list[tuple[str, float, float]]:
+    """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.
+
+    Axes without variance (along a unit vector) are left out.
+    """
+    if mine is None or part.start == part.stop:
+        return []
+    variances, axes = np.linalg.eigh(mine[part, part])
+    keep = variances > 1e-12 * variances[-1]
+    sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
+    along = np.abs(axes.T @ difference[part]) / sigma
+    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other[part, part], axes))
+    ratio = np.abs(other_sigma / sigma - 1.0)
+    return [(name, float(a), float(r)) for a, r in zip(along, ratio, strict=True)]

@@ -1,0 +1,152 @@
+r"""Which unknowns the readings determine, and which they leave open.
+
+Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
+normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. In these units the
+planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
+undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
+rounding. Both follow from the noise: better sensors determine more.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..parameters import Parameters
+from ..recording import Readings
+from ..solvers.reduction import NormalEquations, normal_equations
+
+
+@dataclass(frozen=True, slots=True)
+class ObservabilityOptions:
+    """Controls of the rank decision.
+
+    Attributes
+    ----------
+    most_sigma : float
+        A direction is undetermined when its standard deviation is above this part of its natural
+        unit: 0.1 rad, or a tenth of the working distance.
+    least_information : float
+        Or when its information is below this part of the largest: lost in rounding.
+    """
+
+    most_sigma: float = 0.1
+    least_information: float = 1e-13
+
+
+@dataclass(frozen=True, slots=True)
+class NullSpace:
+    """Undetermined directions, as columns, in natural units.
+
+    Attributes
+    ----------
+    beams : (B, 5 + terms, K)
+        Beam part: location (3), direction (2, in the basis of `model.tangent_basis`), range error.
+    planes : (P, 3, K)
+        Plane part: normal (2, same basis), offset.
+    """
+
+    beams: FloatArray
+    planes: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """Rank and conditioning of a calibration.
+
+    Attributes
+    ----------
+    rank, unknowns : int
+        Determined and all unknowns.
+    condition : float
+        Square root of the ratio of the largest to the smallest information of the beams, in natural
+        units (the condition number of the reduced Jacobian); infinite when rank is short.
+    null_space : NullSpace
+    length : float
+        The typical range L [m] behind the natural units.
+    """
+
+    rank: int
+    unknowns: int
+    condition: float
+    null_space: NullSpace
+    length: float
+
+    @property
+    def full(self) -> bool:
+        """Whether everything is determined."""
+        return self.rank == self.unknowns
+
+
+def observability(
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    range_sigma: float,
+    options: ObservabilityOptions | None = None,
+) -> Observability:
+    """Diagnose `parameters` for readings with standard deviation `range_sigma` [m].
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam grazes its plane at `parameters`.
+    """
+    options = options or ObservabilityOptions()
+    length = float(np.median(readings.distance))
+    beam_unit = np.tile([length] * 3 + [1.0] * 2 + [1.0, 1.0 / length][:terms], readings.beams)
+    plane_unit = np.array([1.0, 1.0, length])
+    normal = _scaled(normal_equations(parameters, readings, terms), beam_unit, plane_unit)
+    plane_null, eliminate = _eliminate_planes(normal.plane, range_sigma, options)
+    E = np.swapaxes(normal.border, 0, 1).reshape(len(beam_unit), -1)
+    W = eliminate @ np.swapaxes(normal.border, 1, 2)
+    S = normal.beam - E @ W.reshape(-1, len(beam_unit))
+    information, axes = np.linalg.eigh(0.5 * (S + S.T))
+    floor = _least_information(float(np.diagonal(normal.beam).max()), range_sigma, options)
+    open_beams = axes[:, information < floor]
+    beams = np.hstack((open_beams, np.zeros((len(beam_unit), plane_null.shape[-1]))))
+    planes = np.concatenate((-W @ open_beams, plane_null), axis=2)
+    lost = beams.shape[1]
+    ratio = information[-1] / information[0] if lost == 0 else np.inf
+    return Observability(
+        rank=len(beam_unit) + 3 * readings.planes - lost,
+        unknowns=len(beam_unit) + 3 * readings.planes,
+        condition=float(np.sqrt(ratio)),
+        null_space=NullSpace(beams.reshape(readings.beams, 5 + terms, lost), planes),
+        length=length,
+    )
+
+
+def _scaled(
+    normal: NormalEquations, beam_unit: FloatArray, plane_unit: FloatArray
+) -> NormalEquations:
+    return NormalEquations(
+        normal.beam * np.outer(beam_unit, beam_unit),
+        normal.border * beam_unit[:, None] * plane_unit,
+        normal.plane * np.outer(plane_unit, plane_unit),
+        normal.beam_gradient * beam_unit,
+        normal.plane_gradient * plane_unit,
+        normal.centres,
+    )
+
+
+def _least_information(
+    largest: float, range_sigma: float, options: ObservabilityOptions
+) -> float:
+    """Return the information, for unit weights, below which a direction counts as open."""
+    return max((range_sigma / options.most_sigma) ** 2, options.least_information * largest)
+
+
+def _eliminate_planes(
+    plane: FloatArray, range_sigma: float, options: ObservabilityOptions
+) -> tuple[FloatArray, FloatArray]:
+    """Return null vectors (P, 3, K) of the planes, one a column, and pseudo-inverses (P, 3, 3)."""
+    information, axes = np.linalg.eigh(plane)
+    floor = _least_information(float(information.max()), range_sigma, options)
+    open_ = information < floor
+    inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, information))
+    pseudo = (axes * inverse[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    which, column = np.nonzero(open_)
+    null = np.zeros((len(plane), 3, len(which)))
+    null[which, :, np.arange(len(which))] = axes[which, :, column]
+    return null, pseudo

@@ -1,0 +1,58 @@
+"""Every error a caller can meet, under one root.
+
+Each class is one cause and carries its numbers as attributes. The message says what was found,
+what was expected and what to do.
+"""
+
+from pathlib import Path
+
+
+class HandlaserError(Exception):
+    """Root of all errors raised on purpose by this package."""
+
+
+class InputError(HandlaserError):
+    """A file or an argument cannot be used; the command line exits with 2.
+
+    Parameters
+    ----------
+    found, expected : str
+        What stands there and what should.
+    path : Path, optional
+        The file.
+    line : int, optional
+        Line of the file, counted from 1 (the header is line 1).
+    column : str, optional
+        Name of the column or field.
+    """
+
+    def __init__(
+        self,
+        found: str,
+        expected: str,
+        path: Path | None = None,
+        line: int | None = None,
+        column: str | None = None,
+    ) -> None:
+        self.found, self.expected = found, expected
+        self.path, self.line, self.column = path, line, column
+        place = [str(path)] if path is not None else []
+        place += [f"line {line}"] if line is not None else []
+        place += [f"column {column}"] if column is not None else []
+        where = ", ".join(place)
+        super().__init__(f"{where}: found {found}; expected {expected}".removeprefix(": "))
+
+
+class GrazingBeamError(HandlaserError):
+    """A beam runs parallel to its plane, so no range can be predicted."""
+
+    def __init__(self, cosine: float, limit: float) -> None:
+        self.cosine, self.limit = cosine, limit
+        super().__init__(
+            f"beam is parallel to the plane: |cos(incidence)| = {abs(cosine):.2e}, "
+            f"expected at least {limit:.0e}; drop the reading or start closer to the solution"
+        )
+
+
+class SolverError(HandlaserError):
+    """A solver cannot work on the problem it was given."""

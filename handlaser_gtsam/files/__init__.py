@@ -1,0 +1,1 @@
+"""Every file format that goes in or out."""

@@ -1,0 +1,125 @@
+"""Calibrations, and the truth of a simulation, as JSON; SI units, finite numbers only."""
+
+import json
+from pathlib import Path
+
+from ..arrays import FloatArray
+from ..calibration import Beam, Calibration, Plane
+from ..parameters import Parameters
+from ..recording import Recording
+from .writing import write_text
+
+Json = dict[str, "Json"] | list["Json"] | str | float | int | None
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """Return the calibration as JSON text.
+
+    Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
+    `covariance` are null: the numbers beside them are one of many solutions.
+    """
+    fit, determined = calibration.fit, calibration.observability
+    record: Json = {
+        "format": "handlaser-calibration",
+        "version": 1,
+        "status": calibration.status,
+        "message": calibration.message,
+        "beams": [_beam(beam) for beam in calibration.beams.values()],
+        "planes": [_plane(plane) for plane in calibration.planes.values()],
+        "fit": {
+            "readings": fit.readings,
+            "rms_m": fit.rms,
+            "max_m": fit.largest,
+            "chi2": fit.chi2,
+            "dof": fit.dof,
+            "sigma0": fit.sigma0,
+            "range_sigma_m": fit.range_sigma,
+            "range_sigma_given": fit.range_sigma_given,
+            "rejected": [
+                {"station": r.station, "beam": r.beam, "reason": r.reason, "residual_m": r.residual}
+                for r in fit.rejected
+            ],
+        },
+        "observability": {
+            "rank": determined.rank,
+            "unknowns": determined.unknowns,
+            "condition": determined.condition,
+            "undetermined": list(determined.undetermined),
+            "advice": list(determined.advice),
+        },
+        "range_error_choice": calibration.range_error_choice,
+        "start": {
+            "method": calibration.start.method,
+            "tried": [{"method": m, "rms_m": rms} for m, rms in calibration.start.tried],
+        },
+        "iterations": calibration.iterations,
+    }
+    return _text(record)
+
+
+def write_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write the calibration to a JSON file, whole or not at all."""
+    write_text(Path(path), calibration_text(calibration))
+
+
+def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:
+    """Write the true beams and planes behind a simulated recording."""
+    record: Json = {
+        "format": "handlaser-truth",
+        "version": 1,
+        "beams": [
+            _mount(name, truth.locations[i], truth.directions[i], truth.range_errors[i])
+            for i, name in enumerate(recording.beam_names)
+        ],
+        "planes": [
+            {"name": name, "normal": _list(truth.normals[p]), "offset_m": float(truth.offsets[p])}
+            for p, name in enumerate(recording.plane_names)
+        ],
+    }
+    write_text(Path(path), _text(record))
+
+
+def _beam(beam: Beam) -> dict[str, Json]:
+    location, k = beam.location_sigma, beam.range_error_sigma
+    sigma: Json = None
+    if location is not None and k is not None:
+        sigma = {
+            "location_m": _list(location),
+            "direction_rad": beam.direction_sigma,
+            "k1": float(k[0]),
+            "k2_per_m": float(k[1]),
+        }
+    covariance: Json = None
+    if beam.covariance is not None:
+        covariance = [_list(row) for row in beam.covariance]
+    mount = _mount(beam.name, beam.location, beam.direction, beam.range_error)
+    return mount | {"range_error_terms": beam.terms, "sigma": sigma, "covariance": covariance}
+
+
+def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> dict[str, Json]:
+    return {
+        "name": name,
+        "location_m": _list(r),
+        "direction": _list(v),
+        "range_error": {"k1": float(k[0]), "k2_per_m": float(k[1])},
+    }
+
+
+def _plane(plane: Plane) -> dict[str, Json]:
+    sigma: Json = None
+    if plane.covariance is not None:
+        sigma = {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma}
+    return {
+        "name": plane.name,
+        "normal": _list(plane.normal),
+        "offset_m": plane.offset,
+        "sigma": sigma,
+    }
+
+
+def _list(values: FloatArray) -> list[Json]:
+    return [float(value) for value in values]
+
+
+def _text(record: Json) -> str:
+    return json.dumps(record, indent=2, allow_nan=False) + "\n"

@@ -1,0 +1,134 @@
+"""Rig files: what is known about sensors and robot, in the units people use.
+
+    [noise]   range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg
+    [sensor]  range_mm = [min, max], max_incidence_deg
+    [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
+
+Every table and field is optional.
+"""
+
+import math
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ..errors import InputError
+from ..limits import Limits
+from ..noise import Noise
+from ..sensor import Sensor
+from .writing import write_text
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class _Noise(_Table):
+    range_sigma_mm: float | None = None
+    pose_translation_sigma_mm: float | None = None
+    pose_rotation_sigma_deg: float | None = None
+
+
+class _Sensor(_Table):
+    range_mm: list[float] | None = None
+    max_incidence_deg: float | None = None
+
+
+class _Limits(_Table):
+    rms_mm: float | None = None
+    location_sigma_mm: float | None = None
+    direction_sigma_deg: float | None = None
+
+
+class _Rig(_Table):
+    noise: _Noise = _Noise()
+    sensor: _Sensor = _Sensor()
+    limits: _Limits = _Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A rig file in SI units."""
+
+    noise: Noise = field(default_factory=Noise)
+    sensor: Sensor = field(default_factory=Sensor)
+    limits: Limits = field(default_factory=Limits)
+
+
+def read_rig(path: Path | str) -> Rig:
+    """Read a rig file.
+
+    Raises
+    ------
+    InputError
+        No TOML, an unknown table or field, or a value that cannot be.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        rig = _Rig.model_validate(tomllib.loads(text))
+    except OSError as error:
+        raise InputError(f"no readable file ({error.strerror})", "a rig file", path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"no TOML ({error})", "a rig file in TOML", path) from error
+    except ValidationError as error:
+        raise _first_fault(error, path) from error
+    try:
+        return _to_si(rig)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path) from error
+
+
+def _to_si(rig: _Rig) -> Rig:
+    mm, deg = 1e-3, math.pi / 180.0
+    span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
+    if span is None:
+        span = [0.0, math.inf]
+    if len(span) != 2:
+        raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
+    return Rig(
+        Noise(
+            _scaled(rig.noise.range_sigma_mm, mm),
+            _scaled(rig.noise.pose_translation_sigma_mm, mm),
+            _scaled(rig.noise.pose_rotation_sigma_deg, deg),
+        ),
+        Sensor(span[0] * mm, span[1] * mm, math.radians(90.0 if incidence is None else incidence)),
+        Limits(
+            _scaled(rig.limits.rms_mm, mm),
+            _scaled(rig.limits.location_sigma_mm, mm),
+            _scaled(rig.limits.direction_sigma_deg, deg),
+        ),
+    )
+
+
+def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
+    """Write the noise and the sensor's range; unknown values are left out."""
+    lines = ["[noise]"]
+    for name, value, unit in (
+        ("range_sigma_mm", noise.range_sigma, 1e3),
+        ("pose_translation_sigma_mm", noise.pose_translation_sigma, 1e3),
+        ("pose_rotation_sigma_deg", noise.pose_rotation_sigma, 180.0 / math.pi),
+    ):
+        if value is not None:
+            lines.append(f"{name} = {value * unit:.12g}")
+    if math.isfinite(sensor.range_max):
+        least, most = sensor.range_min * 1e3, sensor.range_max * 1e3
+        lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
+    write_text(Path(path), "\n".join(lines) + "\n")
+
+
+def _scaled(value: float | None, unit: float) -> float | None:
+    return None if value is None else value * unit
+
+
+def _first_fault(error: ValidationError, path: Path) -> InputError:
+    fault = error.errors()[0]
+    field = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        tables = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
+        table = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
+        names = ", ".join(table.model_fields)
+        return InputError(f"the unknown field {field}", f"one of {names}", path)
+    return InputError(f"{field} = {fault['input']!r}", fault["msg"], path)

@@ -1,0 +1,164 @@
+r"""The measurement equation, vectorised over readings; the only place where it is written.
+
+Symbols, as everywhere in this package: beam location r [m] and unit direction v, hand frame;
+plane n . x + b = 0, world frame; hand pose R, t (world_T_hand); reading d [m]; range error k.
+Seen from the hand the plane is n_H = R'n, b_H = b + n . t. Predicted range [m]:
+
+    s = -(n_H . r + b_H) / (n_H . v)                     (equation 6 of Wei and Hirzinger)
+
+and the residual [m], where the corrected reading is g(d) = d + k1 d + k2 d^2 (equations 7, 8):
+
+    e = s - g(d)
+
+A constant range offset is no parameter: it is the same as moving r along v.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import FloatArray
+from .errors import GrazingBeamError
+from .parameters import Parameters
+from .recording import Readings
+
+GRAZING_LIMIT = 1e-3
+"""Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearization:
+    """Residuals and their derivatives; directions and normals in ambient coordinates.
+
+    Attributes
+    ----------
+    residual : (N,)
+        e [m].
+    location, direction, normal : (N, 3)
+        de/dr, de/dv, de/dn. Multiply the latter two by a tangent basis (3, 2).
+    offset : (N,)
+        de/db.
+    range_error : (N, 2)
+        de/dk = (-d, -d^2).
+    pose : (N, 6)
+        de for a hand pose moved on the right by (omega, u), the order of `gtsam.Pose3`.
+    """
+
+    residual: FloatArray
+    location: FloatArray
+    direction: FloatArray
+    normal: FloatArray
+    offset: FloatArray
+    range_error: FloatArray
+    pose: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The arguments of the measurement equation, one row a reading.
+
+    Shapes: R (N, 3, 3); t, r, v, n (N, 3); b (N,); k (N, 2).
+    """
+
+    R: FloatArray
+    t: FloatArray
+    r: FloatArray
+    v: FloatArray
+    n: FloatArray
+    b: FloatArray
+    k: FloatArray
+
+
+def scene(parameters: Parameters, readings: Readings) -> Scene:
+    """Gather the beam, plane and pose of every reading."""
+    beam, plane = readings.beam, readings.plane
+    return Scene(
+        readings.world_R_hand,
+        readings.world_t_hand,
+        parameters.locations[beam],
+        parameters.directions[beam],
+        parameters.normals[plane],
+        parameters.offsets[plane],
+        parameters.range_errors[beam],
+    )
+
+
+def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
+    """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (N,) and range errors k (N, 2)."""
+    return d * (1.0 + k[:, 0] + k[:, 1] * d)
+
+
+def cosines(x: Scene) -> FloatArray:
+    """Return n_H . v, the cosine between plane normal and beam, shape (N,)."""
+    return np.einsum("nji,nj,ni->n", x.R, x.n, x.v)
+
+
+def predicted_ranges(x: Scene) -> FloatArray:
+    """Return the range s [m] along every beam to its plane, shape (N,).
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    n_hand, cosine = _seen_from_hand(x)
+    return -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
+
+
+def residuals(x: Scene, d: FloatArray) -> FloatArray:
+    """Return e = s - g(d) [m] for readings d (N,); raises like `predicted_ranges`."""
+    return predicted_ranges(x) - corrected(d, x.k)
+
+
+def linearize(x: Scene, d: FloatArray) -> Linearization:
+    """Return residuals and all derivatives at readings d (N,); raises like `predicted_ranges`."""
+    n_hand, cosine = _seen_from_hand(x)
+    s = -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
+    c = -1.0 / cosine
+    spot = x.r + s[:, None] * x.v
+    spot_world = np.einsum("nij,nj->ni", x.R, spot) + x.t
+    location = c[:, None] * n_hand
+    return Linearization(
+        residual=s - corrected(d, x.k),
+        location=location,
+        direction=s[:, None] * location,
+        normal=c[:, None] * spot_world,
+        offset=c,
+        range_error=-np.stack((d, d * d), axis=1),
+        pose=np.hstack((np.cross(spot, location), location)),
+    )
+
+
+def tangent_basis(unit: FloatArray) -> FloatArray:
+    """Return an orthonormal basis (N, 3, 2) of the tangent planes at unit vectors (N, 3).
+
+    Smooth everywhere but at -z (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017).
+    """
+    x, y, z = unit[:, 0], unit[:, 1], unit[:, 2]
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    xy = x * y * a
+    first = np.stack((1.0 + sign * x * x * a, sign * xy, -sign * x), axis=1)
+    second = np.stack((xy, sign + y * y * a, -y), axis=1)
+    return np.stack((first, second), axis=2)
+
+
+def normalized(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) divided by their lengths."""
+    lengths: FloatArray = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / lengths
+
+
+def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
+    n_hand = np.einsum("nji,nj->ni", x.R, x.n)
+    cosine = _dot(n_hand, x.v)
+    if cosine.size:
+        worst = cosine[np.argmin(np.abs(cosine))]
+        if not abs(worst) >= GRAZING_LIMIT:
+            raise GrazingBeamError(float(worst), GRAZING_LIMIT)
+    return n_hand, cosine
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = np.einsum("ni,ni->n", a, b)
+    return product

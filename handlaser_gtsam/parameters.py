@@ -1,0 +1,48 @@
+"""The unknowns of a calibration as plain arrays, shared by starts, solvers and results."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import FloatArray, frozen
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Beams and planes, index by index; arrays are copied and made read-only.
+
+    Attributes
+    ----------
+    locations : (B, 3)
+        Beam locations r [m], hand frame.
+    directions : (B, 3)
+        Unit beam directions v, hand frame.
+    range_errors : (B, 2)
+        Range errors (k1 [1], k2 [1/m]); zero where a term is not modelled.
+    normals : (P, 3)
+        Unit plane normals n, world frame; they point away from the sensor.
+    offsets : (P,)
+        Plane offsets b [m]: every point x of a plane has n . x + b = 0.
+    """
+
+    locations: FloatArray
+    directions: FloatArray
+    range_errors: FloatArray
+    normals: FloatArray
+    offsets: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("locations", "directions", "range_errors", "normals", "offsets"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        beams, planes = len(self.locations), len(self.offsets)
+        shapes = [(beams, 3), (beams, 3), (beams, 2), (planes, 3), (planes,)]
+        arrays = (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
+        if [a.shape for a in arrays] != shapes:
+            raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
+
+    def finite(self) -> bool:
+        """Tell whether every number is finite."""
+        return all(
+            bool(np.isfinite(a).all())
+            for a in (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
+        )

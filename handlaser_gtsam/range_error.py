@@ -1,0 +1,118 @@
+"""How many range-error terms the readings support.
+
+k1 and k2 are strongly coupled over a short range, so more terms are taken only on evidence: each
+number of terms is solved from the one before, and the lowest Bayesian information criterion wins,
+
+    BIC = chi2 + q ln N            when the range sigma is given,
+    BIC = N ln(RSS / N) + q ln N   when it is not,
+
+with q unknowns and N readings. Terms that the readings do not determine are not considered.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from .diagnosis.observability import Observability, ObservabilityOptions, observability
+from .graph import CalibrationGraph, build_graph, read_parameters
+from .noise import Noise
+from .parameters import Parameters
+from .recording import Readings
+from .solvers.levenberg import LevenbergOptions, LevenbergResult, Trial, levenberg_marquardt
+
+RangeError = Literal["auto", "none", "k1", "k1k2"]
+TERMS: dict[RangeError, int] = {"none": 0, "k1": 1, "k1k2": 2}
+NAMES = ("no range error", "k1", "k1 and k2")
+LEAST_RMS = 1e-12
+"""Residuals below this [m] are rounding; they are no evidence."""
+UNIT_SIGMA = 1e-3
+"""Range sigma [m] that weights the graph where none is given."""
+
+
+class Options(Protocol):
+    """What is read of the options of `calibrate`."""
+
+    @property
+    def range_error(self) -> RangeError: ...
+    @property
+    def solver(self) -> LevenbergOptions: ...
+    @property
+    def observability(self) -> ObservabilityOptions: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """One joint solution and its diagnosis."""
+
+    problem: CalibrationGraph
+    result: LevenbergResult
+    parameters: Parameters
+    observability: Observability
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The solution that was chosen, and why."""
+
+    solution: Solution
+    reason: str
+
+
+def choose_terms(
+    readings: Readings,
+    start: Parameters,
+    noise: Noise,
+    options: Options,
+    progress: Callable[[Trial], None] | None = None,
+) -> Choice:
+    """Solve with the range error asked for; `auto` takes the lowest BIC."""
+    if options.range_error != "auto":
+        solution = solve(readings, start, TERMS[options.range_error], noise, options, progress)
+        return Choice(solution, f"{NAMES[TERMS[options.range_error]]}, as asked for")
+    solutions = [solve(readings, start, 0, noise, options, progress)]
+    while len(solutions) < 3 and _usable(solutions[-1]):
+        terms, latest = len(solutions), solutions[-1].parameters
+        solutions.append(solve(readings, latest, terms, noise, options, progress))
+    usable = [s for s in solutions if _usable(s)] or solutions[:1]
+    bic = [criterion(s, len(readings), noise) for s in usable]
+    best = int(np.argmin(bic))
+    listed = ", ".join(f"{NAMES[s.problem.terms]} {b - bic[best]:+.1f}" for s, b in zip(usable, bic, strict=True))
+    return Choice(usable[best], f"{NAMES[usable[best].problem.terms]} by BIC ({listed})")
+
+
+def solve(
+    readings: Readings,
+    start: Parameters,
+    terms: int,
+    noise: Noise,
+    options: Options,
+    progress: Callable[[Trial], None] | None = None,
+) -> Solution:
+    """Solve jointly with `terms` range-error terms and diagnose the solution."""
+    sigma = noise.range_sigma or UNIT_SIGMA
+    problem = build_graph(readings, start, terms, sigma)
+    before = observability(start, readings, terms, 0.0, options.observability)
+    solver = options.solver
+    if not before.full:
+        solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
+    result = levenberg_marquardt(problem, solver, progress)
+    parameters = read_parameters(problem, result.values)
+    dof = max(len(readings) - before.rank, 1)
+    sigma = noise.range_sigma or float(np.sqrt(result.residual @ result.residual / dof))
+    found = observability(parameters, readings, terms, sigma, options.observability)
+    return Solution(problem, result, parameters, found)
+
+
+def criterion(solution: Solution, readings: int, noise: Noise) -> float:
+    """Return the Bayesian information criterion of `solution`."""
+    squares = float(solution.result.residual @ solution.result.residual)
+    penalty = solution.observability.unknowns * np.log(readings)
+    if noise.range_sigma is not None:
+        return float(squares / noise.range_sigma**2 + penalty)
+    return float(readings * np.log(max(squares / readings, LEAST_RMS**2)) + penalty)
+
+
+def _usable(solution: Solution) -> bool:
+    return solution.observability.full and solution.result.status == "converged"

@@ -1,0 +1,215 @@
+"""What was recorded: stations of a hand, and what every beam read there.
+
+A station is one hand pose in front of one plane. Columns, not objects: one array a quantity,
+one row a station.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray, IntArray, frozen, frozen_indices
+from .errors import InputError
+
+ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """The readings of a recording one a row, sorted by plane, then beam, then station.
+
+    Attributes
+    ----------
+    station, beam, plane : (N,)
+        Indices into the names of the recording.
+    distance : (N,)
+        What the sensor read, d [m].
+    world_R_hand : (N, 3, 3)
+    world_t_hand : (N, 3)
+        Hand pose of the reading's station [m], world frame.
+    beams, planes : int
+        Number of beams B and planes P.
+    """
+
+    station: IntArray
+    beam: IntArray
+    plane: IntArray
+    distance: FloatArray
+    world_R_hand: FloatArray
+    world_t_hand: FloatArray
+    beams: int
+    planes: int
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def block_starts(self) -> IntArray:
+        """Return the first row of each block of readings that share plane and beam."""
+        change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
+        return np.concatenate(([0], np.flatnonzero(change) + 1)).astype(np.intp)
+
+    def subset(self, rows: IntArray) -> "Readings":
+        """Return the readings `rows` (sorted indices), with the same beams and planes."""
+        return Readings(
+            self.station[rows],
+            self.beam[rows],
+            self.plane[rows],
+            self.distance[rows],
+            self.world_R_hand[rows],
+            self.world_t_hand[rows],
+            self.beams,
+            self.planes,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Hand poses and ranges, checked at construction and frozen.
+
+    Attributes
+    ----------
+    world_R_hand : (M, 3, 3)
+        Rotation of the hand at every station, world frame.
+    world_t_hand : (M, 3)
+        Position of the hand [m], world frame.
+    ranges : (M, B)
+        What every beam read [m]; NaN where it has no reading.
+    plane_labels : M strings
+        The plane each station looks at.
+    beam_names : B strings
+    station_names : M strings, optional
+        Unique labels; "1", "2", ... by default.
+    ignored_columns : strings
+        Columns of the file that were not used.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, numbers that are not finite, matrices that are no rotations, ranges that are
+        not positive, repeated names, a plane or a beam without any reading.
+    """
+
+    world_R_hand: FloatArray
+    world_t_hand: FloatArray
+    ranges: FloatArray
+    plane_labels: tuple[str, ...]
+    beam_names: tuple[str, ...]
+    station_names: tuple[str, ...] = ()
+    ignored_columns: tuple[str, ...] = ()
+    plane_names: tuple[str, ...] = field(init=False)
+    plane_of_station: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        store = object.__setattr__
+        for name in ("world_R_hand", "world_t_hand", "ranges"):
+            store(self, name, _float_array(getattr(self, name), name))
+        store(self, "plane_labels", tuple(self.plane_labels))
+        store(self, "beam_names", tuple(self.beam_names))
+        stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
+        names = tuple(self.station_names) or tuple(str(j + 1) for j in range(stations))
+        store(self, "station_names", names)
+        planes = {label: None for label in self.plane_labels}
+        number = {label: p for p, label in enumerate(planes)}
+        store(self, "plane_names", tuple(planes))
+        store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))
+        _check_shapes(self)
+        _check_numbers(self)
+        _check_names(self)
+
+    def readings(self) -> Readings:
+        """Return all readings, sorted by plane, beam and station."""
+        station, beam = np.nonzero(~np.isnan(self.ranges))
+        plane = self.plane_of_station[station]
+        order = np.lexsort((station, beam, plane))
+        station, beam, plane = station[order], beam[order], plane[order]
+        return Readings(
+            frozen_indices(station),
+            frozen_indices(beam),
+            frozen_indices(plane),
+            frozen(self.ranges[station, beam]),
+            frozen(self.world_R_hand[station]),
+            frozen(self.world_t_hand[station]),
+            len(self.beam_names),
+            len(self.plane_names),
+        )
+
+
+def _float_array(values: ArrayLike, name: str) -> FloatArray:
+    try:
+        return frozen(values)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
+
+
+def _check_shapes(recording: Recording) -> None:
+    stations = len(recording.plane_labels)
+    beams = len(recording.beam_names)
+    if stations == 0 or beams == 0:
+        raise InputError(f"{stations} stations and {beams} beams", "at least one of each")
+    expected = {
+        "world_R_hand": (stations, 3, 3),
+        "world_t_hand": (stations, 3),
+        "ranges": (stations, beams),
+    }
+    for name, shape in expected.items():
+        found = getattr(recording, name).shape
+        if found != shape:
+            raise InputError(f"{name} of shape {found}", f"shape {shape}")
+    if len(recording.station_names) != stations:
+        raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
+
+
+def _check_numbers(recording: Recording) -> None:
+    name = recording.station_names
+    R, t, d = recording.world_R_hand, recording.world_t_hand, recording.ranges
+    bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
+    if bad.size:
+        raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
+    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0))
+    if bad.size:
+        raise InputError(
+            f"world_R_hand that is no rotation at station {name[bad[0]]} "
+            f"(R'R differs from the identity by {error[bad[0]]:.1e})",
+            f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
+        )
+    with np.errstate(invalid="ignore"):
+        rows, columns = np.nonzero(~np.isnan(d) & ~((d > 0.0) & np.isfinite(d)))
+    if rows.size:
+        raise InputError(
+            f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
+            f"at station {name[rows[0]]}",
+            "a positive, finite range in metres, or NaN for no reading",
+        )
+
+
+def _check_names(recording: Recording) -> None:
+    for kind, names in (("station", recording.station_names), ("beam", recording.beam_names)):
+        twice = first_repeated(names)
+        if twice is not None:
+            raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
+    seen = ~np.isnan(recording.ranges)
+    for beam in np.flatnonzero(~seen.any(axis=0)):
+        raise InputError(
+            f"beam {recording.beam_names[beam]} without any reading",
+            "at least one reading of every beam; leave the beam out",
+        )
+    measured = np.zeros(len(recording.plane_names), dtype=bool)
+    measured[recording.plane_of_station[seen.any(axis=1)]] = True
+    for plane in np.flatnonzero(~measured):
+        raise InputError(
+            f"plane {recording.plane_names[plane]} without any reading",
+            "at least one reading of every plane; leave its stations out",
+        )
+
+
+def first_repeated(names: Sequence[str]) -> int | None:
+    """Return the index of the first name that stands earlier too, or None."""
+    seen: set[str] = set()
+    for index, name in enumerate(names):
+        if name in seen:
+            return index
+        seen.add(name)
+    return None

@@ -1,0 +1,98 @@
+"""What a sensor can measure, and which readings that leaves."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import model
+from .arrays import FloatArray, IntArray
+from .errors import InputError
+from .parameters import Parameters
+from .recording import Readings, Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Limits of a sensor.
+
+    Attributes
+    ----------
+    range_min, range_max : float
+        Readings outside are no readings [m].
+    max_incidence : float
+        Largest angle between beam and plane normal at which a reading counts [rad].
+    """
+
+    range_min: float = 0.0
+    range_max: float = math.inf
+    max_incidence: float = math.pi / 2.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.range_min < self.range_max:
+            found = f"sensor range {self.range_min:g} to {self.range_max:g} m"
+            raise InputError(found, "0 <= least < largest")
+        if not 0.0 < self.max_incidence <= math.pi / 2.0:
+            found = f"max_incidence {math.degrees(self.max_incidence):g} deg"
+            raise InputError(found, "an angle above 0 and up to 90 degrees")
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A reading that was left out: names, the reason, and its residual [m] where there is one."""
+
+    station: str
+    beam: str
+    reason: str
+    residual: float | None
+
+
+def within_range(readings: Readings, sensor: Sensor) -> IntArray:
+    """Return the rows whose reading the sensor can give."""
+    d = readings.distance
+    return np.flatnonzero((d >= sensor.range_min) & (d <= sensor.range_max))
+
+
+def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor) -> IntArray:
+    """Return the rows whose beam meets its plane no flatter than the sensor allows."""
+    cosine = np.abs(model.cosines(model.scene(parameters, readings)))
+    return np.flatnonzero(cosine >= math.cos(sensor.max_incidence) - 1e-12)
+
+
+def rejected(
+    recording: Recording,
+    readings: Readings,
+    kept: IntArray,
+    reason: str,
+    residual: FloatArray | None = None,
+) -> tuple[Rejected, ...]:
+    """Name the rows of `readings` that are not `kept`."""
+    left_out = np.setdiff1d(np.arange(len(readings)), kept)
+    return tuple(
+        Rejected(
+            recording.station_names[readings.station[row]],
+            recording.beam_names[readings.beam[row]],
+            reason,
+            None if residual is None else float(residual[row]),
+        )
+        for row in left_out
+    )
+
+
+def require_all(recording: Recording, readings: Readings) -> None:
+    """Refuse readings that leave a plane or a beam without any.
+
+    Raises
+    ------
+    InputError
+    """
+    for kind, names, index in (
+        ("beam", recording.beam_names, readings.beam),
+        ("plane", recording.plane_names, readings.plane),
+    ):
+        missing = np.flatnonzero(np.bincount(index, minlength=len(names)) == 0)
+        if missing.size:
+            raise InputError(
+                f"no reading of {kind} {names[missing[0]]} within the sensor's limits",
+                f"at least one; check the limits or leave the {kind} out",
+            )

@@ -1,0 +1,141 @@
+"""A start that knows some beams and planes, and how the others grow from them.
+
+Points of a known beam give a plane by total least squares; known planes give a beam, linearly:
+n_H . r + d n_H . v = -(b + n . t) in the six numbers (r, v).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..parameters import Parameters
+from ..recording import Readings
+
+FLATNESS = 1e-3
+"""A plane needs points whose second spread is at least this part of the first."""
+CONDITION = 1e-6
+"""A beam needs a linear system whose singular values are within this ratio."""
+
+
+@dataclass(slots=True)
+class PartialStart:
+    """Beams and planes, NaN where not known yet; shapes as in `Parameters`."""
+
+    locations: FloatArray
+    directions: FloatArray
+    normals: FloatArray
+    offsets: FloatArray
+
+    @classmethod
+    def empty(cls, readings: Readings) -> "PartialStart":
+        """Return a start that knows nothing."""
+        beams, planes = readings.beams, readings.planes
+        nan = np.nan
+        return cls(
+            np.full((beams, 3), nan),
+            np.full((beams, 3), nan),
+            np.full((planes, 3), nan),
+            np.full(planes, nan),
+        )
+
+    def known_beams(self) -> BoolArray:
+        """Return a boolean (B,): location and direction are known."""
+        known: BoolArray = ~np.isnan(self.locations + self.directions).any(axis=1)
+        return known
+
+    def known_planes(self) -> BoolArray:
+        """Return a boolean (P,): normal and offset are known."""
+        known: BoolArray = ~np.isnan(self.normals.sum(axis=1) + self.offsets)
+        return known
+
+
+def grow(start: PartialStart, readings: Readings) -> Parameters:
+    """Return `start` completed from what it knows.
+
+    What the readings do not determine gets the solution of least norm, so that a solver can run
+    and the diagnosis can say what is missing.
+    """
+    for least_norm in (False, True):
+        while True:
+            before = start.known_beams().sum() + start.known_planes().sum()
+            _grow_planes(start, readings, least_norm)
+            _grow_beams(start, readings, least_norm)
+            if start.known_beams().sum() + start.known_planes().sum() == before:
+                break
+    _fill_unreached(start)
+    _face_the_sensor(start, readings)
+    none = np.zeros((readings.beams, 2))
+    return Parameters(start.locations, start.directions, none, start.normals, start.offsets)
+
+
+def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> None:
+    wanted = ~start.known_planes()[readings.plane] & start.known_beams()[readings.beam]
+    rows = np.flatnonzero(wanted)
+    if not rows.size:
+        return
+    part = readings.subset(rows)
+    spots = start.locations[part.beam] + part.distance[:, None] * start.directions[part.beam]
+    spots = np.einsum("nij,nj->ni", part.world_R_hand, spots) + part.world_t_hand
+    planes, first, index = np.unique(part.plane, return_index=True, return_inverse=True)
+    counts = np.bincount(index)
+    centres = np.add.reduceat(spots, first) / counts[:, None]
+    local = spots - centres[index]
+    scatter = np.add.reduceat(local[:, :, None] * local[:, None, :], first)
+    if least_norm:
+        scatter += _toward_beams(start, part, first, scatter)
+    spread, axes = np.linalg.eigh(scatter)
+    flat = (counts >= 3) & (spread[:, 1] > FLATNESS**2 * spread[:, 2])
+    take = np.flatnonzero(flat | least_norm)
+    start.normals[planes[take]] = axes[take, :, 0]
+    start.offsets[planes[take]] = -np.einsum("pi,pi->p", axes[take, :, 0], centres[take])
+
+
+def _toward_beams(
+    start: PartialStart, part: Readings, first: IntArray, scatter: FloatArray
+) -> FloatArray:
+    """Return what makes eigh prefer, among normals the points leave open, the one along a beam."""
+    v = start.directions[part.beam[first]]
+    v_world = np.einsum("pij,pj->pi", part.world_R_hand[first], v)
+    weight = 1e-6 * np.trace(scatter, axis1=1, axis2=2) + 1e-12
+    across: FloatArray = np.eye(3) - v_world[:, :, None] * v_world[:, None, :]
+    return weight[:, None, None] * across
+
+
+def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> None:
+    known_plane = start.known_planes()
+    for beam in np.flatnonzero(~start.known_beams()):
+        rows = np.flatnonzero((readings.beam == beam) & known_plane[readings.plane])
+        if not rows.size:
+            continue
+        part = readings.subset(rows)
+        n = start.normals[part.plane]
+        n_hand = np.einsum("nji,nj->ni", part.world_R_hand, n)
+        scale = part.distance.mean()
+        A = np.hstack((n_hand, n_hand * (part.distance / scale)[:, None]))
+        rhs = -(start.offsets[part.plane] + np.einsum("ni,ni->n", n, part.world_t_hand))
+        solution, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=CONDITION)
+        length = np.linalg.norm(solution[3:])
+        if (rank == 6 or least_norm) and length > 0.0:
+            start.locations[beam] = solution[:3]
+            start.directions[beam] = solution[3:] / length
+
+
+def _fill_unreached(start: PartialStart) -> None:
+    """Give what no reading reaches a harmless value."""
+    beams, planes = ~start.known_beams(), ~start.known_planes()
+    start.locations[beams] = 0.0
+    start.directions[beams] = (0.0, 0.0, 1.0)
+    start.normals[planes & np.isnan(start.normals).any(axis=1)] = (0.0, 0.0, 1.0)
+    start.offsets[planes] = 0.0
+
+
+def _face_the_sensor(start: PartialStart, readings: Readings) -> None:
+    """Turn normals away from the sensor: n_H . v > 0 over most readings."""
+    v = start.directions[readings.beam]
+    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, v)
+    cosine = np.einsum("ni,ni->n", v_world, start.normals[readings.plane])
+    sign = np.where(np.bincount(readings.plane, cosine, readings.planes) < 0.0, -1.0, 1.0)
+    start.normals = model.normalized(start.normals) * sign[:, None]
+    start.offsets = start.offsets * sign

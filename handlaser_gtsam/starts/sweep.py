@@ -1,0 +1,129 @@
+r"""A start from any motion: sweep the plane's normal over a half-sphere.
+
+For a fixed normal n the plane equation is linear in seven unknowns (r, v, b):
+
+    n_H . r + d n_H . v + b = -n . t
+
+One batched solve tries some hundred normals on the readings of one beam and one plane; the best few
+are refined by Gauss-Newton on the range residual, and the lowest cost wins. (n, b) and (-n, -b) are
+one plane, so half the sphere is enough.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..parameters import Parameters
+from ..recording import Readings
+from ..solvers.reduction import Refined, refine
+from .partial import PartialStart
+
+
+@dataclass(frozen=True, slots=True)
+class SweepOptions:
+    """Controls of the sweep.
+
+    Attributes
+    ----------
+    normals : int
+        Normals tried; 300 lie about 8 degrees apart.
+    refined : int
+        The best ones that are refined.
+    iterations : int
+        Most steps of each refinement.
+    seeds : int
+        Pairs of beam and plane that are swept, those with the richest motion first.
+    """
+
+    normals: int = 300
+    refined: int = 8
+    iterations: int = 12
+    seeds: int = 2
+
+
+def sweep_starts(readings: Readings, options: SweepOptions | None = None) -> list[PartialStart]:
+    """Return one start a swept pair: its beam and its plane, the rest not known."""
+    options = options or SweepOptions()
+    starts = []
+    for rows in _richest_blocks(readings)[: options.seeds]:
+        part = readings.subset(rows)
+        found = _sweep_block(_alone(part), options)
+        if found is not None:
+            start = PartialStart.empty(readings)
+            beam, plane = part.beam[0], part.plane[0]
+            start.locations[beam] = found.parameters.locations[0]
+            start.directions[beam] = found.parameters.directions[0]
+            start.normals[plane] = found.parameters.normals[0]
+            start.offsets[plane] = found.parameters.offsets[0]
+            starts.append(start)
+    return starts
+
+
+def half_sphere(count: int) -> FloatArray:
+    """Return `count` unit vectors (count, 3) spread evenly over z > 0 (Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    z = 1.0 - index / count
+    angle = index * np.pi * (3.0 - np.sqrt(5.0))
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
+
+
+def _richest_blocks(readings: Readings) -> list[IntArray]:
+    """Return the rows of every (plane, beam), the widest spread of rotations first.
+
+    The spread is the third largest variance of the rotation matrices' entries: it vanishes for
+    rotations about one axis only.
+    """
+    starts = readings.block_starts()
+    count = np.diff(np.append(starts, len(readings)))
+    R = readings.world_R_hand.reshape(-1, 9)
+    mean = np.add.reduceat(R, starts) / count[:, None]
+    local = R - np.repeat(mean, count, axis=0)
+    scatter = np.stack([np.add.reduceat(local * local[:, i : i + 1], starts) for i in range(9)], 1)
+    spread = np.linalg.eigvalsh(scatter)[:, -3]
+    best = np.lexsort((starts, -count, -np.round(spread, 9)))
+    return [np.arange(starts[i], starts[i] + count[i], dtype=np.intp) for i in best]
+
+
+def _alone(part: Readings) -> Readings:
+    """Return the readings of one beam and plane as a recording of their own."""
+    zero = np.zeros(len(part), dtype=np.intp)
+    return Readings(
+        part.station, zero, zero, part.distance, part.world_R_hand, part.world_t_hand, 1, 1
+    )
+
+
+def _sweep_block(readings: Readings, options: SweepOptions) -> Refined | None:
+    best: Refined | None = None
+    for start in _linear_solutions(readings, options):
+        refined = refine(start, readings, terms=0, iterations=options.iterations)
+        if refined is not None and (best is None or refined.squares < best.squares):
+            best = refined
+    return best
+
+
+def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Parameters]:
+    """Solve for (r, v, b) at every normal; return the best."""
+    n = half_sphere(options.normals)
+    centre = readings.world_t_hand.mean(axis=0)
+    scale = readings.distance.mean()
+    n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
+    ones = np.ones((*n_hand.shape[:2], 1))
+    A = np.concatenate((n_hand, n_hand * (readings.distance / scale)[:, None], ones), axis=2)
+    rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
+    At = np.swapaxes(A, 1, 2)
+    H = At @ A
+    ridge = 1e-10 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(7)
+    x = np.linalg.solve(H + ridge, At @ rhs[..., None])
+    error = (A @ x)[..., 0] - rhs
+    x = x[..., 0]
+    length = np.linalg.norm(x[:, 3:6], axis=1)
+    order = np.argsort(np.where(length > 0.0, np.einsum("cm,cm->c", error, error), np.inf))
+    found = []
+    for c in order[: options.refined]:
+        v = x[c, 3:6] / max(length[c], 1e-300)
+        sign = np.sign((n_hand[c] @ v).mean()) or 1.0
+        b = x[c, 6] - n[c] @ centre
+        found.append(Parameters([x[c, :3]], [v], np.zeros((1, 2)), [sign * n[c]], [sign * b]))
+    return found

@@ -1,0 +1,145 @@
+r"""Closed form from pure translations (section 2.3 of Wei and Hirzinger).
+
+A series is what one beam reads of one plane while the hand keeps its rotation. Inside a series only
+translations differ, equation (12): n . dt = -dd p with p = n_H . v.
+
+1. Every plane: (n, p of its series) solve one homogeneous system; eliminating every p leaves a
+   3 x 3 matrix whose null vector is n. It serves when its translations span space (Lemma 1),
+   in one series or together with others: all beams and rotations of the plane are stacked.
+2. Every series of a plane whose n is known gives one row n_H . v = p [11], [14]. Rows of rank 3
+   give v (Lemma 2): from hand rotations, from planes, or from both mixed.
+3. With n and v known, n_H . r + b = -d (n_H . v) - n . t is linear in every r and b [15]-[17].
+
+Planes and beams that satisfy no lemma are left out here and grown afterwards.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..recording import Readings
+from .partial import PartialStart
+
+ROTATION_CELL = 2e-3
+"""Rotations whose matrices agree to about this many radians count as equal."""
+SPREAD = 1e-4
+"""Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Series:
+    """Second moments of translations and readings about their means, one row a series."""
+
+    plane: IntArray
+    beam: IntArray
+    rotation: FloatArray
+    tt: FloatArray
+    td: FloatArray
+    dd: FloatArray
+
+
+def translation_start(readings: Readings) -> PartialStart | None:
+    """Return what pure translations determine, or None where no plane or no beam is."""
+    series = _series(readings)
+    if series is None:
+        return None
+    start = PartialStart.empty(readings)
+    _solve_normals(start, series)
+    _solve_directions(start, series)
+    if np.isnan(start.normals).all() or np.isnan(start.directions).all():
+        return None
+    _solve_locations(start, readings)
+    return start
+
+
+def _series(readings: Readings) -> _Series | None:
+    cells = np.floor(readings.world_R_hand.reshape(-1, 9) / ROTATION_CELL + 0.377).astype(np.int64)
+    labels = np.column_stack((readings.plane, readings.beam, cells))
+    _, first, index = np.unique(labels, axis=0, return_index=True, return_inverse=True)
+    index = index.ravel()
+    count = np.bincount(index)
+    t, d = readings.world_t_hand, readings.distance
+    t_mean = np.stack([np.bincount(index, t[:, i]) for i in range(3)], axis=1) / count[:, None]
+    dt = t - t_mean[index]
+    dd = d - (np.bincount(index, d) / count)[index]
+    columns = np.column_stack((dt, dd))
+    moments = np.zeros((len(count), 4, 4))
+    np.add.at(moments, index, columns[:, :, None] * columns[:, None, :])
+    moving = np.flatnonzero(np.trace(moments[:, :3, :3], axis1=1, axis2=2) > 1e-18)
+    if not moving.size:
+        return None
+    rows = first[moving]
+    return _Series(
+        readings.plane[rows],
+        readings.beam[rows],
+        readings.world_R_hand[rows],
+        moments[moving, :3, :3],
+        moments[moving, :3, 3],
+        moments[moving, 3, 3],
+    )
+
+
+def _solve_normals(start: PartialStart, series: _Series) -> None:
+    """Step 1: the normal of every plane whose translations span space."""
+    travel = np.trace(series.tt, axis1=1, axis2=2)
+    responds = series.dd > 1e-12 * travel
+    share = np.where(responds, 1.0 / np.where(responds, series.dd, 1.0), 0.0)
+    free = series.tt - series.td[:, :, None] * series.td[:, None, :] * share[:, None, None]
+    matrix = np.zeros((len(start.offsets), 3, 3))
+    np.add.at(matrix, series.plane, free)
+    spread, axes = np.linalg.eigh(matrix)
+    serves = (spread[:, 1] > SPREAD * spread[:, 2]) & (spread[:, 1] > 9.0 * spread[:, 0])
+    n = axes[:, :, 0]
+    toward = np.zeros(len(n))
+    np.add.at(toward, series.plane, np.einsum("si,si->s", series.td, n[series.plane]))
+    n = np.where(toward[:, None] > 0.0, -n, n)
+    start.normals[serves] = n[serves]
+
+
+def _solve_directions(start: PartialStart, series: _Series) -> None:
+    """Step 2: the direction of every beam that sees three independent normals from the hand."""
+    use = np.flatnonzero(~np.isnan(start.normals[series.plane, 0]) & (series.dd > 0.0))
+    n = start.normals[series.plane[use]]
+    n_hand = np.einsum("sji,sj->si", series.rotation[use], n)
+    weighted_p = -np.einsum("si,si->s", series.td[use], n)  # dd p: a row weighs as its readings move
+    beams = len(start.directions)
+    matrix, rhs = np.zeros((beams, 3, 3)), np.zeros((beams, 3))
+    weighted = series.dd[use, None, None] * n_hand[:, :, None] * n_hand[:, None, :]
+    np.add.at(matrix, series.beam[use], weighted)
+    np.add.at(rhs, series.beam[use], weighted_p[:, None] * n_hand)
+    spread = np.linalg.eigvalsh(matrix)
+    for beam in np.flatnonzero(spread[:, 0] > SPREAD * spread[:, 2]):
+        v = np.linalg.solve(matrix[beam], rhs[beam])
+        start.directions[beam] = v / np.linalg.norm(v)
+
+
+def _solve_locations(start: PartialStart, readings: Readings) -> None:
+    """Step 3: locations of the known directions and offsets of the known normals together."""
+    beams = np.flatnonzero(~np.isnan(start.directions[:, 0]))
+    known = ~np.isnan(start.normals[readings.plane, 0]) & np.isin(readings.beam, beams)
+    part = readings.subset(np.flatnonzero(known))
+    n = start.normals[part.plane]
+    n_hand = np.einsum("nji,nj->ni", part.world_R_hand, n)
+    cosine = np.einsum("ni,ni->n", n_hand, start.directions[part.beam])
+    rhs = -part.distance * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
+    count = np.maximum(np.bincount(part.plane, minlength=part.planes), 1)
+    rhs_mean = np.bincount(part.plane, rhs, part.planes) / count
+    rows_mean = np.zeros((part.planes, part.beams, 3))
+    np.add.at(rows_mean, (part.plane, part.beam), n_hand)
+    rows_mean /= count[:, None, None]
+    # Normal equations of r after every offset is eliminated: rows less their mean over the plane.
+    H, g = np.zeros((part.beams, 3, part.beams, 3)), np.zeros((part.beams, 3))
+    blocks = np.zeros((part.beams, 3, 3))
+    np.add.at(blocks, part.beam, n_hand[:, :, None] * n_hand[:, None, :])
+    np.add.at(g, part.beam, n_hand * rhs[:, None])
+    H[np.arange(part.beams), :, np.arange(part.beams), :] = blocks
+    flat = rows_mean.reshape(part.planes, -1)
+    matrix = H.reshape(flat.shape[1], -1) - (flat * count[:, None]).T @ flat
+    vector = g.ravel() - flat.T @ (count * rhs_mean)
+    r = (np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ vector).reshape(-1, 3)
+    start.locations[beams] = r[beams]
+    seen = np.unique(part.plane)
+    b = rhs_mean - np.einsum("pbi,bi->p", rows_mean, r)
+    start.offsets[seen] = b[seen]
+    start.normals[np.isnan(start.offsets)] = np.nan
