@@ -3,9 +3,10 @@
 from handlaser_gtsam.keys import BeamKeys
 
 from .block import RangeBlock, range_factor
+from .evaluation import Evaluation
 from .range_to_plane import range_to_plane
 from .range_to_plane_from_pose import range_to_plane_from_pose
-from .shared import Evaluation, SharedEvaluation
+from .shared import SharedEvaluation
 
 __all__ = [
     "BeamKeys",

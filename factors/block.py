@@ -16,8 +16,7 @@ from handlaser_gtsam.arrays import FloatArray, frozen
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys
 
-Prepared = tuple[FloatArray, tuple[FloatArray, ...]]
-"""Residuals (N,) and one Jacobian (N, dim) a key."""
+from .evaluation import Share
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""
@@ -39,7 +38,7 @@ class RangeBlock:
     distance : (N,)
         Readings [m].
     prepared
-        What the next calls hand out instead of evaluating; see `SharedEvaluation`.
+        What the next calls hand out instead of evaluating; set by `SharedEvaluation` only.
     """
 
     __slots__ = ("beam", "distance", "plane", "pose", "prepared", "world_R_hand", "world_t_hand")
@@ -56,9 +55,9 @@ class RangeBlock:
         self.beam, self.plane, self.pose = beam, plane, pose
         self.distance = frozen(distance)
         self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
-        self.prepared: Prepared | None = None
+        self.prepared: Share | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
-        if rows == 0 or not (np.isfinite(self.distance) & (self.distance > 0.0)).all():
+        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() < np.inf):
             raise InputError(
                 f"readings {np.array2string(self.distance, threshold=5)}",
                 "one or more positive, finite ranges in metres",
@@ -79,14 +78,21 @@ class RangeBlock:
         jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
     ) -> FloatArray:
         """Return the residuals [m] (N,) and fill the Jacobians where they are asked for."""
-        residual, blocks = self.prepared if self.prepared is not None else self.evaluate(values)
+        share = self.prepared
+        if share is None:
+            residual, blocks = self.evaluate(values)
+            if jacobians is not None:
+                for slot, block in enumerate(blocks):
+                    jacobians[slot] = block  # type: ignore[index]
+            return residual
         if jacobians is not None:
-            for slot, block in enumerate(blocks):
-                jacobians[slot] = block  # type: ignore[index]
-        return residual
+            rows = share.of.jacobian[share.rows]
+            for slot, columns in enumerate(share.columns):
+                jacobians[slot] = rows[:, columns]  # type: ignore[index]
+        return share.of.residual[share.rows]
 
-    def evaluate(self, values: gtsam.Values) -> Prepared:
-        """Return residuals and Jacobians at `values`.
+    def evaluate(self, values: gtsam.Values) -> tuple[FloatArray, list[FloatArray]]:
+        """Return residuals (N,) [m] and one Jacobian (N, dim) a key at `values`.
 
         Raises
         ------
@@ -108,14 +114,14 @@ class RangeBlock:
             np.full(rows, plane.distance()),
             np.broadcast_to(k, (rows, 2)),
         )
-        at = model.linearize(x, self.distance)
+        at = model.linearize(x, self.distance, with_pose=self.pose is not None)
         plane_block = np.column_stack((at.normal @ plane.normal().basis(), at.offset))
         blocks = [at.location, at.direction @ v.basis()]
         blocks += [at.range_error[:, :terms]] if terms else []
         blocks += [plane_block] + ([at.pose] if self.pose is not None else [])
         if not (np.isfinite(at.residual).all() and all(np.isfinite(b).all() for b in blocks)):
             raise SolverError("residual of a range factor is not finite; expected finite values")
-        return at.residual, tuple(blocks)
+        return at.residual, blocks
 
     def _range_error(self, values: gtsam.Values) -> tuple[int, FloatArray]:
         k = np.zeros(2)

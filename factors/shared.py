@@ -7,7 +7,6 @@ only for the Values of that evaluation; a factor met anywhere else evaluates its
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -17,22 +16,7 @@ from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.errors import SolverError
 
 from .block import RangeBlock
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """All rows of all blocks at one Values; Jacobians in GTSAM's tangent bases.
-
-    Shapes: residual (N,) [m]; location (N, 3); direction (N, 2); range_error (N, 2); plane (N, 3);
-    pose (N, 6).
-    """
-
-    residual: FloatArray
-    location: FloatArray
-    direction: FloatArray
-    range_error: FloatArray
-    plane: FloatArray
-    pose: FloatArray
+from .evaluation import DIRECTION, LOCATION, PLANE, POSE, RANGE_ERROR, Evaluation, Share
 
 
 class SharedEvaluation:
@@ -61,6 +45,7 @@ class SharedEvaluation:
         self.poses, self.pose_of = _unique([none if b.pose is None else b.pose for b in blocks], sizes)
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
         self._terms: dict[int, int] = {none: 0}
+        self._columns: list[tuple[slice, ...]] = []
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
@@ -77,35 +62,33 @@ class SharedEvaluation:
             np.array([p.distance() for p in plane])[self.plane_of],
             self._range_error_rows(values),
         )
-        at = model.linearize(x, self.distance)
+        at = model.linearize(x, self.distance, with_pose=bool(self._posed.size))
         if not np.isfinite(at.residual).all():
             raise SolverError("residual of a range factor is not finite; expected finite values")
         v_basis = np.array([v.basis() for v in direction])[self.direction_of]
         n_basis = np.array([n.basis() for n in normal])[self.plane_of]
-        plane_block = np.empty((len(self.distance), 3))
-        plane_block[:, :2] = np.einsum("ni,nij->nj", at.normal, n_basis)
-        plane_block[:, 2] = at.offset
-        return Evaluation(
-            at.residual,
-            at.location,
-            np.einsum("ni,nij->nj", at.direction, v_basis),
-            at.range_error,
-            plane_block,
-            at.pose,
-        )
+        jacobian = np.empty((len(self.distance), POSE.stop if len(at.pose) else PLANE.stop))
+        jacobian[:, LOCATION] = at.location
+        np.einsum("ni,nij->nj", at.direction, v_basis, out=jacobian[:, DIRECTION])
+        jacobian[:, RANGE_ERROR] = at.range_error
+        np.einsum("ni,nij->nj", at.normal, n_basis, out=jacobian[:, 7:9])
+        jacobian[:, 9] = at.offset
+        if len(at.pose):
+            jacobian[:, POSE] = at.pose
+        return Evaluation(at.residual, jacobian)
+
+    def reach(self) -> float:
+        """Return the largest coordinate of a known hand position plus the largest reading [m]."""
+        return float(np.abs(self._t).max() + self.distance.max())
 
     @contextmanager
     def handed_out(self, at: Evaluation) -> Iterator[None]:
         """Let every block hand out its rows of `at` until the context ends."""
         try:
-            for block, rows in zip(self.blocks, self.slices, strict=True):
-                jacobians = [at.location[rows], at.direction[rows]]
-                if block.beam.range_error is not None:
-                    jacobians.append(at.range_error[rows, : self._terms[block.beam.range_error]])
-                jacobians.append(at.plane[rows])
-                if block.pose is not None:
-                    jacobians.append(at.pose[rows])
-                block.prepared = (at.residual[rows], tuple(jacobians))
+            if not self._columns:
+                self._columns = [self._columns_of(block) for block in self.blocks]
+            for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
+                block.prepared = Share(at, rows, columns)
             yield
         finally:
             for block in self.blocks:
@@ -114,17 +97,26 @@ class SharedEvaluation:
     def squared_columns(self, at: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
         total: dict[int, FloatArray] = {}
-        for keys, index, block in (
-            (self.locations, self.location_of, at.location),
-            (self.directions, self.direction_of, at.direction),
-            (self.range_errors, self.range_error_of, at.range_error),
-            (self.planes, self.plane_of, at.plane),
-            (self.poses, self.pose_of, at.pose),
+        for keys, index, columns in (
+            (self.locations, self.location_of, LOCATION),
+            (self.directions, self.direction_of, DIRECTION),
+            (self.range_errors, self.range_error_of, RANGE_ERROR),
+            (self.planes, self.plane_of, PLANE),
+            (self.poses, self.pose_of, POSE),
         ):
+            block = at.jacobian[:, columns]
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
             total |= {key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0}
         return total
+
+    def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:
+        """Return the columns of each key of `block` in the evaluation."""
+        key = block.beam.range_error
+        columns = [LOCATION, DIRECTION]
+        if key is not None:
+            columns.append(slice(RANGE_ERROR.start, RANGE_ERROR.start + self._terms[key]))
+        return (*columns, PLANE) if block.pose is None else (*columns, PLANE, POSE)
 
     def _range_error_rows(self, values: gtsam.Values) -> FloatArray:
         k = np.zeros((len(self.range_errors), 2))

@@ -9,7 +9,9 @@ BoolArray = NDArray[np.bool_]
 
 
 def frozen(values: ArrayLike) -> FloatArray:
-    """Return a read-only, contiguous float copy of `values`."""
+    """Return `values` as a read-only float array: a copy, unless they are one already."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64 and not values.flags.writeable:
+        return values
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array

@@ -176,6 +176,8 @@ class Calibration:
         Why this many range-error terms.
     iterations : int
         Steps of the final solution.
+    interrupted : bool
+        Whether Ctrl-C ended the solver.
     """
 
     status: Status
@@ -187,3 +189,4 @@ class Calibration:
     start: StartReport
     range_error_choice: str
     iterations: int
+    interrupted: bool = False

@@ -41,7 +41,8 @@ class Linearization:
     range_error : (N, 2)
         de/dk = (-d, -d^2).
     pose : (N, 6)
-        de for a hand pose moved on the right by (omega, u), the order of `gtsam.Pose3`.
+        de for a hand pose moved on the right by (omega, u), the order of `gtsam.Pose3`; (0, 6) where
+        it was not asked for.
     """
 
     residual: FloatArray
@@ -110,14 +111,15 @@ def residuals(x: Scene, d: FloatArray) -> FloatArray:
     return predicted_ranges(x) - corrected(d, x.k)
 
 
-def linearize(x: Scene, d: FloatArray) -> Linearization:
-    """Return residuals and all derivatives at readings d (N,); raises like `predicted_ranges`."""
+def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearization:
+    """Return residuals and derivatives at readings d (N,); raises like `predicted_ranges`."""
     n_hand, cosine = _seen_from_hand(x)
-    s = -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
     c = -1.0 / cosine
+    s = (_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) * c
     spot = x.r + s[:, None] * x.v
-    spot_world = np.einsum("nij,nj->ni", x.R, spot) + x.t
+    spot_world = np.matmul(x.R, spot[:, :, None])[:, :, 0] + x.t
     location = c[:, None] * n_hand
+    pose = np.hstack((np.cross(spot, location), location)) if with_pose else np.empty((0, 6))
     return Linearization(
         residual=s - corrected(d, x.k),
         location=location,
@@ -125,7 +127,7 @@ def linearize(x: Scene, d: FloatArray) -> Linearization:
         normal=c[:, None] * spot_world,
         offset=c,
         range_error=-np.stack((d, d * d), axis=1),
-        pose=np.hstack((np.cross(spot, location), location)),
+        pose=pose,
     )
 
 
@@ -150,7 +152,7 @@ def normalized(vectors: FloatArray) -> FloatArray:
 
 
 def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
-    n_hand = np.einsum("nji,nj->ni", x.R, x.n)
+    n_hand = np.matmul(x.n[:, None, :], x.R)[:, 0]
     cosine = _dot(n_hand, x.v)
     if cosine.size:
         worst = cosine[np.argmin(np.abs(cosine))]
@@ -160,5 +162,4 @@ def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = np.einsum("ni,ni->n", a, b)
-    return product
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]

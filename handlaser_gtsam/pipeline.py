@@ -113,6 +113,7 @@ def _result(
         StartReport(start.method, start.tried),
         choice.reason,
         solution.result.iterations,
+        solution.result.status == "interrupted",
     )
 
 

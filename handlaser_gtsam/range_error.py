@@ -72,10 +72,10 @@ def choose_terms(
         solution = solve(readings, start, TERMS[options.range_error], noise, options, progress)
         return Choice(solution, f"{NAMES[TERMS[options.range_error]]}, as asked for")
     solutions = [solve(readings, start, 0, noise, options, progress)]
-    while len(solutions) < 3 and _usable(solutions[-1]):
+    while len(solutions) < 3 and _determined(solutions[-1]):
         terms, latest = len(solutions), solutions[-1].parameters
         solutions.append(solve(readings, latest, terms, noise, options, progress))
-    usable = [s for s in solutions if _usable(s)] or solutions[:1]
+    usable = [s for s in solutions if _determined(s)] or solutions[:1]
     bic = [criterion(s, len(readings), noise) for s in usable]
     best = int(np.argmin(bic))
     listed = ", ".join(f"{NAMES[s.problem.terms]} {b - bic[best]:+.1f}" for s, b in zip(usable, bic, strict=True))
@@ -114,5 +114,6 @@ def criterion(solution: Solution, readings: int, noise: Noise) -> float:
     return float(readings * np.log(max(squares / readings, LEAST_RMS**2)) + penalty)
 
 
-def _usable(solution: Solution) -> bool:
-    return solution.observability.full and solution.result.status == "converged"
+def _determined(solution: Solution) -> bool:
+    """Tell whether a solution can be compared; one with too few terms need not converge to do so."""
+    return solution.observability.full and solution.result.status != "interrupted"

@@ -46,22 +46,13 @@ class Errors:
     pose_axes: tuple[int, ...] = (0, 1, 2)
 
 
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """A recording and the truth behind it."""
-
-    recording: Recording
-    truth: Parameters
-    errors: Errors
-
-
 def simulate(
     truth: Parameters,
     stations: Stations,
     errors: Errors,
     rng: np.random.Generator,
     sensor: Sensor | None = None,
-) -> Simulation:
+) -> Recording:
     """Read every beam at every station; what the sensor cannot measure is no reading.
 
     Parameters
@@ -99,14 +90,13 @@ def simulate(
     sensor = sensor or Sensor()
     d[(d <= 0.0) | (d < sensor.range_min) | (d > sensor.range_max)] = np.nan
     d[np.abs(model.cosines(x)) < np.cos(sensor.max_incidence)] = np.nan
-    recording = Recording(
+    return Recording(
         stations.world_R_hand,
         stations.world_t_hand,
         d.reshape(count, beams),
         tuple(plane_name(p) for p in stations.plane),
         tuple(str(i + 1) for i in range(beams)),
     )
-    return Simulation(recording, truth, errors)
 
 
 def read_back(s: FloatArray, k: FloatArray) -> FloatArray:

@@ -1,1 +1,50 @@
-"""cli."""
+"""The command `handlaser`; one file a verb. Heavy imports happen inside the verbs."""
+
+import sys
+
+import typer
+
+from .._version import __version__
+from ..errors import HandlaserError, InputError
+from .calibrate import calibrate
+from .simulate import simulate
+
+BAD_INPUT, UNDETERMINED = 2, 3
+
+app = typer.Typer(
+    name="handlaser",
+    help="Calibrate laser distance sensors on a robot hand.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(calibrate)
+app.command()(simulate)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"handlaser {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    """Calibrate laser distance sensors on a robot hand."""
+
+
+def main() -> None:
+    """Run the command line; errors made on purpose end in one line and an exit code."""
+    try:
+        app()
+    except InputError as error:
+        print(f"handlaser: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except HandlaserError as error:
+        print(f"handlaser: {error}", file=sys.stderr)
+        sys.exit(UNDETERMINED)

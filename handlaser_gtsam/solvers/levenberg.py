@@ -6,8 +6,9 @@ the square of the problem. Here each step evaluates all readings at once, linear
 
     (H + lambda diag(H)) delta = -g.
 
-lambda starts at zero (a Gauss-Newton step) and is raised only when a step is rejected: because the
-cost did not fall, because a beam grazes its plane there, or because the system is singular.
+lambda starts at zero (a Gauss-Newton step). It is raised when a step is rejected (the cost did not
+fall, a beam grazes its plane there, the system is singular) or saves less than a quarter of what the
+linear model promised, and lowered when it saves more than three quarters.
 """
 
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from ..graph import CalibrationGraph
 
 COST_RESOLUTION = 1e-10
 """Changes of the cost below this part of it are rounding, not evidence."""
+LEVEL_STEPS = 6
+"""So many steps in a row below the resolution of the cost end the search."""
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 
@@ -37,8 +40,9 @@ class LevenbergOptions:
     max_iterations : int
         At most this many trial steps.
     step_tolerance : float
-        Converged when the step is at most this many standard deviations long:
-        delta' H delta <= step_tolerance^2 chi2/dof.
+        Converged when at most this many standard deviations are left to go. A step of length
+        l = sqrt(-g' delta / (chi2/dof)) that is q times the one before leaves about l q / (1 - q);
+        the first undamped step leaves at most l.
     least_damping : float
         lambda is never below it. Raise it where H is singular, so that what is not determined
         stays where it started.
@@ -47,9 +51,9 @@ class LevenbergOptions:
     """
 
     max_iterations: int = 100
-    step_tolerance: float = 1e-8
+    step_tolerance: float = 2e-7
     least_damping: float = 0.0
-    first_damping: float = 1e-6
+    first_damping: float = 1e-4
     damping_factor: float = 10.0
     most_damping: float = 1e10
 
@@ -165,12 +169,13 @@ class _Search:
         self.shared = SharedEvaluation(problem.blocks)
         self.history: list[Trial] = []
         self.accepted = 0
+        self.level = 0
+        self.before = (-1.0, np.inf)
         self.damping = options.least_damping
         self.point = self._evaluate(gtsam.Values(problem.values))
         rows = len(self.shared.distance)
         self.dof = max(rows - problem.values.dim(), 1)
-        reach = np.abs(np.concatenate([b.world_t_hand.ravel() for b in problem.blocks])).max()
-        rounding = 4.0 * np.finfo(float).eps * (reach + self.shared.distance.max())
+        rounding = 4.0 * np.finfo(float).eps * self.shared.reach()
         self.rounding_cost = rows * float(rounding / problem.range_sigma) ** 2
 
     def run(self) -> tuple[Status, str]:
@@ -178,18 +183,20 @@ class _Search:
         while len(self.history) < self.options.max_iterations:
             step = self._solve(linear)
             trial = self._try(step)
-            accepted = step is not None and trial is not None and self._is_better(step, trial)
+            gain = self._gain(step, trial)
+            accepted = gain > 0.0 and trial is not None
             self._record(step, trial, accepted)
             if accepted and trial is not None:
                 self.point = trial
                 self.accepted += 1
             if step is not None and self._is_small(step):
                 return "converged", f"converged after {self.accepted} steps"
-            if accepted:
-                self._lower_damping()
-                linear = self._linearize()
-            elif not self._raise_damping():
+            if self._is_level(step):
+                return "converged", f"the cost is level after {self.accepted} steps"
+            if not self._adapt_damping(gain):
                 return "stalled", f"no step lowers the cost after {self.accepted} steps"
+            if accepted:
+                linear = self._linearize()
         return "max_iterations", f"not converged within {len(self.history)} trial steps"
 
     def _evaluate(self, values: gtsam.Values) -> _Point:
@@ -235,17 +242,46 @@ class _Search:
             return None
         return trial if np.isfinite(trial.cost) else None
 
-    def _is_better(self, step: _Step, trial: _Point) -> bool:
-        """Judge by cost, unless the change is too small to show in it: then trust the model."""
-        resolution = COST_RESOLUTION * self.point.cost + self.rounding_cost
-        margin = resolution if step.decrement <= resolution else 0.0
-        return trial.cost < self.point.cost + margin
+    def _gain(self, step: _Step | None, trial: _Point | None) -> float:
+        """Return the share of the promised saving that the step achieved; -1 for a failed step.
+
+        A change too small to show in the cost counts as half: accept, and leave the damping.
+        """
+        if step is None or trial is None:
+            return -1.0
+        resolution = self._resolution()
+        saved = self.point.cost - trial.cost
+        if step.decrement <= resolution and saved > -resolution:
+            return 0.5
+        return saved / (0.5 * step.decrement)
 
     def _is_small(self, step: _Step) -> bool:
-        if self.damping > max(self.options.least_damping, self.options.first_damping):
+        """Tell whether what is left after `step` is below the tolerance, by how fast steps shrink."""
+        if step.decrement <= self.rounding_cost:
+            return True
+        before, self.before = self.before, (self.damping, step.decrement)
+        damping, decrement = before
+        if damping == self.damping and step.decrement < decrement:
+            shrink = np.sqrt(step.decrement / decrement)
+        elif self.damping <= self.options.least_damping:
+            shrink = 0.5
+        else:
             return False
         variance = 2.0 * self.point.cost / self.dof
-        return step.decrement <= self.options.step_tolerance**2 * variance + self.rounding_cost
+        left = np.sqrt(step.decrement) * shrink / (1.0 - shrink)
+        return bool(left <= self.options.step_tolerance * np.sqrt(variance))
+
+    def _is_level(self, step: _Step | None) -> bool:
+        """Tell whether several steps in a row promised less than the cost can show.
+
+        Where the model does not fit (large residuals), steps shrink slowly: this ends them.
+        """
+        unseen = step is not None and step.decrement <= self._resolution()
+        self.level = self.level + 1 if unseen else 0
+        return self.level >= LEVEL_STEPS
+
+    def _resolution(self) -> float:
+        return COST_RESOLUTION * self.point.cost + self.rounding_cost
 
     def _record(self, step: _Step | None, trial: _Point | None, accepted: bool) -> None:
         cost = trial.cost if trial is not None else float("inf")
@@ -255,12 +291,13 @@ class _Search:
         if self.progress is not None:
             self.progress(entry)
 
-    def _lower_damping(self) -> None:
-        lower = self.damping / self.options.damping_factor
-        keep = lower >= self.options.first_damping
-        self.damping = max(lower if keep else 0.0, self.options.least_damping)
-
-    def _raise_damping(self) -> bool:
-        raised = self.damping * self.options.damping_factor
-        self.damping = max(raised, self.options.first_damping)
-        return self.damping <= self.options.most_damping
+    def _adapt_damping(self, gain: float) -> bool:
+        """Change lambda by how well the linear model did; False when there is no more to try."""
+        options = self.options
+        if gain < 0.25:
+            self.damping = max(self.damping * options.damping_factor, options.first_damping)
+        elif gain > 0.75:
+            lower = self.damping / options.damping_factor
+            keep = lower >= options.first_damping
+            self.damping = max(lower if keep else 0.0, options.least_damping)
+        return self.damping <= options.most_damping

@@ -11,6 +11,7 @@ Covariances follow from Gauss-Markov, sigma^2 inv(J'J).
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -23,6 +24,10 @@ from ..recording import Recording
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
 TOLERANCE = 1e-15
+INNER_TOLERANCE = 1e-10
+"""Of the iterative solution of a sparse step; SciPy's own default stalls far from the optimum."""
+
+Differences = Literal["2-point", "3-point"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,26 +182,33 @@ class ReferenceProblem:
         return beams, planes
 
 
-def minimize(problem: ReferenceProblem) -> OptimizeResult:
+def minimize(problem: ReferenceProblem, differences: Differences = "2-point") -> OptimizeResult:
     """Return SciPy's least-squares solution of `problem`, derivatives by differences."""
     large = len(problem.x0) > DENSE_UNKNOWNS
     return least_squares(
         problem.residuals,
         problem.x0,
-        jac="2-point",
+        jac=differences,
         jac_sparsity=problem.sparsity() if large else None,
         method="trf",
         x_scale="jac",
+        tr_options={"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE} if large else {},
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,
     )
 
 
-def solve_reference(recording: Recording, start: Parameters, terms: int) -> ReferenceSolution:
-    """Solve `recording` from `start` with `terms` range-error terms, and its covariances."""
+def solve_reference(
+    recording: Recording, start: Parameters, terms: int, differences: Differences = "3-point"
+) -> ReferenceSolution:
+    """Solve `recording` from `start` with `terms` range-error terms, and its covariances.
+
+    Central differences cost twice as much as forward ones and agree with exact derivatives to a
+    millionth of a standard deviation and better.
+    """
     problem = ReferenceProblem(recording, start, terms)
-    solution = minimize(problem)
+    solution = minimize(problem, differences)
     beams, planes = problem.covariances(solution)
     return ReferenceSolution(
         problem.unpack(solution.x),

@@ -65,7 +65,7 @@ def _grown(
     method: str, partial: PartialStart, readings: Readings, iterations: int
 ) -> tuple[float, str, Parameters]:
     start = grow(partial, readings)
-    refined = refine(start, readings, terms=0, iterations=iterations)
+    refined = refine(start, readings, terms=2, iterations=iterations)
     if refined is None:
         return float("inf"), method, start
     return float(np.sqrt(refined.squares / len(readings))), method, refined.parameters

@@ -1,0 +1,1 @@
+"""Benchmarks: compare in one run, report ratios."""

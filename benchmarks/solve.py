@@ -1,0 +1,170 @@
+"""Compare this package's solver, the SciPy reference and GTSAM's own optimizer in one run.
+
+    python -m benchmarks.solve
+    python -m benchmarks.solve --planes 13 100 --out rows.json
+
+Every solver gets the same recordings (11 stations x 4 beams a plane, k1 and k2), the same closed-form
+start, and must reach the same optimum. Times are medians and include building the problem:
+
+graph      levenberg_marquardt of this package on its factor graph
+reference  scipy.optimize.least_squares, derivatives by differences (sparse above 200 unknowns)
+gtsam-lm   gtsam.LevenbergMarquardtOptimizer on the same graph
+
+`start to covariances` is find_start, graph and marginals together.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from handlaser_gtsam.covariance import covariances
+from handlaser_gtsam.graph import build_graph
+from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.recording import Readings, Recording
+from handlaser_gtsam.scenes import Layout, paper
+from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
+from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.translations import translation_start
+
+TERMS = 2
+SIGMA = 3e-5
+SAME_COST = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One solver on one problem; cost is half the weighted sum of squares."""
+
+    solver: str
+    planes: int
+    seconds: float
+    cost: float
+    iterations: int
+
+
+def problem(planes: int, seed: int = 1) -> Recording:
+    """Return the recording that every solver gets."""
+    rng = np.random.default_rng(seed)
+    truth, stations = paper(Layout(4, planes, 11, k1=0.01, k2=0.4), rng)
+    return simulate(truth, stations, Errors(SIGMA), rng)
+
+
+def closed_form(readings: Readings) -> Parameters:
+    """Return the paper's start as it is, without range errors and without any refinement."""
+    start = translation_start(readings)
+    if start is None:
+        raise SystemExit("the benchmark's recording has no pure translations")
+    return grow(start, readings)
+
+
+def solve_graph(readings: Readings, start: Parameters) -> tuple[float, int]:
+    """Solve with this package; return cost and iterations."""
+    result = levenberg_marquardt(build_graph(readings, start, TERMS, SIGMA))
+    return result.cost, result.iterations
+
+
+def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
+    """Go the whole way with this package; return cost and iterations."""
+    graph = build_graph(readings, find_start(readings).parameters, TERMS, SIGMA)
+    result = levenberg_marquardt(graph)
+    covariances(graph, result.values, 1.0)
+    return result.cost, result.iterations
+
+
+def solve_reference(recording: Recording, start: Parameters) -> tuple[float, int]:
+    """Solve with SciPy; return cost and iterations."""
+    solution = minimize(ReferenceProblem(recording, start, TERMS))
+    return float(solution.cost) / SIGMA**2, int(solution.njev)
+
+
+def solve_gtsam(readings: Readings, start: Parameters) -> tuple[float, int]:
+    """Solve with GTSAM's own Levenberg-Marquardt; return cost and iterations."""
+    graph = build_graph(readings, start, TERMS, SIGMA)
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setDiagonalDamping(True)
+    settings.setlambdaInitial(1e-9)
+    settings.setlambdaUpperBound(1e20)
+    settings.setRelativeErrorTol(1e-12)
+    settings.setAbsoluteErrorTol(1e-12)
+    settings.setOrdering(graph.ordering)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph.graph, graph.values, settings)
+    optimizer.optimize()
+    return optimizer.error(), optimizer.iterations()
+
+
+def timed(run: Callable[[], tuple[float, int]], repeat: int) -> tuple[float, float, int]:
+    """Return the median seconds of `run` over `repeat` calls, its cost and iterations."""
+    seconds = []
+    for _ in range(repeat):
+        begin = time.perf_counter()
+        cost, iterations = run()
+        seconds.append(time.perf_counter() - begin)
+    return statistics.median(seconds), cost, iterations
+
+
+def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
+    """Return a row a solver, and the seconds of start to covariances."""
+    recording = problem(planes)
+    readings = recording.readings()
+    start = closed_form(readings)
+    slow = max(1, repeat // 5) if planes >= 100 else repeat
+    runs: list[tuple[str, Callable[[], tuple[float, int]], int]] = [
+        ("graph", lambda: solve_graph(readings, start), repeat),
+        ("reference", lambda: solve_reference(recording, start), slow),
+        ("gtsam-lm", lambda: solve_gtsam(readings, start), slow),
+    ]
+    rows = []
+    for name, run, times in runs:
+        seconds, cost, iterations = timed(run, times)
+        rows.append(Row(name, planes, seconds, cost, iterations))
+    whole = timed(lambda: solve_start_to_covariances(readings), repeat)[0]
+    return rows, whole
+
+
+def main() -> None:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description="Compare solvers in one run.")
+    parser.add_argument("--planes", type=int, nargs="+", default=[4, 13, 100, 1000])
+    parser.add_argument("--repeat", type=int, default=15, help="runs of each; slow ones a fifth")
+    parser.add_argument("--out", type=Path, help="write rows as JSON")
+    arguments = parser.parse_args()
+    table = Table("planes", "solver", "median ms", "ratio to graph", "iterations", "cost")
+    rows: list[Row] = []
+    whole: dict[int, float] = {}
+    for planes in arguments.planes:
+        found, whole[planes] = measure(planes, arguments.repeat)
+        rows += found
+        base = found[0]
+        for row in found:
+            same = abs(row.cost - base.cost) <= SAME_COST * base.cost
+            cost = f"{row.cost:.6f}" + ("" if same else " NOT THE SAME OPTIMUM")
+            ratio = f"{row.seconds / base.seconds:.2f}"
+            table.add_row(str(planes), row.solver, f"{row.seconds * 1e3:.2f}", ratio, str(row.iterations), cost)
+        ratio = f"{whole[planes] / base.seconds:.2f}"
+        table.add_row(str(planes), "start to covariances", f"{whole[planes] * 1e3:.2f}", ratio, "", "")
+        table.add_section()
+    Console(width=110).print(table)
+    for row in rows:
+        if row.solver == "reference":
+            print(
+                f"{row.planes} planes: reference / start to covariances = "
+                f"{row.seconds / whole[row.planes]:.1f}"
+            )
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

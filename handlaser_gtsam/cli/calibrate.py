@@ -1,0 +1,126 @@
+"""handlaser calibrate: a recording becomes a calibrated rig."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ..calibration import Calibration
+    from ..diagnosis.cross_check import CrossCheck
+    from ..files.rig_toml import Rig
+    from ..recording import Recording
+
+UNDETERMINED, OUTSIDE_LIMITS = 3, 4
+
+
+class RangeErrorChoice(StrEnum):
+    """Values of --range-error."""
+
+    auto = "auto"
+    none = "none"
+    k1 = "k1"
+    k1k2 = "k1k2"
+
+
+def calibrate(
+    recording: Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)],
+    rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise, sensor, limits.")] = None,
+    range_error: Annotated[
+        RangeErrorChoice, typer.Option(help="Range error d + k1 d + k2 d^2; auto: by evidence.")
+    ] = RangeErrorChoice.auto,
+    range_sigma_mm: Annotated[
+        float | None, typer.Option(help="Sigma of a reading; estimated if not given.")
+    ] = None,
+    pose_translation_sigma_mm: Annotated[
+        float | None, typer.Option(help="Sigma of the hand position. Poses count as exact: above 0 adds a warning.")
+    ] = None,
+    pose_rotation_sigma_deg: Annotated[
+        float | None, typer.Option(help="Sigma of the hand rotation. Poses count as exact: above 0 adds a warning.")
+    ] = None,
+    range_mm: Annotated[
+        tuple[float, float] | None, typer.Option(help="Least and largest range of the sensor.")
+    ] = None,
+    max_incidence_deg: Annotated[
+        float | None, typer.Option(help="Largest angle between beam and plane normal.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
+    cross_check: Annotated[
+        bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
+    ] = False,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")] = False,
+) -> None:
+    """Find the mount of every beam and every plane in RECORDING, with covariances.
+
+    Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration;
+    4 outside the limits of the rig file; 130 stopped by Ctrl-C.
+    """
+    from .. import limits
+    from ..diagnosis import cross_check as checking
+    from ..files.calibration_json import calibration_text
+    from ..files.recording_csv import read_recording
+    from ..files.writing import write_text
+    from ..pipeline import CalibrationOptions
+    from ..pipeline import calibrate as run
+
+    numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)
+    settings = _settings(rig, numbers, range_mm, max_incidence_deg)
+    table = read_recording(recording)
+    options = CalibrationOptions(range_error.value, settings.sensor)
+    result = run(table, settings.noise, options)
+    text = calibration_text(result)
+    if out is not None:
+        write_text(out, text)
+    check = None
+    if cross_check and result.status == "converged":
+        check = checking.cross_check(result, table)
+    too_much = limits.exceeded(result, settings.limits)
+    if json_:
+        sys.stdout.write(text)
+    elif not quiet:
+        _show(result, table, check)
+    _finish(result, too_much, check if json_ or quiet else None)
+
+
+def _settings(
+    rig: Path | None,
+    numbers: tuple[float | None, float | None, float | None],
+    range_mm: tuple[float, float] | None,
+    max_incidence_deg: float | None,
+) -> "Rig":
+    """Return the rig file with what the command line says instead."""
+    from ..files.rig_toml import Rig, override, read_rig
+
+    known = Rig() if rig is None else read_rig(rig)
+    return override(known, numbers, range_mm, max_incidence_deg)
+
+
+def _show(result: "Calibration", recording: "Recording", check: "CrossCheck | None") -> None:
+    from rich.console import Console
+
+    from .tables import calibration_tables, cross_check_line
+
+    console = Console(highlight=False)
+    for part in calibration_tables(result, recording):
+        console.print(part, soft_wrap=True)
+    if check is not None:
+        console.print(cross_check_line(check), soft_wrap=True)
+
+
+def _finish(result: "Calibration", too_much: tuple[str, ...], check: "CrossCheck | None") -> None:
+    """Say on stderr what went wrong, and leave with the exit code of the contract."""
+    from .tables import cross_check_line
+
+    if check is not None:
+        print(cross_check_line(check), file=sys.stderr)
+    if result.status != "converged":
+        print(f"handlaser: {result.message}", file=sys.stderr)
+        raise typer.Exit(130 if result.interrupted else UNDETERMINED)
+    if too_much:
+        print(f"handlaser: outside the limits: {'; '.join(too_much)}", file=sys.stderr)
+        raise typer.Exit(OUTSIDE_LIMITS)
