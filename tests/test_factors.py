@@ -1,0 +1,221 @@
+"""Factors against differences through Values.retract, alone and in somebody else's graph."""
+
+import gc
+import weakref
+
+import gtsam
+import numpy as np
+import pytest
+from helpers import numeric_jacobian
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handlaser_gtsam import factors
+from handlaser_gtsam.errors import GrazingBeamError, InputError, SolverError
+from handlaser_gtsam.factors import BeamKeys, RangeBlock, SharedEvaluation, range_factor
+
+BEAM, BARE, PLANE, POSE = BeamKeys(11, 12, 13), BeamKeys(11, 12), 21, 31
+
+
+def scene(seed, terms, count=5):
+    """Return values around a random scene, hand poses and readings."""
+    rng = np.random.default_rng(seed)
+    n = rng.standard_normal(3)
+    n /= np.linalg.norm(n)
+    poses = []
+    for _ in range(count):
+        turn = Rotation.random(random_state=rng)
+        poses.append(gtsam.Pose3(gtsam.Rot3(turn.as_matrix()), rng.uniform(-1.0, 1.0, 3)))
+    v = poses[0].rotation().matrix().T @ (n + 0.5 * rng.uniform(-1.0, 1.0, 3))
+    values = gtsam.Values()
+    values.insert(11, rng.uniform(-0.1, 0.1, 3))
+    values.insert(12, gtsam.Unit3(v))
+    if terms:
+        values.insert(13, rng.uniform(-0.02, 0.02, terms))
+    values.insert(PLANE, gtsam.OrientedPlane3(gtsam.Unit3(n), rng.uniform(-2.0, 2.0)))
+    values.insert(POSE, poses[0])
+    return values, poses, rng.uniform(0.05, 1.0, count)
+
+
+def grazing(values, pose):
+    plane, v = values.atOrientedPlane3(PLANE), values.atUnit3(12).point3()
+    return abs(plane.normal().point3() @ pose.rotation().matrix() @ v) < 0.1
+
+
+def assert_jacobians_match(factor, values):
+    step = 1e-5
+    linear = factor.linearize(values)
+    A, b = linear.jacobian()
+    assert np.allclose(-b, factor.unwhitenedError(values), rtol=1e-12)
+    numeric = np.hstack([numeric_jacobian(factor, values, key, step) for key in linear.keys()])
+    # Central differences err by step**2 / 6 times the third derivative: up to 2 * 3! * 2 / 0.1**4
+    # where the beam is 0.1 from grazing, hence relative to the largest entry.
+    assert np.abs(A - numeric).max() < 1e-5 * max(1.0, np.abs(A).max() ** 2)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0, 1, 2]))
+@settings(max_examples=40, deadline=None)
+def test_jacobians_on_known_poses(seed, terms):
+    values, poses, d = scene(seed, terms)
+    poses = [pose for pose in poses if not grazing(values, pose)] or []
+    if not poses:
+        return
+    beam = BEAM if terms else BARE
+    factor = factors.range_to_plane(beam, PLANE, poses, d[: len(poses)], 1.0)
+    assert_jacobians_match(factor, values)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0, 1, 2]))
+@settings(max_examples=40, deadline=None)
+def test_jacobians_on_a_pose_variable(seed, terms):
+    values, poses, d = scene(seed, terms)
+    if grazing(values, poses[0]):
+        return
+    beam = BEAM if terms else BARE
+    factor = factors.range_to_plane_from_pose(beam, PLANE, POSE, d[:2], 1.0)
+    assert list(factor.keys()) == [11, 12, *([13] if terms else []), PLANE, POSE]
+    assert_jacobians_match(factor, values)
+
+
+def test_pose_variable_and_known_pose_agree():
+    values, poses, d = scene(3, 2)
+    known = factors.range_to_plane(BEAM, PLANE, poses[:1], d[:1], 1.0)
+    variable = factors.range_to_plane_from_pose(BEAM, PLANE, POSE, float(d[0]), 1.0)
+    assert np.array_equal(known.unwhitenedError(values), variable.unwhitenedError(values))
+
+
+def test_the_plane_as_gtsam_sees_it():
+    """b_H and n_H of the factor are those of OrientedPlane3.transform."""
+    values, poses, _ = scene(4, 0)
+    seen = values.atOrientedPlane3(PLANE).transform(poses[0])
+    n, b = seen.normal().point3(), seen.distance()
+    r, v = values.atPoint3(11), values.atUnit3(12).point3()
+    factor = factors.range_to_plane(BARE, PLANE, poses[:1], [0.25], 1.0)
+    assert factor.unwhitenedError(values) == pytest.approx(-(n @ r + b) / (n @ v) - 0.25)
+
+
+@pytest.mark.parametrize("terms", [0, 1, 2])
+def test_shared_evaluation_equals_each_block(terms):
+    values, poses, d = scene(5, terms)
+    beam = BEAM if terms else BARE
+    R = np.array([pose.rotation().matrix() for pose in poses])
+    t = np.array([pose.translation() for pose in poses])
+    known = RangeBlock(beam, PLANE, d, R, t)
+    variable = RangeBlock(beam, PLANE, d[:1], R[:1], t[:1], POSE)
+    blocks = [known, variable]
+    graph = gtsam.NonlinearFactorGraph()
+    for block in blocks:
+        graph.push_back(range_factor(block, 0.5))
+    alone = graph.linearize(values)
+    shared = SharedEvaluation(blocks)
+    with shared.handed_out(shared.evaluate(values)):
+        assert known.prepared is not None
+        together = graph.linearize(values)
+    assert known.prepared is None
+    assert together.equals(alone, 1e-12)
+
+
+def test_sharing_ends_when_the_solve_is_interrupted():
+    values, poses, d = scene(5, 0)
+    R = np.array([pose.rotation().matrix() for pose in poses])
+    block = RangeBlock(BARE, PLANE, d, R, np.array([pose.translation() for pose in poses]))
+    shared = SharedEvaluation([block])
+    with pytest.raises(KeyboardInterrupt), shared.handed_out(shared.evaluate(values)):
+        raise KeyboardInterrupt
+    assert block.prepared is None
+
+
+def test_squared_columns_are_the_diagonal_of_the_information():
+    values, poses, d = scene(6, 2)
+    R = np.array([pose.rotation().matrix() for pose in poses])
+    block = RangeBlock(BEAM, PLANE, d, R, np.array([pose.translation() for pose in poses]))
+    shared = SharedEvaluation([block])
+    columns = shared.squared_columns(shared.evaluate(values))
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(range_factor(block, 1.0))
+    diagonal = np.diagonal(graph.linearize(values).hessian()[0])
+    assert np.allclose(np.concatenate([columns[key] for key in sorted(columns)]), diagonal)
+
+
+@pytest.mark.parametrize("ranges", [[0.0], [-1.0], [np.nan], [np.inf], []])
+def test_readings_that_are_none_are_refused(ranges):
+    with pytest.raises(InputError, match="positive, finite ranges"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()] * len(ranges), ranges, 1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, -1.0, np.nan, gtsam.noiseModel.Isotropic.Sigma(3, 1.0)])
+def test_noise_that_does_not_fit_is_refused(noise):
+    with pytest.raises(InputError, match=r"sigma|dimension"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()] * 2, [0.1, 0.2], noise)
+
+
+def test_poses_and_readings_must_pair():
+    with pytest.raises(InputError, match="hand poses"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()], [0.1, 0.2], 1.0)
+
+
+def test_grazing_beam_raises_through_gtsam():
+    values, poses, d = scene(7, 0)
+    n_hand = poses[0].rotation().matrix().T @ values.atOrientedPlane3(PLANE).normal().point3()
+    values.update(12, gtsam.Unit3(np.cross(n_hand, [0.3, 0.5, 0.7])))
+    factor = factors.range_to_plane(BARE, PLANE, poses[:1], d[:1], 1.0)
+    with pytest.raises(GrazingBeamError):
+        factor.linearize(values)
+
+
+def test_values_that_are_not_finite_are_refused():
+    values, poses, d = scene(7, 0)
+    values.update(11, np.array([np.nan, 0.0, 0.0]))
+    factor = factors.range_to_plane(BARE, PLANE, poses, d, 1.0)
+    with pytest.raises(SolverError, match="not finite"):
+        factor.linearize(values)
+
+
+def test_range_error_of_three_terms_is_refused():
+    values, poses, d = scene(8, 0)
+    values.insert(13, np.zeros(3))
+    factor = factors.range_to_plane(BEAM, PLANE, poses, d, 1.0)
+    with pytest.raises(SolverError, match="3 terms"):
+        factor.linearize(values)
+
+
+def test_factors_are_freed():
+    """A callback that refers to its own factor would never be collected."""
+    values, poses, d = scene(9, 0)
+    R = np.array([pose.rotation().matrix() for pose in poses])
+
+    class Watched(RangeBlock):
+        __slots__ = ("__weakref__",)
+
+    block = Watched(BARE, PLANE, d, R, np.array([pose.translation() for pose in poses]))
+    alive = weakref.ref(block)
+    factor = range_factor(block, 1.0)
+    factor.linearize(values)
+    del block
+    gc.collect()
+    assert alive() is not None
+    del factor
+    gc.collect()
+    assert alive() is None
+
+
+def test_one_line_joins_a_graph_that_gtsam_solves():
+    """Known beam and poses: GTSAM's own optimizer finds the plane."""
+    values, poses, _ = scene(10, 0, count=40)
+    poses = [pose for pose in poses if not grazing(values, pose)]
+    exact = factors.range_to_plane(BARE, PLANE, poses, np.ones(len(poses)), 1.0)
+    s = exact.unwhitenedError(values) + 1.0
+    ahead = s > 0.05
+    graph = gtsam.NonlinearFactorGraph()
+    kept = [pose for pose, good in zip(poses, ahead, strict=True) if good]
+    graph.push_back(factors.range_to_plane(BARE, PLANE, kept, s[ahead], 1e-3))
+    graph.addPriorPoint3(11, values.atPoint3(11), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6))
+    tight = gtsam.noiseModel.Isotropic.Sigma(2, 1e-6)
+    graph.push_back(gtsam.PriorFactorUnit3(12, values.atUnit3(12), tight))
+    truth = values.atOrientedPlane3(PLANE)
+    start = gtsam.Values(values)
+    start.erase(POSE)
+    start.update(PLANE, truth.retract(np.array([0.02, -0.03, 0.01])))
+    found = gtsam.Values(gtsam.LevenbergMarquardtOptimizer(graph, start).optimize())
+    assert found.atOrientedPlane3(PLANE).equals(truth, 1e-6)

@@ -1,0 +1,200 @@
+"""Recordings as files: what is read, and one clear refusal for every fault."""
+
+import numpy as np
+import pytest
+from helpers import GRIPPER, simulated
+
+from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.files.recording_csv import read_recording, write_recording
+
+HEADER = "plane,station,x,y,z,qx,qy,qz,qw,range_1,range_2"
+ROWS = [
+    "A,s1,0.1,0.2,0.3,0,0,0,1,0.02,0.021",
+    "A,s2,0.1,0.2,0.4,0,0,0,1,0.03,",
+    "B,s3,0.1,0.2,0.5,0,0,0.6,0.8,,0.025",
+]
+
+
+def written(tmp_path, *lines, end="\n", encoding="utf-8"):
+    path = tmp_path / "recording.csv"
+    path.write_bytes((end.join(lines) + end).encode(encoding))
+    return path
+
+
+def refusal(path):
+    with pytest.raises(InputError) as caught:
+        read_recording(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+    return caught.value
+
+
+def test_columns_become_a_recording(tmp_path):
+    recording = read_recording(written(tmp_path, HEADER, *ROWS))
+    assert recording.beam_names == ("1", "2")
+    assert recording.plane_names == ("A", "B")
+    assert recording.station_names == ("s1", "s2", "s3")
+    assert recording.plane_of_station.tolist() == [0, 0, 1]
+    assert np.isnan(recording.ranges).tolist() == [[False, False], [False, True], [True, False]]
+    # qz = sin(half), qw = cos(half): a turn about z by 2 atan2(0.6, 0.8).
+    c, s = 0.8**2 - 0.6**2, 2 * 0.6 * 0.8
+    assert np.allclose(recording.world_R_hand[2], [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def test_readings_are_sorted_by_plane_beam_station(tmp_path):
+    readings = read_recording(written(tmp_path, HEADER, *ROWS[::-1])).readings()
+    assert readings.plane.tolist() == [0, 1, 1, 1]
+    assert readings.beam.tolist() == [1, 0, 0, 1]
+    assert readings.distance.tolist() == [0.025, 0.03, 0.02, 0.021]
+    assert readings.block_starts().tolist() == [0, 1, 3]
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_other_separators(tmp_path, separator):
+    lines = [line.replace(",", separator) for line in (HEADER, *ROWS)]
+    recording = read_recording(written(tmp_path, *lines))
+    assert recording.ranges[0].tolist() == [0.02, 0.021]
+
+
+def test_bom_crlf_spaces_and_blank_lines(tmp_path):
+    lines = [HEADER.replace(",", ", "), ROWS[0].replace(",", " , "), "", *ROWS[1:]]
+    path = written(tmp_path, *lines, end="\r\n", encoding="utf-8-sig")
+    recording = read_recording(path)
+    assert recording.station_names == ("s1", "s2", "s3")
+    assert recording.ranges[0].tolist() == [0.02, 0.021]
+
+
+def test_lines_are_counted_past_blank_lines(tmp_path):
+    error = refusal(written(tmp_path, HEADER, ROWS[0], "", ROWS[1].replace("0.03", "-0.03")))
+    assert error.line == 4
+
+
+def test_stations_without_labels_are_numbered(tmp_path):
+    lines = [line.split(",", 2)[0] + "," + line.split(",", 2)[2] for line in (HEADER, *ROWS)]
+    assert read_recording(written(tmp_path, *lines)).station_names == ("1", "2", "3")
+
+
+def test_other_columns_are_named(tmp_path):
+    lines = [HEADER + ",time", *(row + ",12:00" for row in ROWS)]
+    assert read_recording(written(tmp_path, *lines)).ignored_columns == ("time",)
+
+
+def test_quaternions_are_normalised_up_to_a_thousandth(tmp_path):
+    row = ROWS[0].replace("0,0,0,1", "0,0,0,1.0009")
+    R = read_recording(written(tmp_path, HEADER, row, *ROWS[1:])).world_R_hand[0]
+    assert np.array_equal(R, np.eye(3))
+
+
+FAULTS = {
+    "no plane column": ([HEADER.replace("plane", "surface"), *ROWS], 1, "plane", "no column 'plane'"),
+    "no pose column": ([HEADER.replace("qw", "w"), *ROWS], 1, "qw", "no column 'qw'"),
+    "capital letters": ([HEADER.replace(",x,", ",X,"), *ROWS], 1, "x", "column 'X'"),
+    "no beam": ([HEADER.replace("range_", "d_"), *ROWS], 1, "range_NAME", "no column of ranges"),
+    "column twice": ([HEADER.replace("range_2", "range_1"), *ROWS], 1, "range_1", "twice"),
+    "text": ([HEADER, ROWS[0].replace("0.02,", "far,"), *ROWS[1:]], 2, "range_1", "'far'"),
+    "text in pose": ([HEADER, ROWS[0], ROWS[1].replace("0.4", "up"), ROWS[2]], 3, "z", "'up'"),
+    "decimal comma": (
+        [line.replace(",", ";") for line in (HEADER, ROWS[0])] + ["A;s2;0,1;0;0;0;0;0;1;0.1;0.1"],
+        3,
+        "x",
+        "decimals with a point",
+    ),
+    "empty pose": ([HEADER, ROWS[0].replace("0.2", ""), *ROWS[1:]], 2, "y", "an empty cell"),
+    "empty label": ([HEADER, ROWS[0].replace("A", "", 1), *ROWS[1:]], 2, "plane", "an empty cell"),
+    "nan": ([HEADER, ROWS[0].replace("0.021", "nan"), *ROWS[1:]], 2, "range_2", "'nan'"),
+    "nan pose": ([HEADER, ROWS[0].replace("0.2", "NaN"), *ROWS[1:]], 2, "y", "'NaN'"),
+    "infinity": ([HEADER, ROWS[0].replace("0.021", "inf"), *ROWS[1:]], 2, "range_2", "'inf'"),
+    "quaternion": (
+        [HEADER, ROWS[0].replace("0,0,0,1", "0,0,0,1.01"), *ROWS[1:]],
+        2,
+        "qx, qy, qz, qw",
+        "length 1.01, 0.01 off",
+    ),
+    "zero quaternion": (
+        [HEADER, ROWS[0].replace("0,0,0,1", "0,0,0,0"), *ROWS[1:]],
+        2,
+        "qx, qy, qz, qw",
+        "length 0",
+    ),
+    "negative range": ([HEADER, *ROWS[:2], ROWS[2].replace("0.025", "-0.1")], 4, "range_2", "-0.1"),
+    "zero range": ([HEADER, ROWS[0].replace("0.021", "0.0"), *ROWS[1:]], 2, "range_2", "range 0"),
+    "station twice": ([HEADER, *ROWS, ROWS[0]], 5, "station", "'s1' again (first at line 2)"),
+    "plane unread": ([HEADER, *ROWS, "C,s4,0,0,0,0,0,0,1,,"], 5, "plane", "plane 'C' without any"),
+    "beam unread": (
+        [HEADER + ",range_3", *(row + "," for row in ROWS)],
+        None,
+        "range_3",
+        "no reading at all",
+    ),
+    "too many fields": ([HEADER, ROWS[0], ROWS[1] + ",1,2", ROWS[2]], 3, None, "13 fields"),
+    "too few fields": ([HEADER, ROWS[0], "A,s2,0.1", ROWS[2]], 3, "y", "an empty cell"),
+    "header only": ([HEADER], None, None, "no station"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_is_placed(tmp_path, fault):
+    lines, line, column, words = FAULTS[fault]
+    error = refusal(written(tmp_path, *lines))
+    assert (error.line, error.column) == (line, column)
+    assert words in str(error)
+    assert error.expected
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\n", b"\xef\xbb\xbf", b"  \n"])
+def test_an_empty_file(tmp_path, content):
+    path = tmp_path / "recording.csv"
+    path.write_bytes(content)
+    assert "empty file" in str(refusal(path))
+
+
+def test_bytes_that_are_no_text(tmp_path):
+    path = tmp_path / "recording.csv"
+    path.write_bytes("\n".join([HEADER, ROWS[0], ROWS[1].replace("A", "\xc4")]).encode("latin-1"))
+    error = refusal(path)
+    assert error.line == 3
+    assert "UTF-8" in str(error)
+
+
+@pytest.mark.parametrize("name", ["missing.csv", "."])
+def test_no_file(tmp_path, name):
+    assert "no readable file" in str(refusal(tmp_path / name))
+
+
+def test_writing_and_reading_returns_the_numbers(tmp_path):
+    recording, _ = simulated("arm")
+    path = tmp_path / "there" / "back.csv"
+    path.parent.mkdir()
+    write_recording(path, recording)
+    back = read_recording(path)
+    assert np.array_equal(back.ranges, recording.ranges, equal_nan=True)
+    assert np.array_equal(back.world_t_hand, recording.world_t_hand)
+    # Rotations go through quaternions of 16 digits.
+    assert np.abs(back.world_R_hand - recording.world_R_hand).max() < 1e-15
+    assert back.plane_labels == recording.plane_labels
+
+
+def test_nothing_is_left_beside_a_file_that_cannot_be_written(tmp_path):
+    recording, _ = simulated()
+    target = tmp_path / "folder.csv"
+    target.mkdir()
+    with pytest.raises(InputError, match="no way to write"):
+        write_recording(target, recording)
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_the_shipped_recording_reads():
+    recording = read_recording(GRIPPER / "recording.csv")
+    assert recording.ranges.shape == (44, 4)
+
+
+@pytest.mark.slow
+def test_a_hundred_megabytes_are_read(tmp_path):
+    """Quadratic behaviour in 1.4 million rows would not end within a day."""
+    row = "{0},s{1},0.123456789,0.223456789,0.323456789,0,0,0,1,0.0212345,0.0312345\n"
+    size, path = 1_400_000, tmp_path / "large.csv"
+    with path.open("w") as file:
+        file.write(HEADER + "\n")
+        file.writelines(row.format("AB"[j % 2], j) for j in range(size))
+    assert path.stat().st_size > 100e6
+    assert len(read_recording(path).station_names) == size
