@@ -156,6 +156,8 @@ def _determined(recording: Recording, solution: Solution, fit: Fit) -> Determine
 
 
 def _status(solution: Solution, determined: Determined) -> Status:
+    if solution.result.status == "interrupted":
+        return "not_converged"
     if determined.undetermined:
         return "unobservable"
     return "converged" if solution.result.status == "converged" else "not_converged"

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import gtsam
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.parameters import Parameters
@@ -56,3 +57,42 @@ def largest_error(found: Parameters, truth: Parameters) -> tuple[float, float]:
     location = np.linalg.norm(found.locations - truth.locations, axis=1).max()
     return float(location), float(np.linalg.norm(cross, axis=1).max())
 
+
+
+def bench(planes: int = 1, beams: int = 2) -> Parameters:
+    """Return beams looking along z and planes about 0.3 m above them, each tilted its own way."""
+    spread = np.linspace(0.0, 2.0 * np.pi, beams, endpoint=False)
+    r = 0.05 * np.stack((np.cos(spread), np.sin(spread), np.zeros(beams)), axis=1)
+    v = np.stack((0.1 * np.sin(spread), 0.15 * np.cos(spread), np.ones(beams)), axis=1)
+    tilts = np.array([[0.1, 0.2], [-0.3, 0.1], [0.2, -0.3], [-0.1, -0.2]])[:planes]
+    n = np.column_stack((tilts, np.ones(planes)))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return Parameters(r, v, np.zeros((beams, 2)), n, -0.3 * n[:, 2])
+
+
+def motion(kind: str, stations: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Return hand poses near the origin: `translations`, `one axis` (of the hand, z) or `free`."""
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(-0.08, 0.08, (stations, 3))
+    vectors = rng.uniform(-0.4, 0.4, (stations, 3))
+    if kind == "translations":
+        vectors[:] = 0.0
+    if kind == "one axis":
+        vectors[:, :2] = 0.0
+    return Rotation.from_rotvec(vectors).as_matrix(), t
+
+
+def degenerate(case: str, range_sigma: float = 1e-4) -> Recording:
+    """Return a recording that cannot determine the calibration."""
+    if case == "pure translations":
+        return recording_of(bench(), *motion("translations", 20), [0] * 20, range_sigma)
+    if case == "one plane, one axis":
+        return recording_of(bench(), *motion("one axis", 20), [0] * 20, range_sigma)
+    if case == "two planes, no rotation":
+        plane = [0] * 10 + [1] * 10
+        return recording_of(bench(2), *motion("translations", 20), plane, range_sigma)
+    raise ValueError(case)
+
+
+DEGENERATE = ("pure translations", "one plane, one axis", "two planes, no rotation")

@@ -46,8 +46,10 @@ def advice(found: Observability, parameters: Parameters, recording: Recording) -
             "turn the hand about two different axes, neither along the plane's normal, and translate "
             "in three directions that are not coplanar; or add planes with other normals"
         )
-    if location.shape[1] and not turning:
-        words += [f"turn the hand about an axis across {_vector(axis)}" for axis in location.T]
+    elif location.shape[1] > 1:
+        words.append("turn the hand about two different axes in front of each plane")
+    elif location.shape[1] == 1:
+        words.append(f"turn the hand about an axis across {_vector(location[:, 0])}")
     if np.linalg.norm(beams[:, 5:]) > SHARE and not turning and not location.shape[1]:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:

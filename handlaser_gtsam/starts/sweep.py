@@ -20,6 +20,9 @@ from ..solvers.reduction import Refined, refine
 from .partial import PartialStart
 
 
+_NONE = np.zeros((1, 2))
+
+
 @dataclass(frozen=True, slots=True)
 class SweepOptions:
     """Controls of the sweep.
@@ -104,26 +107,38 @@ def _sweep_block(readings: Readings, options: SweepOptions) -> Refined | None:
 
 
 def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Parameters]:
-    """Solve for (r, v, b) at every normal; return the best."""
+    """Solve for (r, v, b) at every normal; return the best.
+
+    The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again,
+    so that few stations, which fit almost any normal with some length of v, are told apart too.
+    """
     n = half_sphere(options.normals)
     centre = readings.world_t_hand.mean(axis=0)
-    scale = readings.distance.mean()
     n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
     ones = np.ones((*n_hand.shape[:2], 1))
-    A = np.concatenate((n_hand, n_hand * (readings.distance / scale)[:, None], ones), axis=2)
+    scale = readings.distance.mean()
+    reach = n_hand * (readings.distance / scale)[:, None]
     rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
-    At = np.swapaxes(A, 1, 2)
-    H = At @ A
-    ridge = 1e-10 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(7)
-    x = np.linalg.solve(H + ridge, At @ rhs[..., None])
-    error = (A @ x)[..., 0] - rhs
-    x = x[..., 0]
-    length = np.linalg.norm(x[:, 3:6], axis=1)
-    order = np.argsort(np.where(length > 0.0, np.einsum("cm,cm->c", error, error), np.inf))
+    v = _least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs)[:, 3:6]
+    v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
+    cosine = np.einsum("cmi,ci->cm", n_hand, v)
+    A, rest = np.concatenate((n_hand, ones), axis=2), rhs - readings.distance * cosine
+    x = _least_squares(A, rest)
+    error = (A @ x[:, :, None])[..., 0] - rest
+    slope = np.einsum("cm,cm->c", cosine, cosine) + 1e-300
+    order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
     found = []
     for c in order[: options.refined]:
-        v = x[c, 3:6] / max(length[c], 1e-300)
-        sign = np.sign((n_hand[c] @ v).mean()) or 1.0
-        b = x[c, 6] - n[c] @ centre
-        found.append(Parameters([x[c, :3]], [v], np.zeros((1, 2)), [sign * n[c]], [sign * b]))
+        sign = 1.0 if cosine[c].sum() >= 0.0 else -1.0
+        b = x[c, 3] - n[c] @ centre
+        found.append(Parameters(x[c : c + 1, :3], v[c : c + 1], _NONE, sign * n[c : c + 1], [sign * b]))
     return found
+
+
+def _least_squares(A: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Return x (C, K) of least |A x - rhs| for every A (C, M, K), with a trace of a ridge."""
+    At = np.swapaxes(A, 1, 2)
+    H = At @ A
+    ridge = 1e-10 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(H.shape[1])
+    solved: FloatArray = np.linalg.solve(H + ridge, At @ rhs[..., None])[..., 0]
+    return solved

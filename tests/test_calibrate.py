@@ -1,0 +1,265 @@
+"""The whole way: recovered truth, honest covariance, refusals in words."""
+
+import json
+
+import gtsam
+import numpy as np
+import pytest
+from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of, simulated
+from scipy.stats import chi2
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.files.rig_toml import read_rig
+from handlaser_gtsam.graph import build_graph, start_values
+from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt, linearize
+
+SIGMA = 3e-5
+
+
+@pytest.fixture(scope="module")
+def gripper():
+    return hl.read_recording(GRIPPER / "recording.csv")
+
+
+def shipped_truth():
+    record = json.loads((GRIPPER / "truth.json").read_text())
+    beams, planes = record["beams"], record["planes"]
+    return Parameters(
+        np.array([beam["location_m"] for beam in beams]),
+        np.array([beam["direction"] for beam in beams]),
+        np.array([list(beam["range_error"].values()) for beam in beams]),
+        np.array([plane["normal"] for plane in planes]),
+        np.array([plane["offset_m"] for plane in planes]),
+    )
+
+
+@pytest.mark.parametrize("scene", ["paper", "arm"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_noise_free_recording_with_range_errors_is_recovered(scene, seed):
+    k2 = 1.0 if scene == "paper" else 0.02
+    recording, truth = simulated(scene, Layout(k1=0.01, k2=k2), range_sigma=0.0, seed=seed)
+    calibration = hl.calibrate(recording)
+    assert calibration.status == "converged"
+    for i, beam in enumerate(calibration.beams.values()):
+        assert np.abs(beam.location - truth.locations[i]).max() < 1e-9  # 1e-6 mm
+        angle = np.linalg.norm(np.cross(beam.direction, truth.directions[i]))
+        assert np.degrees(angle) < 1e-6
+        # k2 d^2 must be right to 1e-9 m as well.
+        assert np.abs(beam.range_error - truth.range_errors[i]).max() < 1e-6
+    for p, plane in enumerate(calibration.planes.values()):
+        assert np.degrees(np.linalg.norm(np.cross(plane.normal, truth.normals[p]))) < 1e-6
+        assert abs(plane.offset - truth.offsets[p]) < 1e-9
+
+
+def test_shipped_recording_lies_inside_its_covariance(gripper):
+    """The joint NEES over all beams and planes, within its 99 % bounds."""
+    truth, rig = shipped_truth(), read_rig(GRIPPER / "rig.toml")
+    assert rig.noise.range_sigma == pytest.approx(SIGMA)
+    graph = build_graph(gripper.readings(), truth, 2, SIGMA)
+    result = levenberg_marquardt(graph)
+    keys = list(graph.values.keys())
+    marginals = gtsam.Marginals(linearize(graph, result.values), result.values)
+    covariance = marginals.jointMarginalCovariance(keys).fullMatrix()
+    true_values = start_values(truth, graph.beams, graph.planes, 2)
+    error = result.values.localCoordinates(true_values).vector()
+    assert list(result.values.localCoordinates(true_values).__class__.__name__)
+    nees, dof = error @ np.linalg.solve(covariance, error), len(error)
+    assert dof == 4 * 7 + 4 * 3
+    assert chi2.ppf(0.005, dof) < nees < chi2.ppf(0.995, dof)
+    assert chi2.ppf(0.005, 136) < 2 * result.cost < chi2.ppf(0.995, 136)
+
+
+def test_shipped_recording_agrees_with_scipy(gripper):
+    calibration = hl.calibrate(gripper, hl.Noise(SIGMA))
+    check = hl.cross_check(calibration, gripper)
+    assert check.largest < 1e-6
+    assert check.largest_sigma < 1e-5
+
+
+def test_the_unknown_sigma_is_estimated(gripper):
+    known = hl.calibrate(gripper, hl.Noise(SIGMA), hl.CalibrationOptions(range_error="k1k2"))
+    unknown = hl.calibrate(gripper, options=hl.CalibrationOptions(range_error="k1k2"))
+    fit = unknown.fit
+    assert not fit.range_sigma_given
+    # 136 degrees of freedom: a standard deviation to 6 %, three of them.
+    assert fit.range_sigma == pytest.approx(SIGMA, rel=0.18)
+    assert fit.sigma0 == fit.range_sigma
+    factor = (fit.range_sigma / SIGMA) ** 2
+    for name, beam in known.beams.items():
+        assert np.allclose(unknown.beams[name].covariance, factor * beam.covariance, rtol=1e-5)
+        assert np.allclose(unknown.beams[name].location, beam.location, atol=1e-10)
+
+
+def test_the_given_sigma_scales_chi2(gripper):
+    fit = hl.calibrate(gripper, hl.Noise(2 * SIGMA)).fit
+    assert fit.chi2 == pytest.approx((fit.residuals**2).sum() / (2 * SIGMA) ** 2)
+    assert fit.sigma0 == pytest.approx(0.5, abs=0.1)
+    assert fit.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
+    assert fit.dof == 176 - 40
+
+
+@pytest.mark.slow
+def test_covariance_matches_the_scatter_of_many_runs():
+    """60 recordings of one scene: the mean NEES of beam 1 is near its 7 degrees of freedom."""
+    rng = np.random.default_rng(0)
+    layout = Layout(k1=0.01, k2=1.0)
+    truth, stations = hl.scenes.paper(layout, rng)
+    nees = []
+    for _ in range(60):
+        recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
+        beam = hl.calibrate(
+            recording, hl.Noise(SIGMA), hl.CalibrationOptions(range_error="k1k2")
+        ).beams["1"]
+        error = np.concatenate(
+            (
+                beam.location - truth.locations[0],
+                beam.direction - truth.directions[0],
+                beam.range_error - truth.range_errors[0],
+            )
+        )
+        variances, axes = np.linalg.eigh(beam.covariance)
+        nees.append(((axes.T @ error)[1:] ** 2 / variances[1:]).sum())
+    # The mean of 60 draws of chi2(7) has standard deviation sqrt(14 / 60) = 0.48; three of them.
+    assert np.mean(nees) == pytest.approx(7.0, abs=1.5)
+
+
+@pytest.mark.parametrize(("k1", "k2", "chosen"), [(0, 0, 0), (0.02, 0, 1), (0.01, 2.0, 2)])
+def test_range_error_terms_are_chosen_by_evidence(k1, k2, chosen):
+    recording, _ = simulated(layout=Layout(planes=6, stations=20, k1=k1, k2=k2))
+    calibration = hl.calibrate(recording, hl.Noise(SIGMA))
+    assert {beam.terms for beam in calibration.beams.values()} == {chosen}
+    assert "BIC" in calibration.range_error_choice
+
+
+@pytest.mark.parametrize(("choice", "terms"), [("none", 0), ("k1", 1), ("k1k2", 2)])
+def test_range_error_can_be_forced(gripper, choice, terms):
+    calibration = hl.calibrate(gripper, options=hl.CalibrationOptions(range_error=choice))
+    assert calibration.status == "converged"
+    beam = calibration.beams["1"]
+    assert beam.terms == terms
+    assert (beam.range_error[terms:] == 0.0).all()
+    assert (beam.range_error_sigma[terms:] == 0.0).all()
+    assert "as asked for" in calibration.range_error_choice
+
+
+@pytest.mark.parametrize("case", DEGENERATE)
+@pytest.mark.parametrize("range_error", ["auto", "k1k2"])
+@pytest.mark.parametrize("sigma", [0.0, 1e-4])
+def test_degenerate_motion_is_unobservable(case, range_error, sigma):
+    options = hl.CalibrationOptions(range_error=range_error)
+    calibration = hl.calibrate(degenerate(case, sigma), options=options)
+    assert calibration.status == "unobservable"
+    assert calibration.observability.rank < calibration.observability.unknowns
+    assert calibration.observability.condition is None
+    assert all(beam.covariance is None for beam in calibration.beams.values())
+    assert "location" in calibration.message
+    assert "turn the hand" in calibration.message
+
+
+def test_one_axis_leaves_the_location_along_it_open():
+    calibration = hl.calibrate(degenerate("one plane, one axis"))
+    words = calibration.observability.undetermined
+    assert "beam 1: location along (0.00, 0.00, 1.00)" in words
+    assert "plane A: offset" in words
+    assert calibration.observability.advice == (
+        "turn the hand about an axis across (0.00, 0.00, 1.00)",
+    )
+
+
+def test_a_plane_measured_on_a_line_is_named():
+    """Plane B is met at three collinear spots by one beam; everything else is determined."""
+    truth = bench(2, 1)
+    R, t = motion("free", 20)
+    line = np.outer([0.0, 0.05, 0.1], [1.0, 0.0, 0.0])
+    R = np.concatenate((R, np.tile(np.eye(3), (3, 1, 1))))
+    recording = recording_of(truth, R, np.vstack((t, line)), [0] * 20 + [1] * 3, 1e-4)
+    calibration = hl.calibrate(recording, options=hl.CalibrationOptions(range_error="none"))
+    assert calibration.status == "unobservable"
+    assert any(words.startswith("plane B: normal") for words in calibration.observability.undetermined)
+    assert "three or more spots that are not on a line" in calibration.message
+
+
+def test_no_redundancy_and_no_sigma_is_said():
+    """Eight readings, eight unknowns: the fit is perfect, and says nothing about the noise."""
+    recording = recording_of(bench(1, 1), *motion("free", 8), [0] * 8, 1e-6)
+    options = hl.CalibrationOptions(range_error="none")
+    calibration = hl.calibrate(recording, options=options)
+    assert calibration.status == "unobservable"
+    assert "no more readings than unknowns" in calibration.message
+    assert hl.calibrate(recording, hl.Noise(1e-6), options).status == "converged"
+
+
+def test_uncertain_poses_are_warned_of(gripper):
+    calibration = hl.calibrate(gripper, hl.Noise(SIGMA, pose_rotation_sigma=1e-3))
+    assert "poses were taken as exact" in calibration.message
+
+
+def test_readings_outside_the_sensors_range_are_left_out(gripper):
+    sensor = hl.Sensor(range_min=0.005, range_max=0.025)
+    calibration = hl.calibrate(gripper, hl.Noise(SIGMA), hl.CalibrationOptions(sensor=sensor))
+    outside = (gripper.ranges < 0.005) | (gripper.ranges > 0.025)
+    assert outside.any()
+    assert calibration.fit.readings == gripper.ranges.size - outside.sum()
+    assert len(calibration.fit.rejected) == outside.sum()
+    assert {r.reason for r in calibration.fit.rejected} == {"outside the sensor's range"}
+    assert np.array_equal(np.isnan(calibration.fit.residuals), outside)
+    assert hl.cross_check(calibration, gripper).largest < 1e-6
+
+
+def test_flat_readings_are_left_out():
+    recording, _ = simulated("arm", range_sigma=1e-4)
+    limit = np.radians(25.0)
+    sensor = hl.Sensor(max_incidence=limit)
+    calibration = hl.calibrate(recording, hl.Noise(1e-4), hl.CalibrationOptions(sensor=sensor))
+    assert calibration.fit.rejected
+    assert {r.reason for r in calibration.fit.rejected} == {"incidence above the sensor's limit"}
+    assert all(r.residual is not None for r in calibration.fit.rejected)
+
+
+def test_limits_that_leave_nothing_are_refused(gripper):
+    sensor = hl.Sensor(range_min=1.0, range_max=2.0)
+    with pytest.raises(hl.InputError, match="within the sensor's limits"):
+        hl.calibrate(gripper, options=hl.CalibrationOptions(sensor=sensor))
+
+
+def test_a_solver_that_gives_up_says_so(gripper):
+    options = hl.CalibrationOptions("none", solver=LevenbergOptions(max_iterations=1))
+    calibration = hl.calibrate(gripper, options=options)
+    assert calibration.status == "not_converged"
+    assert "not converged" in calibration.message
+    assert calibration.beams["1"].covariance is None
+
+
+def test_ctrl_c_gives_a_result_marked_as_interrupted(gripper):
+    def stop(_):
+        raise KeyboardInterrupt
+
+    calibration = hl.calibrate(gripper, progress=stop)
+    assert calibration.interrupted
+    assert calibration.status == "not_converged"
+
+
+def test_cross_check_needs_a_converged_calibration():
+    recording = degenerate("pure translations")
+    with pytest.raises(hl.InputError, match="unobservable"):
+        hl.cross_check(hl.calibrate(recording), recording)
+
+
+def test_far_from_the_world_origin_nothing_changes():
+    """The world frame 5 m away: same beams, to the rounding of 5 m numbers."""
+    recording, _ = simulated()
+    shift = np.array([5.0, -3.0, 4.0])
+    moved = hl.Recording(
+        recording.world_R_hand,
+        recording.world_t_hand + shift,
+        recording.ranges,
+        recording.plane_labels,
+        recording.beam_names,
+    )
+    near, far = hl.calibrate(recording, hl.Noise(SIGMA)), hl.calibrate(moved, hl.Noise(SIGMA))
+    for name, beam in near.beams.items():
+        sigma = beam.location_sigma
+        assert (np.abs(far.beams[name].location - beam.location) < 1e-5 * sigma).all()
+        assert np.allclose(far.beams[name].location_sigma, sigma, rtol=1e-4)

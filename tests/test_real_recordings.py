@@ -1,0 +1,51 @@
+"""Real recordings of VL53L3CX and VL6180 sensors on a UR5 (Sifferman et al., RA-L 7(3), 2022).
+
+The data are not part of this project: HANDLASER_SHARED names the folder that holds data/spd.
+"""
+
+import os
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import ROOT
+
+import handlaser_gtsam as hl
+
+SPD = Path(os.environ.get("HANDLASER_SHARED", ROOT.parent / "shared")) / "data" / "spd"
+
+pytestmark = pytest.mark.skipif(not SPD.is_dir(), reason=f"no recordings in {SPD}")
+
+
+@pytest.fixture(scope="module")
+def convert():
+    return runpy.run_path(str(ROOT / "examples" / "spd_to_recording.py"))["convert"]
+
+
+def test_four_trials_of_mount_p1(convert, tmp_path):
+    """Against an independent fit: r = (-2.33, 0.86, 16.49) mm, rms 1.31 mm."""
+    trials = sorted(SPD.glob("L3CX_*_P1"))
+    assert len(trials) == 4
+    convert(trials, tmp_path / "p1.csv")
+    recording = hl.read_recording(tmp_path / "p1.csv")
+    calibration = hl.calibrate(recording, options=hl.CalibrationOptions(range_error="none"))
+    assert calibration.status == "converged"
+    beam = calibration.beams["1"]
+    assert np.abs(beam.location * 1e3 - [-2.33, 0.86, 16.49]).max() < 0.02
+    assert calibration.fit.rms * 1e3 == pytest.approx(1.31, abs=0.005)
+    # The fit's standard deviations, printed to 0.1 mm.
+    assert np.abs(beam.location_sigma * 1e3 - [0.7, 0.9, 1.6]).max() < 0.06
+    assert hl.cross_check(calibration, recording).largest < 1e-6
+
+
+@pytest.mark.parametrize("trial", ["L3CX_R1_P1", "L3CX_R2_P1", "L3CX_W1_P1", "L3CX_W2_P1"])
+def test_every_single_trial_starts_by_itself(convert, tmp_path, trial):
+    convert([SPD / trial], tmp_path / "one.csv")
+    recording = hl.read_recording(tmp_path / "one.csv")
+    calibration = hl.calibrate(recording, options=hl.CalibrationOptions(range_error="none"))
+    assert calibration.status == "converged"
+    beam = calibration.beams["1"]
+    # Single planes disagree more than their residuals say: 4 standard deviations of the joint r.
+    joint = np.array([-2.33, 0.86, 16.49])
+    assert (np.abs(beam.location * 1e3 - joint) < 4 * beam.location_sigma * 1e3).all()

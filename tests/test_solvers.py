@@ -1,0 +1,255 @@
+"""Levenberg-Marquardt on the graph, the reduction in NumPy, and SciPy: three ways to one optimum."""
+
+import gtsam
+import numpy as np
+import pytest
+from helpers import bench, motion, recording_of, simulated
+
+from handlaser_gtsam import model
+from handlaser_gtsam.covariance import covariances
+from handlaser_gtsam.errors import GrazingBeamError
+from handlaser_gtsam.graph import build_graph, read_parameters, start_values
+from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.solvers.levenberg import (
+    LevenbergOptions,
+    levenberg_marquardt,
+    linearize,
+)
+from handlaser_gtsam.solvers.reduction import normal_equations, refine
+from handlaser_gtsam.solvers.reference import solve_reference
+from handlaser_gtsam.starts import find_start
+
+SIGMA = 3e-5
+
+
+@pytest.fixture(scope="module")
+def problem():
+    recording, _ = simulated(layout=Layout(k1=0.01, k2=1.0))
+    readings = recording.readings()
+    start = find_start(readings).parameters
+    return recording, readings, start, build_graph(readings, start, 2, SIGMA)
+
+
+def test_gauss_newton_converges_from_the_start(problem):
+    result = levenberg_marquardt(problem[3])
+    assert result.status == "converged"
+    assert result.iterations <= 10  # the paper: mostly within 10
+    assert result.cost == pytest.approx(0.5 * (result.residual**2).sum() / SIGMA**2)
+    assert problem[3].graph.error(result.values) == pytest.approx(result.cost, rel=1e-12)
+
+
+def test_the_gradient_vanishes_at_the_solution(problem):
+    graph = problem[3]
+    result = levenberg_marquardt(graph)
+    linear = linearize(graph, result.values)
+    gradient = linear.gradientAtZero().vector()
+    H = linear.hessian()[0]
+    # The Newton step in standard deviations: what is left to go.
+    left = np.sqrt(gradient @ np.linalg.solve(H, gradient))
+    assert left < 1e-6
+
+
+def test_reduction_and_graph_agree(problem):
+    _, readings, start, graph = problem
+    mine = read_parameters(graph, levenberg_marquardt(graph).values)
+    other = refine(start, readings, 2, 50)
+    assert other is not None
+    # The reduction stops when the cost falls by less than 1e-9 of itself: 1e-4 sigma, about 1e-8 m.
+    assert np.abs(mine.locations - other.parameters.locations).max() < 1e-7
+    assert np.abs(mine.range_errors - other.parameters.range_errors).max() < 1e-5
+
+
+def test_normal_equations_are_those_of_the_graph(problem):
+    """The reduced information of the beams does not depend on how planes are parametrised."""
+    _, readings, start, graph = problem
+    normal = normal_equations(start, readings, 2)
+    E = np.swapaxes(normal.border, 0, 1).reshape(len(normal.beam), -1)
+    W = np.linalg.solve(normal.plane, np.swapaxes(normal.border, 1, 2)).reshape(-1, len(E))
+    reduced = normal.beam - E @ W
+    values = start_values(start, graph.beams, graph.planes, 2)
+    ordering = gtsam.Ordering()
+    for beam in graph.beams:
+        for key in (beam.location, beam.direction, beam.range_error):
+            ordering.push_back(key)
+    for key in graph.planes:
+        ordering.push_back(key)
+    H = linearize(graph, values).hessian(ordering)[0] * SIGMA**2
+    size = len(normal.beam)
+    schur = H[:size, :size] - H[:size, size:] @ np.linalg.solve(H[size:, size:], H[size:, :size])
+    # The two use different tangent bases of the directions: rotate one into the other.
+    turn = np.eye(size)
+    mine = model.tangent_basis(start.directions)
+    for i, beam in enumerate(graph.beams):
+        at = 7 * i + 3
+        turn[at : at + 2, at : at + 2] = mine[i].T @ values.atUnit3(beam.direction).basis()
+    scale = np.sqrt(np.diagonal(reduced))
+    difference = (turn @ schur @ turn.T - reduced) / np.outer(scale, scale)
+    # H is formed a metre from the origin, with planes centimetres away: 1e-16 * (1 / 0.01)^2.
+    assert np.abs(difference).max() < 1e-9
+
+
+def test_marginals_equal_the_dense_inverse(problem):
+    graph = problem[3]
+    values = levenberg_marquardt(graph).values
+    beams, planes = covariances(graph, values, 1.0)
+    linear = linearize(graph, values)
+    inverse = np.linalg.inv(linear.hessian(graph.ordering)[0])
+    size = 3 * len(graph.planes)
+    own = inverse[size : size + 7, size : size + 7]
+    lift = np.zeros((8, 7))
+    lift[:3, :3], lift[6:, 5:] = np.eye(3), np.eye(2)
+    lift[3:6, 3:5] = values.atUnit3(graph.beams[0].direction).basis()
+    expected = lift @ own @ lift.T
+    # Both invert a matrix of condition 1e9 or so: half the digits are left.
+    assert np.abs(beams[0] / np.abs(expected).max() - expected / np.abs(expected).max()).max() < 1e-7
+    assert planes[0][3, 3] == pytest.approx(inverse[2, 2], rel=1e-7)
+    v = values.atUnit3(graph.beams[0].direction).point3()
+    assert np.abs(beams[0][3:6, 3:6] @ v).max() < 1e-12
+
+
+def test_scipy_agrees_in_value_and_covariance(problem):
+    recording, _, start, graph = problem
+    result = levenberg_marquardt(graph)
+    mine, reference = read_parameters(graph, result.values), solve_reference(recording, start, 2)
+    beams, planes = covariances(graph, result.values, 1.0)
+    for i, covariance in enumerate(beams):
+        sigma = np.sqrt(np.diagonal(covariance))
+        other = reference.parameters
+        assert (np.abs(mine.locations[i] - other.locations[i]) < 1e-6 * sigma[:3]).all()
+        assert (np.abs(mine.directions[i] - other.directions[i]) < 1e-6 * sigma[3:6]).all()
+        assert (np.abs(mine.range_errors[i] - other.range_errors[i]) < 1e-6 * sigma[6:]).all()
+        scale = np.outer(sigma, sigma)
+        assert np.abs(SIGMA**2 * reference.beam_covariances[i] - covariance).max() < 1e-5 * scale.max()
+    for p, covariance in enumerate(planes):
+        sigma = np.sqrt(covariance[3, 3])
+        assert abs(mine.offsets[p] - reference.parameters.offsets[p]) < 1e-6 * sigma
+
+
+def test_gtsams_own_optimizer_agrees(problem):
+    _, readings, _, graph = problem
+    result = levenberg_marquardt(graph)
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setDiagonalDamping(True)
+    settings.setlambdaInitial(1e-9)
+    settings.setlambdaUpperBound(1e20)
+    settings.setRelativeErrorTol(1e-15)
+    settings.setAbsoluteErrorTol(1e-15)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph.graph, graph.values, settings)
+    theirs = read_parameters(graph, gtsam.Values(optimizer.optimize()))
+    mine = read_parameters(graph, result.values)
+    beams, _ = covariances(graph, result.values, 1.0)
+    for i, covariance in enumerate(beams):
+        sigma = np.sqrt(np.diagonal(covariance))
+        assert (np.abs(mine.locations[i] - theirs.locations[i]) < 1e-6 * sigma[:3]).all()
+        assert (np.abs(mine.range_errors[i] - theirs.range_errors[i]) < 1e-6 * sigma[6:]).all()
+    assert len(readings) == 176
+
+
+def test_every_trial_is_told_and_kept(problem):
+    told = []
+    result = levenberg_marquardt(problem[3], progress=told.append)
+    assert tuple(told) == result.history
+    assert [trial.number for trial in told] == list(range(1, len(told) + 1))
+    assert sum(trial.accepted for trial in told) == result.iterations
+    costs = [trial.cost for trial in told if trial.accepted]
+    assert costs[-1] <= costs[0]
+
+
+def test_ctrl_c_keeps_the_best_values(problem):
+    def stop(trial):
+        if trial.number == 2:
+            raise KeyboardInterrupt
+
+    graph = build_graph(problem[1], problem[2], 0, SIGMA)
+    result = levenberg_marquardt(graph, progress=stop)
+    assert result.status == "interrupted"
+    assert "Ctrl-C" in result.message
+    assert graph.graph.error(result.values) <= graph.graph.error(graph.values)
+    assert all(block.prepared is None for block in graph.blocks)
+
+
+def test_too_few_iterations_are_said(problem):
+    graph = build_graph(problem[1], problem[2], 0, SIGMA)
+    result = levenberg_marquardt(graph, LevenbergOptions(max_iterations=1))
+    assert result.status == "max_iterations"
+
+
+def far_start(truth: Parameters, turn: float) -> Parameters:
+    """Turn every beam by `turn` about x."""
+    c, s = np.cos(turn), np.sin(turn)
+    directions = truth.directions @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+    return Parameters(
+        truth.locations, directions, truth.range_errors, truth.normals, truth.offsets
+    )
+
+
+def test_a_trial_that_grazes_is_a_rejected_step(monkeypatch):
+    """The second evaluation grazes its plane; the solver raises lambda and still converges."""
+    truth = bench(1)
+    readings = recording_of(truth, *motion("free", 15), [0] * 15, 1e-4).readings()
+    graph = build_graph(readings, far_start(truth, 0.05), 0, 1e-4)
+    calls = []
+    linear = model.linearize
+
+    def grazing(*args, **kwargs):
+        calls.append(1)
+        if len(calls) == 2:
+            raise GrazingBeamError(0.0, model.GRAZING_LIMIT)
+        return linear(*args, **kwargs)
+
+    monkeypatch.setattr(model, "linearize", grazing)
+    result = levenberg_marquardt(graph)
+    assert result.status == "converged"
+    assert not result.history[0].accepted
+    assert result.history[0].cost == np.inf
+    assert result.history[1].damping > 0.0
+
+
+def test_a_start_that_grazes_raises():
+    truth = bench(1)
+    readings = recording_of(truth, *motion("free", 15), [0] * 15, 1e-4).readings()
+    flat = Parameters(
+        truth.locations, np.tile([1.0, 0.0, 0.0], (2, 1)), truth.range_errors,
+        np.array([[0.0, 0.0, 1.0]]), truth.offsets,
+    )  # fmt: skip
+    straight = readings.__class__(
+        readings.station, readings.beam, readings.plane, readings.distance,
+        np.broadcast_to(np.eye(3), readings.world_R_hand.shape).copy(),
+        readings.world_t_hand, 2, 1,
+    )  # fmt: skip
+    with pytest.raises(GrazingBeamError):
+        levenberg_marquardt(build_graph(straight, flat, 0, 1e-4))
+
+
+def test_a_far_start_needs_damping_and_finds_the_same_optimum():
+    truth = bench(2)
+    readings = recording_of(truth, *motion("free", 20), [0] * 10 + [1] * 10, 1e-4).readings()
+    near = levenberg_marquardt(build_graph(readings, truth, 0, 1e-4))
+    far = levenberg_marquardt(build_graph(readings, far_start(truth, 0.6), 0, 1e-4))
+    assert far.status == "converged"
+    assert far.cost == pytest.approx(near.cost, rel=1e-9)
+
+
+def test_further_factors_join_the_solve(problem):
+    """A prior on a location pulls it: the driver counts the cost of factors it does not know."""
+    _, readings, start, _ = problem
+    graph = build_graph(readings, start, 0, SIGMA)
+    free = levenberg_marquardt(graph)
+    key = graph.beams[0].location
+    pulled_to = np.array([0.5, 0.0, 0.0])
+    graph.graph.addPriorPoint3(key, pulled_to, gtsam.noiseModel.Isotropic.Sigma(3, 1e-7))
+    bound = levenberg_marquardt(graph)
+    assert bound.cost == pytest.approx(graph.graph.error(bound.values), rel=1e-9)
+    before = np.linalg.norm(free.values.atPoint3(key) - pulled_to)
+    assert np.linalg.norm(bound.values.atPoint3(key) - pulled_to) < 0.1 * before
+
+
+def test_what_is_open_stays_where_it_started():
+    """Pure translations leave four unknowns open; damping keeps them from running away."""
+    truth = bench(1, 1)
+    readings = recording_of(truth, *motion("translations", 12), [0] * 12, 1e-4).readings()
+    graph = build_graph(readings, truth, 0, 1e-4)
+    result = levenberg_marquardt(graph, LevenbergOptions(least_damping=1e-4))
+    assert result.status == "converged"
+    assert np.abs(read_parameters(graph, result.values).locations).max() < 0.1

@@ -1,0 +1,160 @@
+"""Starts: exact without noise, each lemma by itself and mixed, and planes that satisfy none."""
+
+import numpy as np
+import pytest
+from helpers import bench, largest_error, motion, recording_of, simulated
+from scipy.spatial.transform import Rotation
+
+from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.starts.partial import PartialStart, grow
+from handlaser_gtsam.starts.sweep import half_sphere, sweep_starts
+from handlaser_gtsam.starts.translations import translation_start
+
+# Closed forms lose digits where translations or turns are small beside the distances: 1e-16 / 1e-4.
+EXACT = 1e-11
+
+
+def turned(vectors, counts, seed=3):
+    """Hand poses: each rotation vector with its number of translations."""
+    rng = np.random.default_rng(seed)
+    R = np.repeat(Rotation.from_rotvec(vectors).as_matrix(), counts, axis=0)
+    return R, rng.uniform(-0.08, 0.08, (len(R), 3))
+
+
+def closed_form(truth, R, t, plane, sigma=0.0):
+    readings = recording_of(truth, R, t, plane, sigma).readings()
+    start = translation_start(readings)
+    assert start is not None
+    return grow(start, readings)
+
+
+def assert_exact(found: Parameters, truth: Parameters):
+    location, direction = largest_error(found, truth)
+    assert location < EXACT
+    assert direction < EXACT
+    assert np.abs(found.normals - truth.normals).max() < EXACT
+    assert np.abs(found.offsets - truth.offsets).max() < EXACT
+
+
+def test_lemma_2a_turns_of_the_hand():
+    """One plane: four translations, then two re-orientations with one translation each."""
+    vectors = [[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3], [-0.2, 0.1, 0]]
+    R, t = turned(vectors, [4, 2, 2, 1, 1])
+    assert_exact(closed_form(bench(1), R, t, [0] * 10), bench(1))
+
+
+def test_lemma_2b_three_planes_give_the_direction_without_a_turn():
+    """v from three independent normals; r needs turns, here single stations of plane 0."""
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [12, 1, 1, 1])
+    plane = [0] * 4 + [1] * 4 + [2] * 4 + [0] * 3
+    assert_exact(closed_form(bench(3), R, t, plane), bench(3))
+
+
+def test_both_lemmas_mixed():
+    """Two planes with translations and one turn: neither way alone has three rows."""
+    R, t = turned([[0, 0, 0], [0.3, 0.1, 0], [0.1, -0.3, 0.2], [-0.2, 0.2, 0.3]], [8, 2, 1, 1])
+    plane = [0] * 4 + [1] * 4 + [0] * 4
+    assert_exact(closed_form(bench(2), R, t, plane), bench(2))
+
+
+def test_planes_that_satisfy_no_lemma_do_not_spoil_the_others():
+    """Planes 1 to 3 are met in free motion only; one has translations in a single line."""
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
+    free_R, free_t = motion("free", 15, seed=4)
+    line_t = np.outer(np.linspace(-0.05, 0.05, 5), [1.0, 0.5, 0.2])
+    free_R[10:], free_t[10:] = np.eye(3), line_t
+    plane = [0] * 10 + [1] * 5 + [2] * 5 + [3] * 5
+    truth = bench(4)
+    found = closed_form(truth, np.vstack((R, free_R)), np.vstack((t, free_t)), plane)
+    assert_exact(found, truth)
+
+
+def test_a_beam_that_misses_the_translations_grows_from_the_planes():
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
+    free_R, free_t = motion("free", 10, seed=4)
+    truth = bench(1, beams=3)
+    recording = recording_of(
+        truth, np.vstack((R, free_R)), np.vstack((t, free_t)), [0] * 20, 0.0
+    )
+    readings = recording.readings()
+    keep = np.flatnonzero((readings.beam != 2) | (readings.station >= 10))
+    start = translation_start(readings.subset(keep))
+    assert start is not None
+    assert np.isnan(start.directions[2]).all()
+    assert_exact(grow(start, readings.subset(keep)), truth)
+
+
+def test_range_scale_is_taken_out_of_the_direction():
+    """The closed form leaves |v'| = 1 + k1; the start is a unit vector all the same."""
+    truth = bench(1)
+    scaled = Parameters(
+        truth.locations, truth.directions, np.tile([0.02, 0.0], (2, 1)), truth.normals, truth.offsets
+    )
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
+    found = closed_form(scaled, R, t, [0] * 10)
+    assert np.allclose(np.linalg.norm(found.directions, axis=1), 1.0)
+    assert np.abs(found.directions - truth.directions).max() < 1e-9
+
+
+def test_no_translations_no_closed_form():
+    recording = recording_of(bench(1), *motion("free", 15), [0] * 15, 0.0)
+    assert translation_start(recording.readings()) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sweep_from_any_motion(seed):
+    recording = recording_of(bench(1, 1), *motion("free", 12, seed), [0] * 12, 0.0)
+    readings = recording.readings()
+    start = sweep_starts(readings)[0]
+    # The sweep refines by Gauss-Newton until the cost is at rounding: 1e-9 is far inside its basin.
+    location, direction = largest_error(grow(start, readings), bench(1, 1))
+    assert location < 1e-6
+    assert direction < 1e-6
+
+
+def test_half_sphere_is_even():
+    n = half_sphere(300)
+    assert np.allclose(np.linalg.norm(n, axis=1), 1.0)
+    assert (n[:, 2] > 0.0).all()
+    nearest = np.sort(np.arccos(np.clip(n @ n.T, -1, 1)), axis=1)[:, 1]
+    # The area of half a sphere shared by 300 points: about 8 degrees apart.
+    assert np.degrees(nearest.max()) < 12.0
+
+
+@pytest.mark.parametrize(("scene", "method"), [("paper", "translations"), ("arm", "sweep")])
+def test_the_choice_is_automatic_and_reported(scene, method):
+    recording, truth = simulated(scene)
+    start = find_start(recording.readings())
+    assert start.method == method
+    assert start.tried[0][0] == method
+    location, direction = largest_error(start.parameters, truth)
+    assert location < 2e-3
+    assert direction < 0.05
+
+
+def test_misleading_translations_lose_against_the_sweep():
+    """Readings of one series are wrong by centimetres: the closed form fits badly, the sweep wins."""
+    truth = bench(2, 1)
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
+    free_R, free_t = motion("free", 20, seed=6)
+    recording = recording_of(
+        truth, np.vstack((R, free_R)), np.vstack((t, free_t)), [0] * 10 + [1] * 20, 0.0
+    )
+    readings = recording.readings()
+    d = readings.distance.copy()
+    d[readings.station < 4] += [0.04, -0.05, 0.03, -0.02]
+    spoilt = readings.__class__(
+        readings.station, readings.beam, readings.plane, d,
+        readings.world_R_hand, readings.world_t_hand, 1, 2,
+    )  # fmt: skip
+    tried = dict(find_start(spoilt).tried)
+    assert set(tried) == {"translations", "sweep"}
+
+
+def test_growing_fills_what_nothing_reaches():
+    recording = recording_of(bench(1), *motion("free", 4), [0] * 4, 0.0)
+    readings = recording.readings()
+    found = grow(PartialStart.empty(readings), readings)
+    assert found.finite()
+    assert np.allclose(np.linalg.norm(found.normals, axis=1), 1.0)
