@@ -1,6 +1,8 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
+import math
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +15,8 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..recording import Recording
 
-UNDETERMINED, OUTSIDE_LIMITS = 3, 4
+UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
+MM = 1e-3
 
 
 class RangeErrorChoice(StrEnum):
@@ -89,15 +92,27 @@ def calibrate(
 
 def _settings(
     rig: Path | None,
-    numbers: tuple[float | None, float | None, float | None],
+    sigmas: tuple[float | None, float | None, float | None],
     range_mm: tuple[float, float] | None,
     max_incidence_deg: float | None,
 ) -> "Rig":
-    """Return the rig file with what the command line says instead."""
-    from ..files.rig_toml import Rig, override, read_rig
+    """Return the rig file with what the command line says instead; `sigmas` in mm, mm and deg."""
+    from ..files.rig_toml import Rig, read_rig
 
     known = Rig() if rig is None else read_rig(rig)
-    return override(known, numbers, range_mm, max_incidence_deg)
+    noise, sensor = known.noise, known.sensor
+    range_sigma, translation, rotation = sigmas
+    if range_sigma is not None:
+        noise = replace(noise, range_sigma=range_sigma * MM)
+    if translation is not None:
+        noise = replace(noise, pose_translation_sigma=translation * MM)
+    if rotation is not None:
+        noise = replace(noise, pose_rotation_sigma=math.radians(rotation))
+    if range_mm is not None:
+        sensor = replace(sensor, range_min=range_mm[0] * MM, range_max=range_mm[1] * MM)
+    if max_incidence_deg is not None:
+        sensor = replace(sensor, max_incidence=math.radians(max_incidence_deg))
+    return replace(known, noise=noise, sensor=sensor)
 
 
 def _show(result: "Calibration", recording: "Recording", check: "CrossCheck | None") -> None:
@@ -120,7 +135,7 @@ def _finish(result: "Calibration", too_much: tuple[str, ...], check: "CrossCheck
         print(cross_check_line(check), file=sys.stderr)
     if result.status != "converged":
         print(f"handlaser: {result.message}", file=sys.stderr)
-        raise typer.Exit(130 if result.interrupted else UNDETERMINED)
+        raise typer.Exit(INTERRUPTED if result.interrupted else UNDETERMINED)
     if too_much:
         print(f"handlaser: outside the limits: {'; '.join(too_much)}", file=sys.stderr)
         raise typer.Exit(OUTSIDE_LIMITS)

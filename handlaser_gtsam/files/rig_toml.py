@@ -9,7 +9,7 @@ Every table and field is optional.
 
 import math
 import tomllib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -101,38 +101,6 @@ def _to_si(rig: _Rig) -> Rig:
             _scaled(rig.limits.direction_sigma_deg, deg),
         ),
     )
-
-
-def override(
-    rig: Rig,
-    sigmas: tuple[float | None, float | None, float | None],
-    range_mm: tuple[float, float] | None,
-    max_incidence_deg: float | None,
-) -> Rig:
-    """Return `rig` with every value that is not None instead of its own.
-
-    `sigmas` are range_sigma_mm, pose_translation_sigma_mm and pose_rotation_sigma_deg.
-    """
-    names = ("range_sigma_mm", "pose_translation_sigma_mm", "pose_rotation_sigma_deg")
-    given = {name: value for name, value in zip(names, sigmas, strict=True) if value is not None}
-    span = None if range_mm is None else list(range_mm)
-    new = _to_si(
-        _Rig(
-            noise=_Noise(**given),
-            sensor=_Sensor(range_mm=span, max_incidence_deg=max_incidence_deg),
-        )
-    )
-    noise = {
-        field.name: value
-        for field in fields(Noise)
-        if (value := getattr(new.noise, field.name)) is not None
-    }
-    sensor = rig.sensor
-    if span is not None:
-        sensor = replace(sensor, range_min=new.sensor.range_min, range_max=new.sensor.range_max)
-    if max_incidence_deg is not None:
-        sensor = replace(sensor, max_incidence=new.sensor.max_incidence)
-    return replace(rig, noise=replace(rig.noise, **noise), sensor=sensor)
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:

@@ -22,7 +22,7 @@ class Start:
     Attributes
     ----------
     parameters : Parameters
-        Range errors are zero.
+        With range errors where there were enough readings to refine them.
     method : str
         `translations` or `sweep`.
     tried : tuples (method, rms [m])
@@ -65,7 +65,13 @@ def _grown(
     method: str, partial: PartialStart, readings: Readings, iterations: int
 ) -> tuple[float, str, Parameters]:
     start = grow(partial, readings)
-    refined = refine(start, readings, terms=2, iterations=iterations)
+    refined = refine(start, readings, _terms(readings), iterations)
     if refined is None:
         return float("inf"), method, start
     return float(np.sqrt(refined.squares / len(readings))), method, refined.parameters
+
+
+def _terms(readings: Readings) -> int:
+    """Range-error terms of the refinement: without them a good start may look bad."""
+    unknowns = 7 * readings.beams + 3 * readings.planes
+    return 2 if len(readings) >= 1.5 * unknowns else 0

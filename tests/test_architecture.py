@@ -1,0 +1,155 @@
+"""The house: data flows one way, and what talks to the outside stands in one place."""
+
+import ast
+from pathlib import Path
+
+from helpers import ROOT
+
+PACKAGE = ROOT / "handlaser_gtsam"
+
+# A module may import what stands on its own floor or below.
+FLOORS = [
+    {"errors", "arrays", "_version"},
+    {"parameters", "recording", "noise", "keys"},
+    {"model", "sensor"},
+    {"factors"},
+    {"graph", "simulate"},
+    {"solvers", "scenes"},
+    {"starts", "diagnosis.observability"},
+    {"range_error", "covariance", "calibration", "diagnosis.words"},
+    {"pipeline", "limits", "diagnosis.cross_check"},
+    {"files"},
+    {"cli"},
+]
+WITHOUT_GTSAM = ["starts", "model", "solvers.reduction", "solvers.reference", "diagnosis.observability"]
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the package by its name inside the package, factors/ included."""
+    found = {}
+    for folder, prefix in ((PACKAGE, ()), (ROOT / "factors", ("factors",))):
+        for path in folder.rglob("*.py"):
+            if folder == PACKAGE and "factors" in path.relative_to(PACKAGE).parts:
+                continue
+            parts = (*prefix, *path.relative_to(folder).with_suffix("").parts)
+            found[".".join(part for part in parts if part != "__init__")] = path
+    return found
+
+
+MODULES = modules()
+
+
+def imports(name: str) -> set[str]:
+    """Names inside the package that a module imports at run time, and outer packages."""
+    path = MODULES[name]
+    parts = name.split(".") if name else []
+    package = parts if path.name == "__init__.py" else parts[:-1]
+    found = set()
+    tree = ast.parse(path.read_text())
+    checking = {
+        id(node)
+        for block in ast.walk(tree)
+        if isinstance(block, ast.If) and "TYPE_CHECKING" in ast.dump(block.test)
+        for node in ast.walk(block)
+    }
+    for node in ast.walk(tree):
+        if id(node) in checking:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom):
+            base = node.module.split(".") if node.module else []
+            if node.level:
+                base = package[: len(package) - node.level + 1] + base
+            elif base[0] == "handlaser_gtsam":
+                base = base[1:]
+            inner = ".".join(base)
+            if node.level or (node.module or "").startswith("handlaser_gtsam"):
+                for alias in node.names:
+                    full = f"{inner}.{alias.name}".strip(".")
+                    found.add(full if full in MODULES else inner)
+            else:
+                found.add(node.module or "")
+    return found
+
+
+def floor(name: str) -> int | None:
+    for number, rooms in enumerate(FLOORS):
+        if any(name == room or name.startswith(room + ".") for room in rooms):
+            return number
+    return None
+
+
+def test_every_module_has_a_floor():
+    homeless = [name for name in MODULES if name not in ("", "diagnosis") and floor(name) is None]
+    assert not homeless
+
+
+def test_arrows_point_downwards():
+    wrong = []
+    for name in MODULES:
+        if name in ("", "diagnosis"):
+            continue
+        here = floor(name)
+        for target in imports(name) & set(MODULES):
+            there = floor(target)
+            if there is not None and there > here:
+                wrong.append(f"{name} (floor {here}) imports {target} (floor {there})")
+    assert not wrong
+
+
+def test_there_are_no_circles():
+    graph = {name: imports(name) & set(MODULES) - {name, ""} for name in MODULES}
+    done: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join((*path, name))
+        if name not in done:
+            for target in graph[name]:
+                visit(target, (*path, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())
+
+
+def test_starts_and_reduction_do_not_know_gtsam():
+    for name in MODULES:
+        if any(name == room or name.startswith(room + ".") for room in WITHOUT_GTSAM):
+            assert "gtsam" not in imports(name), name
+            assert not any(target.split(".")[0] in ("factors", "graph") for target in imports(name))
+
+
+def test_the_reference_shares_no_equation():
+    inner = imports("solvers.reference") & set(MODULES)
+    assert inner <= {"arrays", "parameters", "recording", "errors"}
+
+
+def calls(name: str) -> set[str]:
+    return {
+        ast.unparse(node.func)
+        for node in ast.walk(ast.parse(MODULES[name].read_text()))
+        if isinstance(node, ast.Call)
+    }
+
+
+def test_only_the_command_line_prints():
+    assert [name for name in MODULES if "print" in calls(name) and not name.startswith("cli")] == []
+
+
+def test_only_files_opens_files():
+    opening = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "fdopen", "mkstemp"}
+    for name in MODULES:
+        used = {call.split(".")[-1] for call in calls(name)} & opening
+        allowed = name.startswith("files") or used <= {"write_text"} and name == "cli.calibrate"
+        assert not used or allowed, (name, used)
+
+
+def test_custom_factors_are_made_in_one_place():
+    makers = [name for name in MODULES if {"gtsam.CustomFactor", "CustomFactor"} & calls(name)]
+    assert makers == ["factors.block"]
+
+
+def test_the_link_to_the_factors_is_there():
+    assert (PACKAGE / "factors").is_symlink()
+    assert (PACKAGE / "factors").resolve() == ROOT / "factors"

@@ -1,0 +1,236 @@
+"""The command line: exit codes, streams and files of the contract."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from helpers import DEGENERATE, GRIPPER, degenerate, simulated
+from typer.testing import CliRunner
+
+from handlaser_gtsam import __version__
+from handlaser_gtsam.cli import main
+from handlaser_gtsam.files.recording_csv import write_recording
+from handlaser_gtsam.scenes import Layout
+
+RECORDING, RIG = str(GRIPPER / "recording.csv"), str(GRIPPER / "rig.toml")
+
+
+@pytest.fixture
+def handlaser(monkeypatch, capsys):
+    """Run the command in this process; return exit code, stdout and stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["handlaser", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        captured = capsys.readouterr()
+        return caught.value.code or 0, captured.out, captured.err
+
+    return run
+
+
+def one_line(text):
+    return text.endswith("\n") and text.count("\n") == 1
+
+
+def test_tables_in_millimetres_and_degrees(handlaser):
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG, "--cross-check")
+    assert code == 0
+    assert err == ""
+    for words in ("location x", "mm", "direction, largest", "deg", "k2", "1/m", "chi2/dof", "rms"):
+        assert words in out
+    assert "start: translations" in out
+    assert "cross-check with SciPy: largest difference" in out
+
+
+def test_json_alone_on_stdout(handlaser):
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG, "--json")
+    assert (code, err) == (0, "")
+    record = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not finite"))
+    assert (record["format"], record["version"]) == ("handlaser-calibration", 1)
+    assert record["status"] == "converged"
+    beam = record["beams"][0]
+    assert beam["name"] == "1"
+    assert len(beam["location_m"]) == len(beam["direction"]) == 3
+    assert set(beam["range_error"]) == {"k1", "k2_per_m"}
+    assert set(beam["sigma"]) == {"location_m", "direction_rad", "k1", "k2_per_m"}
+    assert [len(row) for row in beam["covariance"]] == [8] * 8
+    assert set(record["planes"][0]) == {"name", "normal", "offset_m", "sigma"}
+    assert {"readings", "rms_m", "max_m", "chi2", "dof", "sigma0", "rejected"} <= set(record["fit"])
+    assert record["observability"]["rank"] == record["observability"]["unknowns"] == 40
+    assert record["observability"]["undetermined"] == []
+    assert record["start"]["method"] == "translations"
+    assert record["iterations"] > 0
+
+
+def test_quiet_prints_nothing_and_writes(handlaser, tmp_path):
+    out_file = tmp_path / "calibration.json"
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG, "-q", "--out", out_file)
+    assert (code, out, err) == (0, "", "")
+    assert json.loads(out_file.read_text())["status"] == "converged"
+    assert [path.name for path in tmp_path.iterdir()] == ["calibration.json"]
+
+
+def test_the_cross_check_of_a_script_goes_to_stderr(handlaser):
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG, "--json", "--cross-check")
+    assert code == 0
+    assert json.loads(out)["status"] == "converged"
+    assert "cross-check" in err
+    assert one_line(err)
+
+
+@pytest.mark.parametrize("case", DEGENERATE)
+def test_exit_3_says_what_is_undetermined(handlaser, tmp_path, case):
+    path, out_file = tmp_path / "recording.csv", tmp_path / "result.json"
+    write_recording(path, degenerate(case))
+    code, out, err = handlaser("calibrate", path, "--out", out_file)
+    assert code == 3
+    assert "does not determine" in err
+    assert "location" in err
+    assert "turn the hand" in err
+    assert one_line(err)
+    assert "NOT A CALIBRATION" in out
+    record = json.loads(out_file.read_text())
+    assert record["status"] == "unobservable"
+    assert record["observability"]["undetermined"]
+    assert record["observability"]["advice"]
+    assert record["beams"][0]["sigma"] is None
+    assert record["beams"][0]["covariance"] is None
+
+
+def test_exit_2_is_one_line(handlaser, tmp_path):
+    path = tmp_path / "recording.csv"
+    path.write_text("plane,x,y,z,qx,qy,qz,qw,range_1\nA,0,0,0,0,0,0,1,near\n")
+    code, out, err = handlaser("calibrate", path, "--out", tmp_path / "result.json")
+    assert (code, out) == (2, "")
+    assert one_line(err)
+    assert all(words in err for words in ("line 2", "range_1", "'near'", "a finite number"))
+    assert not (tmp_path / "result.json").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate"],
+        ["calibrate", RECORDING, "--range-error", "k3"],
+        ["calibrate", RECORDING, "--range-sigma-mm", "thin"],
+        ["calibrate", RECORDING, "--range-sigma-mm", "0"],
+        ["calibrate", RECORDING, "--range-sigma-mm", "nan"],
+        ["calibrate", RECORDING, "--range-mm", "30", "10"],
+        ["calibrate", RECORDING, "--max-incidence-deg", "95"],
+        ["calibrate", RECORDING, "--rig", "missing.toml"],
+        ["calibrate", RECORDING, "--range-mm", "500", "600"],
+        ["calibrate", RECORDING, "--out", "no/such/folder/result.json"],
+        ["simulate", "somewhere", "--beams", "0"],
+        ["simulate", "somewhere", "--scene", "moon"],
+        ["levitate"],
+    ],
+)
+def test_usage_errors_exit_2(handlaser, arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = handlaser(*arguments)
+    assert code == 2
+    assert err
+    assert "Traceback" not in err
+
+
+def test_exit_4_names_the_limit(handlaser, tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text("[noise]\nrange_sigma_mm = 0.03\n[limits]\nlocation_sigma_mm = 0.001\n")
+    code, _, err = handlaser("calibrate", RECORDING, "--rig", rig, "--quiet")
+    assert code == 4
+    assert "location sigma" in err
+    assert "above 0.001 mm" in err
+    assert one_line(err)
+
+
+def test_options_override_the_rig_file(handlaser):
+    arguments = ("calibrate", RECORDING, "--rig", RIG, "--json")
+    _, out, _ = handlaser(*arguments, "--range-sigma-mm", "0.06", "--range-mm", "0", "25")
+    fit = json.loads(out)["fit"]
+    assert fit["range_sigma_m"] == pytest.approx(6e-5)
+    assert fit["rejected"]
+    assert all(r["residual_m"] is None for r in fit["rejected"])
+
+
+def test_warning_of_uncertain_poses_is_printed(handlaser):
+    _, out, _ = handlaser("calibrate", RECORDING, "--pose-rotation-sigma-deg", "0.03")
+    assert "taken as exact" in out
+
+
+def test_simulate_writes_what_ships(handlaser, tmp_path):
+    """The files in examples/gripper are those of this command."""
+    folder = tmp_path / "gripper"
+    options = "--scene paper --pose-translation-sigma-mm 0 --pose-rotation-sigma-deg 0"
+    options += " --k1 0.01 --k2-per-m 1.0 --seed 1 --quiet"
+    code, out, err = handlaser("simulate", folder, *options.split())
+    assert (code, out, err) == (0, "", "")
+    for name in ("rig.toml", "truth.json", "recording.csv"):
+        mine, shipped = (folder / name).read_text(), (GRIPPER / name).read_text()
+        # Another processor may round the last digit differently.
+        assert numbers_of(mine) == pytest.approx(numbers_of(shipped), rel=1e-12, abs=1e-15)
+
+
+def numbers_of(text):
+    words = text.replace(",", " ").replace("[", " ").replace("]", " ").split()
+    found = []
+    for word in words:
+        try:
+            found.append(float(word))
+        except ValueError:
+            continue
+    assert found
+    return found
+
+
+def test_simulate_never_overwrites_unasked(handlaser, tmp_path):
+    assert handlaser("simulate", tmp_path, "--quiet")[0] == 0
+    before = (tmp_path / "recording.csv").read_bytes()
+    code, _, err = handlaser("simulate", tmp_path, "--seed", "5")
+    assert code == 2
+    assert "--force" in err
+    assert (tmp_path / "recording.csv").read_bytes() == before
+    assert handlaser("simulate", tmp_path, "--seed", "5", "--force")[0] == 0
+    assert (tmp_path / "recording.csv").read_bytes() != before
+
+
+def test_simulated_arm_calibrates_with_its_rig(handlaser, tmp_path):
+    options = ("--scene", "arm", "--planes", "3", "--stations", "15", "--beams", "2")
+    assert handlaser("simulate", tmp_path, *options, "--quiet")[0] == 0
+    rig, recording = tmp_path / "rig.toml", tmp_path / "recording.csv"
+    code, out, _ = handlaser("calibrate", recording, "--rig", rig, "--json")
+    assert code == 0
+    record = json.loads(out)
+    assert record["start"]["method"] == "sweep"
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    for beam, true in zip(record["beams"], truth["beams"], strict=True):
+        assert beam["location_m"] == pytest.approx(true["location_m"], abs=5e-3)
+
+
+def test_many_planes_are_cut_short_on_screen(handlaser, tmp_path):
+    recording, _ = simulated(layout=Layout(planes=14))
+    write_recording(tmp_path / "recording.csv", recording)
+    _, out, _ = handlaser("calibrate", tmp_path / "recording.csv", "--range-error", "none")
+    assert "and 2 more" in out
+
+
+def test_version_and_help():
+    from handlaser_gtsam.cli import app
+
+    runner = CliRunner()
+    assert runner.invoke(app, ["--version"]).stdout.strip() == f"handlaser {__version__}"
+    for arguments in (["--help"], ["calibrate", "--help"], ["simulate", "--help"]):
+        assert runner.invoke(app, arguments).exit_code == 0
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; sys.argv = ['handlaser', '--help']\n"
+        "from handlaser_gtsam.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'gtsam', 'numpy', 'scipy', 'polars', 'pydantic'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

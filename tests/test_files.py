@@ -1,0 +1,125 @@
+"""Rig files, results and truth on disk."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from helpers import GRIPPER
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.files.calibration_json import calibration_text, write_calibration
+from handlaser_gtsam.files.rig_toml import read_rig, write_rig
+from handlaser_gtsam.files.writing import write_text
+
+FULL = """
+[noise]
+range_sigma_mm = 0.03
+pose_translation_sigma_mm = 0.05
+pose_rotation_sigma_deg = 0.03
+[sensor]
+range_mm = [0, 30]
+max_incidence_deg = 45
+[limits]
+rms_mm = 0.1
+location_sigma_mm = 0.2
+direction_sigma_deg = 0.3
+"""
+
+
+def rig_file(tmp_path, text):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_rig_is_read_in_si(tmp_path):
+    rig = read_rig(rig_file(tmp_path, FULL))
+    assert rig.noise == hl.Noise(3e-5, 5e-5, math.radians(0.03))
+    assert rig.sensor == hl.Sensor(0.0, 0.03, math.radians(45.0))
+    assert rig.limits.rms == pytest.approx(1e-4)
+    assert rig.limits.location_sigma == pytest.approx(2e-4)
+    assert rig.limits.direction_sigma == pytest.approx(math.radians(0.3))
+
+
+def test_every_table_is_optional(tmp_path):
+    rig = read_rig(rig_file(tmp_path, ""))
+    assert rig.noise.range_sigma is None
+    assert rig.sensor.range_max == math.inf
+
+
+def test_written_rigs_read_back(tmp_path):
+    noise, sensor = hl.Noise(3e-5, 0.0, 5e-4), hl.Sensor(0.0, 0.03)
+    write_rig(tmp_path / "rig.toml", noise, sensor)
+    rig = read_rig(tmp_path / "rig.toml")
+    assert rig.noise.range_sigma == pytest.approx(3e-5, rel=1e-11)
+    assert rig.noise.pose_rotation_sigma == pytest.approx(5e-4, rel=1e-11)
+    assert rig.sensor == sensor
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[noise\n", "no TOML"),
+        ("[nose]\n", "unknown field nose"),
+        ("[noise]\nrange_sigma_m = 1\n", "unknown field noise.range_sigma_m"),
+        ("[noise]\nrange_sigma_mm = 'thin'\n", "noise.range_sigma_mm = 'thin'"),
+        ("[noise]\nrange_sigma_mm = -1\n", "range sigma"),
+        ("[noise]\nrange_sigma_mm = nan\n", "noise.range_sigma_mm"),
+        ("[noise]\npose_rotation_sigma_deg = -1\n", "pose_rotation_sigma"),
+        ("[sensor]\nrange_mm = [1]\n", "1 numbers"),
+        ("[sensor]\nrange_mm = [30, 0]\n", "sensor range"),
+        ("[sensor]\nmax_incidence_deg = 0\n", "max_incidence"),
+        ("[limits]\nrms_mm = 0\n", "limit rms"),
+        ("noise = 3\n", "noise = 3"),
+    ],
+)
+def test_faults_of_a_rig_are_one_line(tmp_path, text, words):
+    path = rig_file(tmp_path, text)
+    with pytest.raises(hl.InputError) as caught:
+        read_rig(path)
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "expected" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_result_holds_what_the_calibration_does(tmp_path):
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    calibration = hl.calibrate(recording, hl.Noise(3e-5))
+    write_calibration(tmp_path / "result.json", calibration)
+    record = json.loads((tmp_path / "result.json").read_text())
+    for entry, beam in zip(record["beams"], calibration.beams.values(), strict=True):
+        assert entry["location_m"] == beam.location.tolist()
+        assert entry["direction"] == beam.direction.tolist()
+        assert np.array_equal(entry["covariance"], beam.covariance)
+        assert entry["sigma"]["direction_rad"] == beam.direction_sigma
+    for entry, plane in zip(record["planes"], calibration.planes.values(), strict=True):
+        assert entry["offset_m"] == plane.offset
+        assert entry["sigma"] == {
+            "normal_rad": plane.normal_sigma,
+            "offset_m": plane.offset_sigma,
+        }
+    assert record["fit"]["max_m"] == calibration.fit.largest
+    assert calibration_text(calibration).endswith("}\n")
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "result.json"
+    write_text(path, "old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(hl.InputError, match="No space left"):
+        write_text(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_may_be_replaced(tmp_path):
+    path = tmp_path / "result.json"
+    write_text(path, "old")
+    write_text(path, "new")
+    assert path.read_text() == "new"
