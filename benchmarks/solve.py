@@ -151,9 +151,18 @@ def main() -> None:
             same = abs(row.cost - base.cost) <= SAME_COST * base.cost
             cost = f"{row.cost:.6f}" + ("" if same else " NOT THE SAME OPTIMUM")
             ratio = f"{row.seconds / base.seconds:.2f}"
-            table.add_row(str(planes), row.solver, f"{row.seconds * 1e3:.2f}", ratio, str(row.iterations), cost)
+            table.add_row(
+                str(planes),
+                row.solver,
+                f"{row.seconds * 1e3:.2f}",
+                ratio,
+                str(row.iterations),
+                cost,
+            )
         ratio = f"{whole[planes] / base.seconds:.2f}"
-        table.add_row(str(planes), "start to covariances", f"{whole[planes] * 1e3:.2f}", ratio, "", "")
+        table.add_row(
+            str(planes), "start to covariances", f"{whole[planes] * 1e3:.2f}", ratio, "", ""
+        )
         table.add_section()
     Console(width=110).print(table)
     for row in rows:

@@ -18,7 +18,9 @@ import handlaser_gtsam as hl
 def rows_of(path: Path, skip: int) -> list[list[float]]:
     """Return the numbers of each line, without its first `skip` cells and empty ones."""
     lines = path.read_text().splitlines()
-    return [[float(x) for x in line.split(",")[skip:] if x.strip()] for line in lines if line.strip()]
+    return [
+        [float(x) for x in line.split(",")[skip:] if x.strip()] for line in lines if line.strip()
+    ]
 
 
 def convert(trials: list[Path], out: Path) -> None:
@@ -28,14 +30,21 @@ def convert(trials: list[Path], out: Path) -> None:
         transforms = np.array(rows_of(trial / "transforms.csv", skip=0)).reshape(-1, 4, 4)
         readings = [np.mean(row) / 1e3 for row in rows_of(trial / "measurements.csv", skip=1)]
         if len(readings) != len(transforms):
-            sys.exit(f"{trial}: {len(transforms)} poses and {len(readings)} readings; expected as many")
+            sys.exit(
+                f"{trial}: {len(transforms)} poses and {len(readings)} readings; expected as many"
+            )
         poses.append(transforms)
         ranges += readings
         planes += [trial.name] * len(readings)
         stations += [f"{trial.name}-{j + 1}" for j in range(len(readings))]
     world_T_hand = np.concatenate(poses)
     recording = hl.Recording(
-        world_T_hand[:, :3, :3], world_T_hand[:, :3, 3], np.array(ranges)[:, None], planes, ["1"], stations
+        world_T_hand[:, :3, :3],
+        world_T_hand[:, :3, 3],
+        np.array(ranges)[:, None],
+        planes,
+        ["1"],
+        stations,
     )
     hl.write_recording(out, recording)
 

@@ -63,7 +63,9 @@ class RangeBlock:
                 "one or more positive, finite ranges in metres",
             )
         if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
-            raise InputError(f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings")
+            raise InputError(
+                f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings"
+            )
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any, plane, pose if any."""
@@ -73,7 +75,7 @@ class RangeBlock:
 
     def __call__(
         self,
-        factor: gtsam.CustomFactor,
+        _factor: gtsam.CustomFactor,
         values: gtsam.Values,
         jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
     ) -> FloatArray:

@@ -42,7 +42,9 @@ class SharedEvaluation:
         none = -1
         errors = [none if b.beam.range_error is None else b.beam.range_error for b in blocks]
         self.range_errors, self.range_error_of = _unique(errors, sizes)
-        self.poses, self.pose_of = _unique([none if b.pose is None else b.pose for b in blocks], sizes)
+        self.poses, self.pose_of = _unique(
+            [none if b.pose is None else b.pose for b in blocks], sizes
+        )
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
         self._terms: dict[int, int] = {none: 0}
         self._columns: list[tuple[slice, ...]] = []
@@ -107,7 +109,9 @@ class SharedEvaluation:
             block = at.jacobian[:, columns]
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
-            total |= {key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0}
+            total |= {
+                key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0
+            }
         return total
 
     def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:

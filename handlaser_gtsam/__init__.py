@@ -11,7 +11,6 @@ from ._version import __version__
 
 if TYPE_CHECKING:
     from . import factors, model, scenes, simulate, starts
-    from .pipeline import CalibrationOptions, calibrate
     from .calibration import Beam, Calibration, Fit, Plane
     from .diagnosis.cross_check import CrossCheck, cross_check
     from .errors import GrazingBeamError, HandlaserError, InputError, SolverError
@@ -20,7 +19,9 @@ if TYPE_CHECKING:
     from .files.rig_toml import Rig, read_rig
     from .keys import BeamKeys
     from .noise import Noise
+    from .options import CalibrationOptions
     from .parameters import Parameters
+    from .pipeline import calibrate
     from .recording import Readings, Recording
     from .sensor import Sensor
 
@@ -60,7 +61,7 @@ _HOME = {
     "Beam": "calibration",
     "BeamKeys": "keys",
     "Calibration": "calibration",
-    "CalibrationOptions": "pipeline",
+    "CalibrationOptions": "options",
     "CrossCheck": "diagnosis.cross_check",
     "Fit": "calibration",
     "GrazingBeamError": "errors",

@@ -86,12 +86,13 @@ def scene(parameters: Parameters, readings: Readings) -> Scene:
 
 def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
     """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (N,) and range errors k (N, 2)."""
-    return d * (1.0 + k[:, 0] + k[:, 1] * d)
+    true: FloatArray = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    return true
 
 
 def cosines(x: Scene) -> FloatArray:
     """Return n_H . v, the cosine between plane normal and beam, shape (N,)."""
-    return np.einsum("nji,nj,ni->n", x.R, x.n, x.v)
+    return _dot(np.matmul(x.n[:, None, :], x.R)[:, 0], x.v)
 
 
 def predicted_ranges(x: Scene) -> FloatArray:
@@ -162,4 +163,5 @@ def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    product: FloatArray = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    return product

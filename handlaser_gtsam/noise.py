@@ -32,7 +32,9 @@ class Noise:
     def __post_init__(self) -> None:
         sigma = self.range_sigma
         if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
-            raise InputError(f"range sigma {sigma:g} m", "a positive number; leave it out if unknown")
+            raise InputError(
+                f"range sigma {sigma:g} m", "a positive number; leave it out if unknown"
+            )
         for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0.0):

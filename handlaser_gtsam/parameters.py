@@ -44,5 +44,11 @@ class Parameters:
         """Tell whether every number is finite."""
         return all(
             bool(np.isfinite(a).all())
-            for a in (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
+            for a in (
+                self.locations,
+                self.directions,
+                self.range_errors,
+                self.normals,
+                self.offsets,
+            )
         )

@@ -1,7 +1,6 @@
 """The whole way, from a recording to a calibration."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -10,34 +9,14 @@ from . import sensor as limits
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
 from .covariance import covariances
-from .diagnosis.observability import ObservabilityOptions
 from .diagnosis.words import advice, undetermined
 from .noise import Noise
-from .range_error import Choice, RangeError, Solution, choose_terms
+from .options import CalibrationOptions
+from .range_error import Choice, Solution, choose_terms
 from .recording import Readings, Recording
-from .sensor import Rejected, Sensor
-from .solvers.levenberg import LevenbergOptions, Trial
+from .sensor import Rejected
+from .solvers.levenberg import Trial
 from .starts import Start, find_start
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationOptions:
-    """How to calibrate.
-
-    Attributes
-    ----------
-    range_error : {"auto", "none", "k1", "k1k2"}
-        Range-error terms of every beam; `auto` chooses by evidence.
-    sensor : Sensor
-        Readings outside its limits are left out, and listed.
-    solver : LevenbergOptions
-    observability : ObservabilityOptions
-    """
-
-    range_error: RangeError = "auto"
-    sensor: Sensor = field(default_factory=Sensor)
-    solver: LevenbergOptions = field(default_factory=LevenbergOptions)
-    observability: ObservabilityOptions = field(default_factory=ObservabilityOptions)
 
 
 def calibrate(
@@ -148,7 +127,8 @@ def _fit(
 def _determined(recording: Recording, solution: Solution, fit: Fit) -> Determined:
     found, parameters = solution.observability, solution.parameters
     condition = found.condition if found.full else None
-    words, help_ = undetermined(found, parameters, recording), advice(found, parameters, recording)
+    words = undetermined(found, parameters, recording)
+    help_ = advice(found, recording)
     if found.full and fit.dof == 0 and not fit.range_sigma_given:
         words = ("the noise of the readings: there are no more readings than unknowns",)
         help_ = ("add stations, or give the range sigma",)

@@ -11,35 +11,23 @@ with q unknowns and N readings. Terms that the readings do not determine are not
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
-from .diagnosis.observability import Observability, ObservabilityOptions, observability
+from .diagnosis.observability import Observability, observability
 from .graph import CalibrationGraph, build_graph, read_parameters
 from .noise import Noise
+from .options import CalibrationOptions, RangeError
 from .parameters import Parameters
 from .recording import Readings
-from .solvers.levenberg import LevenbergOptions, LevenbergResult, Trial, levenberg_marquardt
+from .solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
 
-RangeError = Literal["auto", "none", "k1", "k1k2"]
 TERMS: dict[RangeError, int] = {"none": 0, "k1": 1, "k1k2": 2}
 NAMES = ("no range error", "k1", "k1 and k2")
 LEAST_RMS = 1e-12
 """Residuals below this [m] are rounding; they are no evidence."""
 UNIT_SIGMA = 1e-3
 """Range sigma [m] that weights the graph where none is given."""
-
-
-class Options(Protocol):
-    """What is read of the options of `calibrate`."""
-
-    @property
-    def range_error(self) -> RangeError: ...
-    @property
-    def solver(self) -> LevenbergOptions: ...
-    @property
-    def observability(self) -> ObservabilityOptions: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +52,7 @@ def choose_terms(
     readings: Readings,
     start: Parameters,
     noise: Noise,
-    options: Options,
+    options: CalibrationOptions,
     progress: Callable[[Trial], None] | None = None,
 ) -> Choice:
     """Solve with the range error asked for; `auto` takes the lowest BIC."""
@@ -78,7 +66,9 @@ def choose_terms(
     usable = [s for s in solutions if _determined(s)] or solutions[:1]
     bic = [criterion(s, len(readings), noise) for s in usable]
     best = int(np.argmin(bic))
-    listed = ", ".join(f"{NAMES[s.problem.terms]} {b - bic[best]:+.1f}" for s, b in zip(usable, bic, strict=True))
+    listed = ", ".join(
+        f"{NAMES[s.problem.terms]} {b - bic[best]:+.1f}" for s, b in zip(usable, bic, strict=True)
+    )
     return Choice(usable[best], f"{NAMES[usable[best].problem.terms]} by BIC ({listed})")
 
 
@@ -87,7 +77,7 @@ def solve(
     start: Parameters,
     terms: int,
     noise: Noise,
-    options: Options,
+    options: CalibrationOptions,
     progress: Callable[[Trial], None] | None = None,
 ) -> Solution:
     """Solve jointly with `terms` range-error terms and diagnose the solution."""

@@ -110,7 +110,7 @@ class Recording:
         stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
         names = tuple(self.station_names) or tuple(str(j + 1) for j in range(stations))
         store(self, "station_names", names)
-        planes = {label: None for label in self.plane_labels}
+        planes = dict.fromkeys(self.plane_labels)
         number = {label: p for p, label in enumerate(planes)}
         store(self, "plane_names", tuple(planes))
         store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))

@@ -112,7 +112,7 @@ def _beams(count: int, reach: _Reach, rng: np.random.Generator) -> tuple[FloatAr
 def _plane(
     index: int, count: int, reach: _Reach, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
-    """A plane above the hand, tilted to its own side, through a point near the base."""
+    """Return a plane above the hand, tilted to its own side, through a point near the base."""
     angle = 2.0 * np.pi * index / count + rng.uniform(-0.3, 0.3)
     tilt = reach.plane_tilt * rng.uniform(0.6, 1.0)
     n = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])

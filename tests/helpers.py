@@ -58,7 +58,6 @@ def largest_error(found: Parameters, truth: Parameters) -> tuple[float, float]:
     return float(location), float(np.linalg.norm(cross, axis=1).max())
 
 
-
 def bench(planes: int = 1, beams: int = 2) -> Parameters:
     """Return beams looking along z and planes about 0.3 m above them, each tilted its own way."""
     spread = np.linspace(0.0, 2.0 * np.pi, beams, endpoint=False)

@@ -177,7 +177,9 @@ def test_a_plane_measured_on_a_line_is_named():
     recording = recording_of(truth, R, np.vstack((t, line)), [0] * 20 + [1] * 3, 1e-4)
     calibration = hl.calibrate(recording, options=hl.CalibrationOptions(range_error="none"))
     assert calibration.status == "unobservable"
-    assert any(words.startswith("plane B: normal") for words in calibration.observability.undetermined)
+    assert any(
+        words.startswith("plane B: normal") for words in calibration.observability.undetermined
+    )
     assert "three or more spots that are not on a line" in calibration.message
 
 

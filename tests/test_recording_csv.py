@@ -86,7 +86,12 @@ def test_quaternions_are_normalised_up_to_a_thousandth(tmp_path):
 
 
 FAULTS = {
-    "no plane column": ([HEADER.replace("plane", "surface"), *ROWS], 1, "plane", "no column 'plane'"),
+    "no plane column": (
+        [HEADER.replace("plane", "surface"), *ROWS],
+        1,
+        "plane",
+        "no column 'plane'",
+    ),
     "no pose column": ([HEADER.replace("qw", "w"), *ROWS], 1, "qw", "no column 'qw'"),
     "capital letters": ([HEADER.replace(",x,", ",X,"), *ROWS], 1, "x", "column 'X'"),
     "no beam": ([HEADER.replace("range_", "d_"), *ROWS], 1, "range_NAME", "no column of ranges"),

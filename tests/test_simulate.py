@@ -48,9 +48,7 @@ def test_pose_errors_move_readings_but_not_recorded_poses():
     rng = np.random.default_rng(1)
     truth, stations = scenes.paper(Layout(), rng)
     exact = simulate(truth, stations, Errors(0.0), np.random.default_rng(2))
-    moved = simulate(
-        truth, stations, Errors(0.0, 5e-5, 5e-4, (1,)), np.random.default_rng(2)
-    )
+    moved = simulate(truth, stations, Errors(0.0, 5e-5, 5e-4, (1,)), np.random.default_rng(2))
     assert np.array_equal(exact.world_R_hand, moved.world_R_hand)
     assert 1e-6 < np.nanstd(moved.ranges - exact.ranges) < 1e-4
 

@@ -102,7 +102,9 @@ def test_marginals_equal_the_dense_inverse(problem):
     lift[3:6, 3:5] = values.atUnit3(graph.beams[0].direction).basis()
     expected = lift @ own @ lift.T
     # Both invert a matrix of condition 1e9 or so: half the digits are left.
-    assert np.abs(beams[0] / np.abs(expected).max() - expected / np.abs(expected).max()).max() < 1e-7
+    assert (
+        np.abs(beams[0] / np.abs(expected).max() - expected / np.abs(expected).max()).max() < 1e-7
+    )
     assert planes[0][3, 3] == pytest.approx(inverse[2, 2], rel=1e-7)
     v = values.atUnit3(graph.beams[0].direction).point3()
     assert np.abs(beams[0][3:6, 3:6] @ v).max() < 1e-12
@@ -120,7 +122,9 @@ def test_scipy_agrees_in_value_and_covariance(problem):
         assert (np.abs(mine.directions[i] - other.directions[i]) < 1e-6 * sigma[3:6]).all()
         assert (np.abs(mine.range_errors[i] - other.range_errors[i]) < 1e-6 * sigma[6:]).all()
         scale = np.outer(sigma, sigma)
-        assert np.abs(SIGMA**2 * reference.beam_covariances[i] - covariance).max() < 1e-5 * scale.max()
+        assert (
+            np.abs(SIGMA**2 * reference.beam_covariances[i] - covariance).max() < 1e-5 * scale.max()
+        )
     for p, covariance in enumerate(planes):
         sigma = np.sqrt(covariance[3, 3])
         assert abs(mine.offsets[p] - reference.parameters.offsets[p]) < 1e-6 * sigma
@@ -179,9 +183,7 @@ def far_start(truth: Parameters, turn: float) -> Parameters:
     """Turn every beam by `turn` about x."""
     c, s = np.cos(turn), np.sin(turn)
     directions = truth.directions @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-    return Parameters(
-        truth.locations, directions, truth.range_errors, truth.normals, truth.offsets
-    )
+    return Parameters(truth.locations, directions, truth.range_errors, truth.normals, truth.offsets)
 
 
 def test_a_trial_that_grazes_is_a_rejected_step(monkeypatch):

@@ -74,9 +74,7 @@ def test_a_beam_that_misses_the_translations_grows_from_the_planes():
     R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
     free_R, free_t = motion("free", 10, seed=4)
     truth = bench(1, beams=3)
-    recording = recording_of(
-        truth, np.vstack((R, free_R)), np.vstack((t, free_t)), [0] * 20, 0.0
-    )
+    recording = recording_of(truth, np.vstack((R, free_R)), np.vstack((t, free_t)), [0] * 20, 0.0)
     readings = recording.readings()
     keep = np.flatnonzero((readings.beam != 2) | (readings.station >= 10))
     start = translation_start(readings.subset(keep))
@@ -89,7 +87,11 @@ def test_range_scale_is_taken_out_of_the_direction():
     """The closed form leaves |v'| = 1 + k1; the start is a unit vector all the same."""
     truth = bench(1)
     scaled = Parameters(
-        truth.locations, truth.directions, np.tile([0.02, 0.0], (2, 1)), truth.normals, truth.offsets
+        truth.locations,
+        truth.directions,
+        np.tile([0.02, 0.0], (2, 1)),
+        truth.normals,
+        truth.offsets,
     )
     R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
     found = closed_form(scaled, R, t, [0] * 10)

@@ -38,10 +38,16 @@ def calibrate(
         float | None, typer.Option(help="Sigma of a reading; estimated if not given.")
     ] = None,
     pose_translation_sigma_mm: Annotated[
-        float | None, typer.Option(help="Sigma of the hand position. Poses count as exact: above 0 adds a warning.")
+        float | None,
+        typer.Option(
+            help="Sigma of the hand position. Poses count as exact: above 0 adds a warning."
+        ),
     ] = None,
     pose_rotation_sigma_deg: Annotated[
-        float | None, typer.Option(help="Sigma of the hand rotation. Poses count as exact: above 0 adds a warning.")
+        float | None,
+        typer.Option(
+            help="Sigma of the hand rotation. Poses count as exact: above 0 adds a warning."
+        ),
     ] = None,
     range_mm: Annotated[
         tuple[float, float] | None, typer.Option(help="Least and largest range of the sensor.")
@@ -68,7 +74,7 @@ def calibrate(
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
     from ..files.writing import write_text
-    from ..pipeline import CalibrationOptions
+    from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
 
     numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)

@@ -37,7 +37,9 @@ def simulate(
     beams: Annotated[int, typer.Option(min=1)] = 4,
     planes: Annotated[int, typer.Option(min=1)] = 4,
     stations: Annotated[int, typer.Option(min=1, help="Stations a plane.")] = 11,
-    range_sigma_mm: Annotated[float | None, typer.Option(help="Default: as the scene says.")] = None,
+    range_sigma_mm: Annotated[
+        float | None, typer.Option(help="Default: as the scene says.")
+    ] = None,
     pose_translation_sigma_mm: Annotated[
         float | None, typer.Option(help="Default: as the scene says.")
     ] = None,
@@ -88,7 +90,7 @@ def simulate(
     write_rig(folder / FILES[1], noise, sensor)
     write_truth(folder / FILES[2], truth, recording)
     if not quiet:
-        print(f"wrote {', '.join(FILES)} to {folder}: {planes} planes x {stations} stations, {beams} beams")
+        print(f"wrote {', '.join(FILES)} to {folder}: {planes} planes, {stations} stations each")
 
 
 def _errors(

@@ -56,7 +56,9 @@ def _beam_table(beam: Beam) -> Table:
     location, k_sigma, covariance = beam.location_sigma, beam.range_error_sigma, beam.covariance
     for i, axis in enumerate("xyz"):
         sigma = None if location is None else location[i] * MM
-        table.add_row(f"location {axis}", f"{beam.location[i] * MM:.4f}", _number(sigma, ".4f"), "mm")
+        table.add_row(
+            f"location {axis}", f"{beam.location[i] * MM:.4f}", _number(sigma, ".4f"), "mm"
+        )
     for i, axis in enumerate("xyz"):
         sigma = None if covariance is None else math.sqrt(max(covariance[3 + i, 3 + i], 0.0))
         table.add_row(f"direction {axis}", f"{beam.direction[i]:.6f}", _number(sigma, ".6f"), "1")
@@ -87,14 +89,16 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
     fit = result.fit
     yield f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.largest * MM:.4g} mm"
     if fit.range_sigma_given:
-        yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 when the noise is as given)"
+        yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 if the sigma is right)"
     else:
         yield f"range sigma estimated from {fit.dof} degrees of freedom: {fit.range_sigma * MM:.4g} mm"
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.0f} (below 100 is the usual demand)"
     for left_out in fit.rejected[:SHOWN_REJECTED]:
-        residual = "" if left_out.residual is None else f", residual {left_out.residual * MM:.3g} mm"
+        residual = (
+            "" if left_out.residual is None else f", residual {left_out.residual * MM:.3g} mm"
+        )
         yield f"left out: station {left_out.station}, beam {left_out.beam}: {left_out.reason}{residual}"
     if len(fit.rejected) > SHOWN_REJECTED:
         yield f"left out: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"

@@ -47,7 +47,9 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     """
     if calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
-    used = replace(recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges))
+    used = replace(
+        recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
+    )
     start = find_start(used.readings()).parameters
     terms = next(iter(calibration.beams.values())).terms
     reference = solve_reference(used, start, terms)
@@ -57,13 +59,21 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         mine = np.concatenate((beam.location, beam.direction, beam.range_error))
         other = np.concatenate((found.locations[i], found.directions[i], found.range_errors[i]))
         covariance = variance * reference.beam_covariances[i]
-        for label, part in (("location", slice(0, 3)), ("direction", slice(3, 6)), ("range error", slice(6, 6 + terms))):
-            rows += _compare(f"beam {beam.name} {label}", mine - other, beam.covariance, covariance, part)
+        for label, part in (
+            ("location", slice(0, 3)),
+            ("direction", slice(3, 6)),
+            ("range error", slice(6, 6 + terms)),
+        ):
+            rows += _compare(
+                f"beam {beam.name} {label}", mine - other, beam.covariance, covariance, part
+            )
     for p, plane in enumerate(calibration.planes.values()):
         difference = np.append(plane.normal - found.normals[p], plane.offset - found.offsets[p])
         covariance = variance * reference.plane_covariances[p]
         for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
-            rows += _compare(f"plane {plane.name} {label}", difference, plane.covariance, covariance, part)
+            rows += _compare(
+                f"plane {plane.name} {label}", difference, plane.covariance, covariance, part
+            )
     worst = max(rows, key=lambda row: row[1])
     worst_sigma = max(rows, key=lambda row: row[2])
     return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)

@@ -130,9 +130,7 @@ def _scaled(
     )
 
 
-def _least_information(
-    largest: float, range_sigma: float, options: ObservabilityOptions
-) -> float:
+def _least_information(largest: float, range_sigma: float, options: ObservabilityOptions) -> float:
     """Return the information, for unit weights, below which a direction counts as open."""
     return max((range_sigma / options.most_sigma) ** 2, options.least_information * largest)
 

@@ -33,7 +33,7 @@ def undetermined(
     return tuple(words)
 
 
-def advice(found: Observability, parameters: Parameters, recording: Recording) -> tuple[str, ...]:
+def advice(found: Observability, recording: Recording) -> tuple[str, ...]:
     """Say which motion or option would determine what is open."""
     if found.full:
         return ()

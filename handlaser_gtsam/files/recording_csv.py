@@ -36,7 +36,9 @@ def read_recording(path: Path | str) -> Recording:
     path = Path(path)
     table = _read_table(path)
     beams = _check_header(table, path)
-    lines = np.flatnonzero(~table.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy())
+    lines = np.flatnonzero(
+        ~table.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy()
+    )
     if not lines.size:
         raise InputError("a header but no station", "one row a station", path)
     table = table[lines]
@@ -110,7 +112,9 @@ def _ragged(data: bytes, separator: str, path: Path, error: Exception) -> InputE
     width = len(next(reader, []))
     for row in reader:
         if len(row) > width:
-            return InputError(f"{len(row)} fields", f"{width}, as in the header", path, reader.line_num)
+            return InputError(
+                f"{len(row)} fields", f"{width}, as in the header", path, reader.line_num
+            )
     return InputError(str(error).splitlines()[0], "a comma-separated table", path)
 
 
@@ -119,7 +123,9 @@ def _check_header(table: pl.DataFrame, path: Path) -> list[str]:
     for name in ("plane", *POSE):
         if name not in table.columns:
             near = next((c for c in table.columns if c.lower() == name), None)
-            found = f"column {near!r}" if near else f"no column {name!r} among {_short(table.columns)}"
+            found = (
+                f"column {near!r}" if near else f"no column {name!r} among {_short(table.columns)}"
+            )
             raise InputError(found, f"{name!r}", path, 1, name)
     beams = [c.removeprefix(PREFIX) for c in table.columns if c.startswith(PREFIX) and c != PREFIX]
     if not beams:
@@ -132,7 +138,9 @@ def _labels(table: pl.DataFrame, name: str, path: Path, lines: np.ndarray) -> tu
     column = table[name]
     empty = column.is_null().to_numpy().nonzero()[0]
     if empty.size:
-        raise InputError("an empty cell", f"the label of the {name}", path, int(lines[empty[0]]), name)
+        raise InputError(
+            "an empty cell", f"the label of the {name}", path, int(lines[empty[0]]), name
+        )
     return tuple(column.to_list())
 
 
@@ -144,7 +152,11 @@ def _numbers(
     numbers = text.cast(pl.Float64, strict=False)
     absent = text.is_null().to_numpy()
     values = numbers.to_numpy().astype(np.float64)
-    wrong = np.flatnonzero(~absent & ~np.isfinite(values)) if empty else np.flatnonzero(~np.isfinite(values))
+    wrong = (
+        np.flatnonzero(~absent & ~np.isfinite(values))
+        if empty
+        else np.flatnonzero(~np.isfinite(values))
+    )
     if wrong.size:
         row = int(wrong[0])
         found = "an empty cell" if absent[row] else repr(text[row])
@@ -194,7 +206,9 @@ def _refuse_unread(
     for row, plane in enumerate(planes):
         if plane not in read:
             found = f"plane {plane!r} without any reading"
-            raise InputError(found, "at least one reading of every plane", path, int(lines[row]), "plane")
+            raise InputError(
+                found, "at least one reading of every plane", path, int(lines[row]), "plane"
+            )
 
 
 def _short(names: list[str]) -> str:

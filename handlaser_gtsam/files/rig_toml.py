@@ -127,8 +127,8 @@ def _first_fault(error: ValidationError, path: Path) -> InputError:
     fault = error.errors()[0]
     field = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":
-        tables = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
-        table = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
+        tables: dict[str, type[_Table]] = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
+        table: type[_Table] = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
         names = ", ".join(table.model_fields)
         return InputError(f"the unknown field {field}", f"one of {names}", path)
     return InputError(f"{field} = {fault['input']!r}", fault["msg"], path)

@@ -203,7 +203,9 @@ class _Search:
         at = self.shared.evaluate(values)
         problem = self.problem
         if problem.graph.size() == len(problem.blocks):
-            return _Point(values, at, 0.5 * float(at.residual @ at.residual) / problem.range_sigma**2)
+            return _Point(
+                values, at, 0.5 * float(at.residual @ at.residual) / problem.range_sigma**2
+            )
         with self.shared.handed_out(at):
             return _Point(values, at, problem.graph.error(values))
 

@@ -139,7 +139,9 @@ def _columns(
     at = model.linearize(x, readings.distance)
     spots = at.normal / at.offset[:, None]
     count = np.bincount(readings.plane, minlength=readings.planes)
-    sums = np.stack([np.bincount(readings.plane, spots[:, i], readings.planes) for i in range(3)], 1)
+    sums = np.stack(
+        [np.bincount(readings.plane, spots[:, i], readings.planes) for i in range(3)], 1
+    )
     centres = sums / np.maximum(count, 1)[:, None]
     local = at.normal - at.offset[:, None] * centres[readings.plane]
     v_basis = model.tangent_basis(parameters.directions)[readings.beam]
@@ -167,12 +169,10 @@ def _step(
     E = np.swapaxes(normal.border, 0, 1).reshape(len(beam), -1)
     S = beam - E @ W.reshape(-1, len(beam))
     gradient = normal.beam_gradient - E @ w.ravel()
-    beam_step = -np.linalg.lstsq(S, gradient, rcond=1e-14)[0]
-    plane_step = -w - W @ beam_step
+    beam_step = np.asarray(-np.linalg.lstsq(S, gradient, rcond=1e-14)[0], dtype=np.float64)
+    plane_step: FloatArray = -w - W @ beam_step
     width = 5 + terms
-    return apply_step(
-        parameters, beam_step.reshape(-1, width), plane_step, normal.centres, terms
-    )
+    return apply_step(parameters, beam_step.reshape(-1, width), plane_step, normal.centres, terms)
 
 
 def _lift(damping: float, diagonal: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.sparse import csr_array, issparse
+from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray
 from ..parameters import Parameters
@@ -126,7 +126,9 @@ class ReferenceProblem:
         k = np.zeros((self.beams, 2))
         k[:, : self.terms] = beam[:, 5:]
         directions = self.directions.unpack(beam[:, 3:5])
-        return Parameters(beam[:, :3], directions, k, self.normals.unpack(plane[:, :2]), plane[:, 2])
+        return Parameters(
+            beam[:, :3], directions, k, self.normals.unpack(plane[:, :2]), plane[:, 2]
+        )
 
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return predicted less corrected ranges [m] (N,)."""
@@ -161,13 +163,16 @@ class ReferenceProblem:
 
     def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray]:
         """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4) for sigma = 1 m."""
-        J = solution.jac.toarray() if issparse(solution.jac) else np.asarray(solution.jac)
+        J = np.asarray(solution.jac @ np.eye(len(solution.x)))  # sparse or not
         scale = np.linalg.norm(J, axis=0)
         inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True, rcond=1e-15)
         inverse /= np.outer(scale, scale)
         found, width = self.unpack(solution.x), 5 + self.terms
         beams, planes = np.zeros((self.beams, 8, 8)), np.zeros((self.planes, 4, 4))
-        Dv, Dn = self.directions.derivative(found.directions), self.normals.derivative(found.normals)
+        Dv, Dn = (
+            self.directions.derivative(found.directions),
+            self.normals.derivative(found.normals),
+        )
         for i in range(self.beams):
             lift = np.zeros((8, width))
             lift[:3, :3], lift[3:6, 3:5] = np.eye(3), Dv[i]

@@ -42,13 +42,11 @@ class PartialStart:
 
     def known_beams(self) -> BoolArray:
         """Return a boolean (B,): location and direction are known."""
-        known: BoolArray = ~np.isnan(self.locations + self.directions).any(axis=1)
-        return known
+        return np.asarray(~np.isnan(self.locations + self.directions).any(axis=1))
 
     def known_planes(self) -> BoolArray:
         """Return a boolean (P,): normal and offset are known."""
-        known: BoolArray = ~np.isnan(self.normals.sum(axis=1) + self.offsets)
-        return known
+        return np.asarray(~np.isnan(self.normals.sum(axis=1) + self.offsets))
 
 
 def grow(start: PartialStart, readings: Readings) -> Parameters:
@@ -100,7 +98,7 @@ def _toward_beams(
     v_world = np.einsum("pij,pj->pi", part.world_R_hand[first], v)
     weight = 1e-6 * np.trace(scatter, axis1=1, axis2=2) + 1e-12
     across: FloatArray = np.eye(3) - v_world[:, :, None] * v_world[:, None, :]
-    return weight[:, None, None] * across
+    return np.asarray(weight[:, None, None] * across)
 
 
 def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> None:

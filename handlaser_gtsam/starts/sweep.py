@@ -19,7 +19,6 @@ from ..recording import Readings
 from ..solvers.reduction import Refined, refine
 from .partial import PartialStart
 
-
 _NONE = np.zeros((1, 2))
 
 
@@ -131,7 +130,11 @@ def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Paramet
     for c in order[: options.refined]:
         sign = 1.0 if cosine[c].sum() >= 0.0 else -1.0
         b = x[c, 3] - n[c] @ centre
-        found.append(Parameters(x[c : c + 1, :3], v[c : c + 1], _NONE, sign * n[c : c + 1], [sign * b]))
+        found.append(
+            Parameters(
+                x[c : c + 1, :3], v[c : c + 1], _NONE, sign * n[c : c + 1], np.array([sign * b])
+            )
+        )
     return found
 
 

@@ -102,7 +102,9 @@ def _solve_directions(start: PartialStart, series: _Series) -> None:
     use = np.flatnonzero(~np.isnan(start.normals[series.plane, 0]) & (series.dd > 0.0))
     n = start.normals[series.plane[use]]
     n_hand = np.einsum("sji,sj->si", series.rotation[use], n)
-    weighted_p = -np.einsum("si,si->s", series.td[use], n)  # dd p: a row weighs as its readings move
+    weighted_p = -np.einsum(
+        "si,si->s", series.td[use], n
+    )  # dd p: a row weighs as its readings move
     beams = len(start.directions)
     matrix, rhs = np.zeros((beams, 3, 3)), np.zeros((beams, 3))
     weighted = series.dd[use, None, None] * n_hand[:, :, None] * n_hand[:, None, :]
