@@ -1,0 +1,84 @@
+"""README, examples and benchmark run as written."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from helpers import ROOT
+
+README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_python_of_the_readme(block, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+
+
+def test_the_recording_in_the_readme_reads(tmp_path):
+    from handlaser_gtsam import read_recording
+
+    (text,) = re.findall(r"```text\n(plane,.*?)```", README, flags=re.DOTALL)
+    (tmp_path / "recording.csv").write_text(text)
+    assert read_recording(tmp_path / "recording.csv").ranges.shape == (2, 2)
+
+
+def test_links_of_the_documents_lead_somewhere():
+    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)", document.read_text()):
+            if "://" not in target:
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda p: p.name)
+def test_examples_run(example):
+    environment = os.environ | {"PYTHONWARNINGS": "error"}
+    run = subprocess.run(
+        [sys.executable, example], capture_output=True, text=True, env=environment, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip()
+
+
+def test_the_first_example_is_short():
+    assert len((ROOT / "examples" / "01_calibrate.py").read_text().splitlines()) < 30
+
+
+def test_the_converter_refuses_folders_that_do_not_match(tmp_path):
+    (tmp_path / "transforms.csv").write_text("1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1,\n")
+    (tmp_path / "measurements.csv").write_text("t,300,301\nt,302\n")
+    converter = ROOT / "examples" / "spd_to_recording.py"
+    run = subprocess.run(
+        [sys.executable, converter, tmp_path, tmp_path / "out.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode != 0
+    assert "1 poses and 2 readings" in run.stderr
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_the_benchmark_compares_three_solvers_on_one_optimum(tmp_path):
+    out = tmp_path / "rows.json"
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "benchmarks.solve"),
+            *("--planes", "4", "6", "--repeat", "1", "--out", str(out)),
+        ],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    rows = json.loads(out.read_text())
+    assert [(row["solver"], row["planes"]) for row in rows] == [
+        (solver, planes) for planes in (4, 6) for solver in ("graph", "reference", "gtsam-lm")
+    ]
+    for planes in (4, 6):
+        costs = [row["cost"] for row in rows if row["planes"] == planes]
+        assert max(costs) - min(costs) <= 1e-6 * min(costs)
+    assert all(row["seconds"] > 0.0 and row["iterations"] > 0 for row in rows)
