@@ -41,6 +41,8 @@ from handlaser_gtsam.starts.translations import translation_start
 TERMS = 2
 SIGMA = 3e-5
 SAME_COST = 1e-6
+TURNS = 3
+WHOLE = "start to covariances"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,18 +106,12 @@ def solve_gtsam(readings: Readings, start: Parameters) -> tuple[float, int]:
     return optimizer.error(), optimizer.iterations()
 
 
-def timed(run: Callable[[], tuple[float, int]], repeat: int) -> tuple[float, float, int]:
-    """Return the median seconds of `run` over `repeat` calls, its cost and iterations."""
-    seconds = []
-    for _ in range(repeat):
-        begin = time.perf_counter()
-        cost, iterations = run()
-        seconds.append(time.perf_counter() - begin)
-    return statistics.median(seconds), cost, iterations
-
-
 def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
-    """Return a row a solver, and the seconds of start to covariances."""
+    """Return a row a solver, and the median seconds of start to covariances.
+
+    Solvers take turns of several runs each, so that a machine that slows down slows all of them and
+    none pays for what another left in the cache.
+    """
     recording = problem(planes)
     readings = recording.readings()
     start = closed_form(readings)
@@ -124,13 +120,37 @@ def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
         ("graph", lambda: solve_graph(readings, start), repeat),
         ("reference", lambda: solve_reference(recording, start), slow),
         ("gtsam-lm", lambda: solve_gtsam(readings, start), slow),
+        (WHOLE, lambda: solve_start_to_covariances(readings), repeat),
     ]
-    rows = []
-    for name, run, times in runs:
-        seconds, cost, iterations = timed(run, times)
-        rows.append(Row(name, planes, seconds, cost, iterations))
-    whole = timed(lambda: solve_start_to_covariances(readings), repeat)[0]
-    return rows, whole
+    seconds: dict[str, list[float]] = {name: [] for name, _, _ in runs}
+    answers: dict[str, tuple[float, int]] = {}
+    for turn in range(TURNS):
+        for name, run, times in runs:
+            for _ in range(len(range(turn, times, TURNS))):
+                begin = time.perf_counter()
+                answers[name] = run()
+                seconds[name].append(time.perf_counter() - begin)
+    medians = {name: statistics.median(each) for name, each in seconds.items()}
+    rows = [Row(name, planes, medians[name], *answers[name]) for name, _, _ in runs[:3]]
+    return rows, medians[WHOLE]
+
+
+def table_of(rows: list[Row], whole: dict[int, float]) -> Table:
+    """Return medians and ratios as a table."""
+    table = Table("planes", "solver", "median ms", "ratio to graph", "iterations", "cost")
+    for planes, seconds in whole.items():
+        found = [row for row in rows if row.planes == planes]
+        base = found[0]
+        for row in found:
+            same = abs(row.cost - base.cost) <= SAME_COST * base.cost
+            cost = f"{row.cost:.6f}" + ("" if same else " NOT THE SAME OPTIMUM")
+            ratio = f"{row.seconds / base.seconds:.2f}"
+            milliseconds = f"{row.seconds * 1e3:.2f}"
+            table.add_row(str(planes), row.solver, milliseconds, ratio, str(row.iterations), cost)
+        ratio = f"{seconds / base.seconds:.2f}"
+        table.add_row(str(planes), WHOLE, f"{seconds * 1e3:.2f}", ratio, "", "")
+        table.add_section()
+    return table
 
 
 def main() -> None:
@@ -140,37 +160,16 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=15, help="runs of each; slow ones a fifth")
     parser.add_argument("--out", type=Path, help="write rows as JSON")
     arguments = parser.parse_args()
-    table = Table("planes", "solver", "median ms", "ratio to graph", "iterations", "cost")
     rows: list[Row] = []
     whole: dict[int, float] = {}
     for planes in arguments.planes:
         found, whole[planes] = measure(planes, arguments.repeat)
         rows += found
-        base = found[0]
-        for row in found:
-            same = abs(row.cost - base.cost) <= SAME_COST * base.cost
-            cost = f"{row.cost:.6f}" + ("" if same else " NOT THE SAME OPTIMUM")
-            ratio = f"{row.seconds / base.seconds:.2f}"
-            table.add_row(
-                str(planes),
-                row.solver,
-                f"{row.seconds * 1e3:.2f}",
-                ratio,
-                str(row.iterations),
-                cost,
-            )
-        ratio = f"{whole[planes] / base.seconds:.2f}"
-        table.add_row(
-            str(planes), "start to covariances", f"{whole[planes] * 1e3:.2f}", ratio, "", ""
-        )
-        table.add_section()
-    Console(width=110).print(table)
+    Console(width=110).print(table_of(rows, whole))
     for row in rows:
         if row.solver == "reference":
-            print(
-                f"{row.planes} planes: reference / start to covariances = "
-                f"{row.seconds / whole[row.planes]:.1f}"
-            )
+            ratio = row.seconds / whole[row.planes]
+            print(f"{row.planes} planes: reference / start to covariances = {ratio:.1f}")
     if arguments.out is not None:
         arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
 

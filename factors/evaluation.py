@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from handlaser_gtsam.arrays import FloatArray
 
 LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, 5), slice(5, 7)
-PLANE, POSE = slice(7, 10), slice(10, 16)
+NORMAL, OFFSET, PLANE, POSE = slice(7, 9), 9, slice(7, 10), slice(10, 16)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ only for the Values of that evaluation; a factor met anywhere else evaluates its
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -16,7 +17,35 @@ from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.errors import SolverError
 
 from .block import RangeBlock
-from .evaluation import DIRECTION, LOCATION, PLANE, POSE, RANGE_ERROR, Evaluation, Share
+from .evaluation import (
+    DIRECTION,
+    LOCATION,
+    NORMAL,
+    OFFSET,
+    PLANE,
+    POSE,
+    RANGE_ERROR,
+    Evaluation,
+    Share,
+)
+
+SLAB = 4096
+"""Rows evaluated at once: their intermediate arrays stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Variables:
+    """What the values hold: R, t a row; the others a variable, with GTSAM's tangent bases."""
+
+    R: FloatArray
+    t: FloatArray
+    r: FloatArray
+    v: FloatArray
+    v_basis: FloatArray
+    k: FloatArray
+    n: FloatArray
+    n_basis: FloatArray
+    b: FloatArray
 
 
 class SharedEvaluation:
@@ -51,33 +80,55 @@ class SharedEvaluation:
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
+        now = self._variables(values)
+        rows = len(self.distance)
+        jacobian = np.empty((rows, POSE.stop if self._posed.size else PLANE.stop))
+        at = Evaluation(np.empty(rows), jacobian)
+        for first in range(0, rows, SLAB):
+            self._fill(at, slice(first, min(first + SLAB, rows)), now)
+        if not np.isfinite(at.residual).all():
+            raise SolverError("residual of a range factor is not finite; expected finite values")
+        return at
+
+    def _variables(self, values: gtsam.Values) -> _Variables:
         direction = [values.atUnit3(key) for key in self.directions]
         plane = [values.atOrientedPlane3(key) for key in self.planes]
         normal = [p.normal() for p in plane]
         R, t = self._hand_poses(values)
-        x = model.Scene(
-            R,
-            t,
-            np.array([values.atPoint3(key) for key in self.locations])[self.location_of],
-            np.array([v.point3() for v in direction])[self.direction_of],
-            np.array([n.point3() for n in normal])[self.plane_of],
-            np.array([p.distance() for p in plane])[self.plane_of],
-            self._range_error_rows(values),
+        return _Variables(
+            R=R,
+            t=t,
+            r=np.array([values.atPoint3(key) for key in self.locations]),
+            v=np.array([v.point3() for v in direction]),
+            v_basis=np.array([v.basis() for v in direction]),
+            k=self._range_errors(values),
+            n=np.array([n.point3() for n in normal]),
+            n_basis=np.array([n.basis() for n in normal]),
+            b=np.array([p.distance() for p in plane]),
         )
-        at = model.linearize(x, self.distance, with_pose=bool(self._posed.size))
-        if not np.isfinite(at.residual).all():
-            raise SolverError("residual of a range factor is not finite; expected finite values")
-        v_basis = np.array([v.basis() for v in direction])[self.direction_of]
-        n_basis = np.array([n.basis() for n in normal])[self.plane_of]
-        jacobian = np.empty((len(self.distance), POSE.stop if len(at.pose) else PLANE.stop))
-        jacobian[:, LOCATION] = at.location
-        np.einsum("ni,nij->nj", at.direction, v_basis, out=jacobian[:, DIRECTION])
-        jacobian[:, RANGE_ERROR] = at.range_error
-        np.einsum("ni,nij->nj", at.normal, n_basis, out=jacobian[:, 7:9])
-        jacobian[:, 9] = at.offset
+
+    def _fill(self, out: Evaluation, rows: slice, now: _Variables) -> None:
+        """Evaluate `rows` into `out`."""
+        direction, plane = self.direction_of[rows], self.plane_of[rows]
+        x = model.Scene(
+            now.R[rows],
+            now.t[rows],
+            now.r[self.location_of[rows]],
+            now.v[direction],
+            now.n[plane],
+            now.b[plane],
+            now.k[self.range_error_of[rows]],
+        )
+        at = model.linearize(x, self.distance[rows], with_pose=bool(self._posed.size))
+        out.residual[rows] = at.residual
+        J = out.jacobian[rows]
+        J[:, LOCATION] = at.location
+        np.einsum("ni,nij->nj", at.direction, now.v_basis[direction], out=J[:, DIRECTION])
+        J[:, RANGE_ERROR] = at.range_error
+        np.einsum("ni,nij->nj", at.normal, now.n_basis[plane], out=J[:, NORMAL])
+        J[:, OFFSET] = at.offset
         if len(at.pose):
-            jacobian[:, POSE] = at.pose
-        return Evaluation(at.residual, jacobian)
+            J[:, POSE] = at.pose
 
     def reach(self) -> float:
         """Return the largest coordinate of a known hand position plus the largest reading [m]."""
@@ -122,7 +173,7 @@ class SharedEvaluation:
             columns.append(slice(RANGE_ERROR.start, RANGE_ERROR.start + self._terms[key]))
         return (*columns, PLANE) if block.pose is None else (*columns, PLANE, POSE)
 
-    def _range_error_rows(self, values: gtsam.Values) -> FloatArray:
+    def _range_errors(self, values: gtsam.Values) -> FloatArray:
         k = np.zeros((len(self.range_errors), 2))
         for i, key in enumerate(self.range_errors):
             if key >= 0:
@@ -131,8 +182,7 @@ class SharedEvaluation:
                     raise SolverError(f"range error of {vector.size} terms; expected one or two")
                 k[i, : vector.size] = vector
                 self._terms[key] = vector.size
-        rows: FloatArray = k[self.range_error_of]
-        return rows
+        return k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         if not self._posed.size:
