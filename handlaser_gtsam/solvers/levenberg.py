@@ -22,11 +22,7 @@ from ..arrays import FloatArray
 from ..errors import GrazingBeamError
 from ..factors import Evaluation, SharedEvaluation
 from ..graph import CalibrationGraph
-
-COST_RESOLUTION = 1e-10
-"""Changes of the cost below this part of it are rounding, not evidence."""
-LEVEL_STEPS = 6
-"""So many steps in a row below the resolution of the cost end the search."""
+from .stopping import Stopping
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 
@@ -169,14 +165,16 @@ class _Search:
         self.shared = SharedEvaluation(problem.blocks)
         self.history: list[Trial] = []
         self.accepted = 0
-        self.level = 0
-        self.before = (-1.0, np.inf)
         self.damping = options.least_damping
         self.point = self._evaluate(gtsam.Values(problem.values))
         rows = len(self.shared.distance)
-        self.dof = max(rows - problem.values.dim(), 1)
-        rounding = 4.0 * np.finfo(float).eps * self.shared.reach()
-        self.rounding_cost = rows * float(rounding / problem.range_sigma) ** 2
+        rounding = 4.0 * np.finfo(float).eps * self.shared.reach() / problem.range_sigma
+        self.stopping = Stopping(
+            options.step_tolerance,
+            options.least_damping,
+            rows * float(rounding) ** 2,
+            max(rows - problem.values.dim(), 1),
+        )
 
     def run(self) -> tuple[Status, str]:
         linear = self._linearize()
@@ -189,10 +187,10 @@ class _Search:
             if accepted and trial is not None:
                 self.point = trial
                 self.accepted += 1
-            if step is not None and self._is_small(step):
-                return "converged", f"converged after {self.accepted} steps"
-            if self._is_level(step):
-                return "converged", f"the cost is level after {self.accepted} steps"
+            decrement = None if step is None else step.decrement
+            reason = self.stopping.arrived(decrement, self.damping, self.point.cost)
+            if reason is not None:
+                return "converged", f"{reason} after {self.accepted} steps"
             if not self._adapt_damping(gain):
                 return "stalled", f"no step lowers the cost after {self.accepted} steps"
             if accepted:
@@ -251,39 +249,11 @@ class _Search:
         """
         if step is None or trial is None:
             return -1.0
-        resolution = self._resolution()
+        resolution = self.stopping.resolution(self.point.cost)
         saved = self.point.cost - trial.cost
         if step.decrement <= resolution and saved > -resolution:
             return 0.5
         return saved / (0.5 * step.decrement)
-
-    def _is_small(self, step: _Step) -> bool:
-        """Tell whether what is left after `step` is below the tolerance, by how fast steps shrink."""
-        if step.decrement <= self.rounding_cost:
-            return True
-        before, self.before = self.before, (self.damping, step.decrement)
-        damping, decrement = before
-        if damping == self.damping and step.decrement < decrement:
-            shrink = np.sqrt(step.decrement / decrement)
-        elif self.damping <= self.options.least_damping:
-            shrink = 0.5
-        else:
-            return False
-        variance = 2.0 * self.point.cost / self.dof
-        left = np.sqrt(step.decrement) * shrink / (1.0 - shrink)
-        return bool(left <= self.options.step_tolerance * np.sqrt(variance))
-
-    def _is_level(self, step: _Step | None) -> bool:
-        """Tell whether several steps in a row promised less than the cost can show.
-
-        Where the model does not fit (large residuals), steps shrink slowly: this ends them.
-        """
-        unseen = step is not None and step.decrement <= self._resolution()
-        self.level = self.level + 1 if unseen else 0
-        return self.level >= LEVEL_STEPS
-
-    def _resolution(self) -> float:
-        return COST_RESOLUTION * self.point.cost + self.rounding_cost
 
     def _record(self, step: _Step | None, trial: _Point | None, accepted: bool) -> None:
         cost = trial.cost if trial is not None else float("inf")
