@@ -5,7 +5,14 @@ import pytest
 from helpers import bench, largest_error, motion, recording_of, simulated
 from scipy.spatial.transform import Rotation
 
+from handlaser_gtsam import model
+from handlaser_gtsam.graph import build_graph
+from handlaser_gtsam.noise import Noise
+from handlaser_gtsam.options import CalibrationOptions
 from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.pipeline import calibrate
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.partial import PartialStart, grow
 from handlaser_gtsam.starts.sweep import half_sphere, sweep_starts
@@ -160,3 +167,33 @@ def test_growing_fills_what_nothing_reaches():
     found = grow(PartialStart.empty(readings), readings)
     assert found.finite()
     assert np.allclose(np.linalg.norm(found.normals, axis=1), 1.0)
+
+
+def test_a_start_that_grazes_is_straightened():
+    """A beam along the plane it is thought to see: the plane turns, and a solver can start."""
+    readings = recording_of(bench(1, 1), *motion("free", 10), [0] * 10, 0.0).readings()
+    v = readings.world_R_hand[0].T @ np.array([1.0, 0.0, 0.0])
+    start = PartialStart(np.zeros((1, 3)), v[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1))
+    found = grow(start, readings)
+    model.linearize(model.scene(found, readings), readings.distance)
+    assert (model.cosines(model.scene(found, readings)) > 0.1).all()
+
+
+@pytest.mark.slow
+def test_random_problems_reach_the_optimum_found_from_the_truth():
+    """Never a wrong optimum that is not flagged: 60 random sizes, each seed its own scene."""
+    compared = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        scene, sigma = (("paper", 3e-5), ("arm", 1e-3))[seed % 2]
+        sizes = [int(x) for x in rng.integers([1, 1, 9], [7, 7, 24])]
+        recording, truth = simulated(scene, Layout(*sizes), sigma, seed)
+        options = CalibrationOptions(range_error="none")
+        calibration = calibrate(recording, Noise(sigma), options)
+        if calibration.status != "converged":
+            continue
+        from_truth = levenberg_marquardt(build_graph(recording.readings(), truth, 0, sigma))
+        # Costs that close differ by less than a hundredth of a standard deviation.
+        assert calibration.fit.chi2 / 2 <= from_truth.cost + 1e-4
+        compared += 1
+    assert compared > 40

@@ -46,7 +46,7 @@ class LevenbergOptions:
         lambda of the first rejected step, its factor up and down, and where the solver gives up.
     """
 
-    max_iterations: int = 100
+    max_iterations: int = 1000
     step_tolerance: float = 2e-7
     least_damping: float = 0.0
     first_damping: float = 1e-4

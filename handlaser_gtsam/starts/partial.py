@@ -18,6 +18,9 @@ FLATNESS = 1e-3
 CONDITION = 1e-6
 """A beam needs a linear system whose singular values are within this ratio."""
 
+LEAST_COSINE = 0.02
+"""Beams that meet a plane of the start flatter than this (88.9 degrees) turn the plane."""
+
 
 @dataclass(slots=True)
 class PartialStart:
@@ -63,6 +66,7 @@ def grow(start: PartialStart, readings: Readings) -> Parameters:
             if start.known_beams().sum() + start.known_planes().sum() == before:
                 break
     _fill_unreached(start)
+    _straighten(start, readings)
     _face_the_sensor(start, readings)
     none = np.zeros((readings.beams, 2))
     return Parameters(start.locations, start.directions, none, start.normals, start.offsets)
@@ -127,6 +131,19 @@ def _fill_unreached(start: PartialStart) -> None:
     start.directions[beams] = (0.0, 0.0, 1.0)
     start.normals[planes & np.isnan(start.normals).any(axis=1)] = (0.0, 0.0, 1.0)
     start.offsets[planes] = 0.0
+
+
+def _straighten(start: PartialStart, readings: Readings) -> None:
+    """Turn planes that a beam would graze towards their beams: no solver could start there."""
+    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, start.directions[readings.beam])
+    cosine = np.abs(np.einsum("ni,ni->n", v_world, start.normals[readings.plane]))
+    for plane in np.unique(readings.plane[cosine < LEAST_COSINE]):
+        rows = np.flatnonzero(readings.plane == plane)
+        part = readings.subset(rows)
+        spots = start.locations[part.beam] + part.distance[:, None] * start.directions[part.beam]
+        spots = np.einsum("nij,nj->ni", part.world_R_hand, spots) + part.world_t_hand
+        start.normals[plane] = np.linalg.svd(v_world[rows], full_matrices=False)[2][0]
+        start.offsets[plane] = -(spots @ start.normals[plane]).mean()
 
 
 def _face_the_sensor(start: PartialStart, readings: Readings) -> None:
