@@ -14,6 +14,8 @@ from .arrays import FloatArray, IntArray, frozen, frozen_indices
 from .errors import InputError
 
 ROTATION_TOLERANCE = 1e-6
+LARGEST = 1e6
+"""Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +169,10 @@ def _check_numbers(recording: Recording) -> None:
     bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
     if bad.size:
         raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
+    bad = np.flatnonzero((np.abs(t) > LARGEST).any(axis=1))
+    if bad.size:
+        found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
+        raise InputError(found, f"metres, at most {LARGEST:.0f}")
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0))
     if bad.size:
@@ -176,12 +182,12 @@ def _check_numbers(recording: Recording) -> None:
             f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
         )
     with np.errstate(invalid="ignore"):
-        rows, columns = np.nonzero(~np.isnan(d) & ~((d > 0.0) & np.isfinite(d)))
+        rows, columns = np.nonzero(~np.isnan(d) & ~((d > 0.0) & (d <= LARGEST)))
     if rows.size:
         raise InputError(
             f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
             f"at station {name[rows[0]]}",
-            "a positive, finite range in metres, or NaN for no reading",
+            f"a positive range in metres up to {LARGEST:.0f}, or NaN for no reading",
         )
 
 

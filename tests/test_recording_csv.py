@@ -64,6 +64,15 @@ def test_bom_crlf_spaces_and_blank_lines(tmp_path):
     assert recording.ranges[0].tolist() == [0.02, 0.021]
 
 
+def test_blank_lines_before_the_header(tmp_path):
+    path = written(tmp_path, "", "", HEADER, ROWS[0], ROWS[1].replace("0.03", "-0.03"))
+    assert refusal(path).line == 5
+
+
+def test_utf_16_is_refused_as_such(tmp_path):
+    assert "UTF-8" in str(refusal(written(tmp_path, HEADER, *ROWS, encoding="utf-16")))
+
+
 def test_lines_are_counted_past_blank_lines(tmp_path):
     error = refusal(written(tmp_path, HEADER, ROWS[0], "", ROWS[1].replace("0.03", "-0.03")))
     assert error.line == 4
@@ -122,7 +131,7 @@ FAULTS = {
         "length 0",
     ),
     "negative range": ([HEADER, *ROWS[:2], ROWS[2].replace("0.025", "-0.1")], 4, "range_2", "-0.1"),
-    "zero range": ([HEADER, ROWS[0].replace("0.021", "0.0"), *ROWS[1:]], 2, "range_2", "range 0"),
+    "zero range": ([HEADER, ROWS[0].replace("0.021", "0.0"), *ROWS[1:]], 2, "range_2", "0.0"),
     "station twice": ([HEADER, *ROWS, ROWS[0]], 5, "station", "'s1' again (first at line 2)"),
     "plane unread": ([HEADER, *ROWS, "C,s4,0,0,0,0,0,0,1,,"], 5, "plane", "plane 'C' without any"),
     "beam unread": (
@@ -133,6 +142,22 @@ FAULTS = {
     ),
     "too many fields": ([HEADER, ROWS[0], ROWS[1] + ",1,2", ROWS[2]], 3, None, "13 fields"),
     "too few fields": ([HEADER, ROWS[0], "A,s2,0.1", ROWS[2]], 3, "y", "an empty cell"),
+    "line break in quotes": (
+        [HEADER, ROWS[0], '"B', 'b",s2,0,0,0,0,0,0,1,0.1,0.1'],
+        3,
+        None,
+        "a line break inside quotes",
+    ),
+    "control character": ([HEADER, ROWS[0].replace("s1", "s\x07")], 2, "station", "x07"),
+    "endless label": ([HEADER, ROWS[0].replace("A", "A" * 201, 1)], 2, "plane", "200 characters"),
+    "position in another galaxy": (
+        [HEADER, ROWS[0].replace("0.3", "1e300"), *ROWS[1:]],
+        2,
+        "z",
+        "'1e300'",
+    ),
+    "range beyond reason": ([HEADER, ROWS[0].replace("0.021", "1e307")], 2, "range_2", "1e307"),
+    "open quote": ([HEADER, ROWS[0], '"A,s2,0,0'], None, None, "a table separated by"),
     "header only": ([HEADER], None, None, "no station"),
 }
 

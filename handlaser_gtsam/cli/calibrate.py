@@ -126,7 +126,7 @@ def _show(result: "Calibration", recording: "Recording", check: "CrossCheck | No
 
     from .tables import calibration_tables, cross_check_line
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     for part in calibration_tables(result, recording):
         console.print(part, soft_wrap=True)
     if check is not None:

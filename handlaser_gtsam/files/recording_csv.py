@@ -7,22 +7,48 @@ semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_c
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
-from ..recording import Recording, first_repeated
+from ..recording import LARGEST, Recording, first_repeated
 from .writing import write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX = "range_"
 QUATERNION_TOLERANCE = 1e-3
-FIRST_ROW = 2
-"""Line of the first station; the header is line 1."""
+LONGEST_LABEL = 200
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The rows of a file as stripped text, null where a cell is empty, and the line of each row."""
+
+    frame: pl.DataFrame
+    path: Path
+    header_line: int
+    lines: IntArray
+
+    def refuse(
+        self, wrong: BoolArray, column: str, expected: str, found: str | None = None
+    ) -> None:
+        """Raise for the first row that is `wrong`; without `found` the cell is quoted."""
+        rows = np.flatnonzero(wrong)
+        if rows.size:
+            row = int(rows[0])
+            if found is None:
+                cell = self.frame[column][row]
+                found = "an empty cell" if cell is None else repr(cell)
+            raise InputError(found, expected, self.path, int(self.lines[row]), column)
+
+    def fault(self, found: str, expected: str, column: str) -> InputError:
+        """Return the error for a fault of the header."""
+        return InputError(found, expected, self.path, self.header_line, column)
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -33,33 +59,29 @@ def read_recording(path: Path | str) -> Recording:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
-    path = Path(path)
-    table = _read_table(path)
-    beams = _check_header(table, path)
-    lines = np.flatnonzero(
-        ~table.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy()
-    )
-    if not lines.size:
-        raise InputError("a header but no station", "one row a station", path)
-    table = table[lines]
-    lines = lines + FIRST_ROW
-    planes = _labels(table, "plane", path, lines)
-    stations = tuple(str(line - 1) for line in lines)
-    if "station" in table.columns:
-        stations = _labels(table, "station", path, lines)
-        _refuse_repeated(stations, path, lines)
-    pose = np.column_stack([_numbers(table, name, path, lines, empty=False) for name in POSE])
-    ranges = np.column_stack([_ranges(table, PREFIX + beam, path, lines) for beam in beams])
-    _refuse_unread(ranges, planes, beams, path, lines)
+    table = _read_table(Path(path))
+    beams = _check_header(table)
+    planes = _labels(table, "plane")
+    stations = tuple(str(line - table.header_line) for line in table.lines)
+    if "station" in table.frame.columns:
+        stations = _labels(table, "station")
+        _refuse_repeated(table, stations)
+    position = np.column_stack([_numbers(table, name) for name in POSE[:3]])
+    for index, name in enumerate(POSE[:3]):
+        too_far = np.abs(position[:, index]) > LARGEST
+        table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
+    quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
+    ranges = np.column_stack([_ranges(table, PREFIX + beam) for beam in beams])
+    _refuse_unread(table, ranges, planes, beams)
     used = {"plane", "station", *POSE, *(PREFIX + beam for beam in beams)}
     return Recording(
-        _rotations(pose[:, 3:], path, lines),
-        pose[:, :3],
+        _rotations(table, quaternion),
+        position,
         ranges,
         planes,
         tuple(beams),
         stations,
-        tuple(name for name in table.columns if name not in used),
+        tuple(name for name in table.frame.columns if name not in used),
     )
 
 
@@ -77,139 +99,153 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     write_text(Path(path), pl.DataFrame(columns).write_csv())
 
 
-def _read_table(path: Path) -> pl.DataFrame:
-    """Return all columns as stripped text; blank rows stay, so that rows are lines."""
+def _read_table(path: Path) -> _Table:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
     data = data.removeprefix(b"\xef\xbb\xbf")
-    header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
     if not data.strip():
         raise InputError("an empty file", "a header and one row a station", path)
+    header_line = data[: len(data) - len(data.lstrip())].count(b"\n") + 1
+    data = data.lstrip()
+    header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
     separator = max(",;\t", key=header.count)
+    names = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
     try:
-        table = pl.read_csv(data, separator=separator, infer_schema=False, has_header=True)
+        frame = pl.read_csv(data, separator=separator, infer_schema=False, has_header=True)
     except pl.exceptions.PolarsError as error:
-        raise _ragged(data, separator, path, error) from error
-    text = pl.all().str.strip_chars()
-    table = table.select(pl.when(text != "").then(text))
-    names = [name.strip() for name in next(csv.reader(io.StringIO(header), delimiter=separator))]
+        raise _unreadable(data, separator, path, header_line, error) from error
     twice = first_repeated(names)
     if twice is not None:
-        raise InputError("the same name twice", "every column once", path, 1, names[twice])
-    return table.rename(dict(zip(table.columns, names, strict=True)))
+        found = "the same name twice"
+        raise InputError(found, "every column once", path, header_line, names[twice])
+    if len(names) != frame.width:
+        raise InputError("a line break in the header", "one line of names", path, header_line)
+    text = pl.all().str.strip_chars()
+    frame = frame.select(pl.when(text != "").then(text))
+    frame = frame.rename(dict(zip(frame.columns, names, strict=True)))
+    if b'"' in data:
+        _refuse_line_breaks(frame, path, header_line)
+    filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy()
+    rows = np.flatnonzero(filled)
+    if not rows.size:
+        raise InputError("a header but no station", "one row a station", path)
+    return _Table(frame[rows], path, header_line, rows + header_line + 1)
 
 
-def _ragged(data: bytes, separator: str, path: Path, error: Exception) -> InputError:
+def _unreadable(
+    data: bytes, separator: str, path: Path, header_line: int, error: Exception
+) -> InputError:
     """Find the line that polars could not take."""
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as fault:
-        line = data.count(b"\n", 0, fault.start) + 1
+        line = data.count(b"\n", 0, fault.start) + header_line
         return InputError("bytes that are not UTF-8", "a file saved as UTF-8", path, line)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     width = len(next(reader, []))
     for row in reader:
         if len(row) > width:
-            return InputError(
-                f"{len(row)} fields", f"{width}, as in the header", path, reader.line_num
-            )
-    return InputError(str(error).splitlines()[0], "a comma-separated table", path)
+            line = reader.line_num + header_line - 1
+            return InputError(f"{len(row)} fields", f"{width}, as in the header", path, line)
+    found = str(error).splitlines()[0]
+    return InputError(found, "a table separated by commas, semicolons or tabs", path)
 
 
-def _check_header(table: pl.DataFrame, path: Path) -> list[str]:
+def _refuse_line_breaks(frame: pl.DataFrame, path: Path, header_line: int) -> None:
+    """Refuse cells of several lines: rows would no longer be lines."""
+    broken = pl.any_horizontal(pl.all().str.contains("\n", literal=True).fill_null(value=False))
+    rows = np.flatnonzero(frame.select(broken).to_series().to_numpy())
+    if rows.size:
+        line = int(rows[0]) + header_line + 1
+        raise InputError("a line break inside quotes", "one line a station", path, line)
+
+
+def _check_header(table: _Table) -> list[str]:
     """Return the beam names; refuse a header without all columns."""
+    columns = table.frame.columns
     for name in ("plane", *POSE):
-        if name not in table.columns:
-            near = next((c for c in table.columns if c.lower() == name), None)
-            found = (
-                f"column {near!r}" if near else f"no column {name!r} among {_short(table.columns)}"
-            )
-            raise InputError(found, f"{name!r}", path, 1, name)
-    beams = [c.removeprefix(PREFIX) for c in table.columns if c.startswith(PREFIX) and c != PREFIX]
+        if name not in columns:
+            near = next((c for c in columns if c.lower() == name), None)
+            found = f"column {near!r}" if near else f"no column {name!r} among {_short(columns)}"
+            raise table.fault(found, f"{name!r}", name)
+    beams = [c.removeprefix(PREFIX) for c in columns if c.startswith(PREFIX) and c != PREFIX]
     if not beams:
-        found = f"no column of ranges among {_short(table.columns)}"
-        raise InputError(found, "range_NAME for every beam, in metres", path, 1, "range_NAME")
+        found = f"no column of ranges among {_short(columns)}"
+        raise table.fault(found, "range_NAME for every beam, in metres", "range_NAME")
     return beams
 
 
-def _labels(table: pl.DataFrame, name: str, path: Path, lines: np.ndarray) -> tuple[str, ...]:
-    column = table[name]
-    empty = column.is_null().to_numpy().nonzero()[0]
-    if empty.size:
-        raise InputError(
-            "an empty cell", f"the label of the {name}", path, int(lines[empty[0]]), name
-        )
+def _labels(table: _Table, name: str) -> tuple[str, ...]:
+    column = table.frame[name]
+    table.refuse(column.is_null().to_numpy(), name, f"the label of the {name}")
+    long = (column.str.len_chars() > LONGEST_LABEL).to_numpy()
+    found = f"a label of more than {LONGEST_LABEL} characters"
+    table.refuse(long, name, f"a short label of the {name}", found)
+    control = column.str.contains(r"[[:cntrl:]]").to_numpy()
+    table.refuse(control, name, f"a label of the {name} that can be printed")
     return tuple(column.to_list())
 
 
-def _numbers(
-    table: pl.DataFrame, name: str, path: Path, lines: np.ndarray, *, empty: bool
-) -> FloatArray:
+def _numbers(table: _Table, name: str, *, empty: bool = False) -> FloatArray:
     """Return a column as finite floats; NaN where a cell is empty and may be."""
-    text = table[name]
-    numbers = text.cast(pl.Float64, strict=False)
-    absent = text.is_null().to_numpy()
-    values = numbers.to_numpy().astype(np.float64)
-    wrong = (
-        np.flatnonzero(~absent & ~np.isfinite(values))
-        if empty
-        else np.flatnonzero(~np.isfinite(values))
-    )
-    if wrong.size:
-        row = int(wrong[0])
-        found = "an empty cell" if absent[row] else repr(text[row])
-        hint = "; write decimals with a point" if "," in (text[row] or "") else ""
-        expected = "a finite number" + (" or an empty cell" if empty else "") + hint
-        raise InputError(found, expected, path, int(lines[row]), name)
+    text = table.frame[name]
+    values = text.cast(pl.Float64, strict=False).to_numpy().astype(np.float64)
+    wrong = ~np.isfinite(values)
+    if empty:
+        wrong &= ~text.is_null().to_numpy()
+    expected = "a finite number" + (" or an empty cell" if empty else "")
+    if wrong.any() and "," in (text[int(wrong.argmax())] or ""):
+        expected += "; write decimals with a point"
+    table.refuse(wrong, name, expected)
     return values
 
 
-def _ranges(table: pl.DataFrame, name: str, path: Path, lines: np.ndarray) -> FloatArray:
-    d = _numbers(table, name, path, lines, empty=True)
-    wrong = np.flatnonzero(d <= 0.0)
-    if wrong.size:
-        row = int(wrong[0])
-        expected = "a positive range in metres, or an empty cell for no reading"
-        raise InputError(f"range {d[row]:g}", expected, path, int(lines[row]), name)
+def _ranges(table: _Table, name: str) -> FloatArray:
+    d = _numbers(table, name, empty=True)
+    expected = f"a positive range in metres up to {LARGEST:.0f}, or an empty cell for no reading"
+    table.refuse((d <= 0.0) | (d > LARGEST), name, expected)
     return d
 
 
-def _rotations(quaternions: FloatArray, path: Path, lines: np.ndarray) -> FloatArray:
-    length = np.linalg.norm(quaternions, axis=1)
-    wrong = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE))
-    if wrong.size:
-        row = int(wrong[0])
-        found = f"a quaternion of length {length[row]:.6g}, {abs(length[row] - 1.0):.2g} off"
-        expected = f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw"
-        raise InputError(found, expected, path, int(lines[row]), "qx, qy, qz, qw")
-    return Rotation.from_quat(quaternions).as_matrix()
+def _rotations(table: _Table, quaternion: FloatArray) -> FloatArray:
+    length = np.linalg.norm(quaternion, axis=1)
+    wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
+    off = length[wrong.argmax()]
+    table.refuse(
+        wrong,
+        "qx, qy, qz, qw",
+        f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw",
+        f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
+    )
+    return Rotation.from_quat(quaternion).as_matrix()
 
 
-def _refuse_repeated(stations: tuple[str, ...], path: Path, lines: np.ndarray) -> None:
+def _refuse_repeated(table: _Table, stations: tuple[str, ...]) -> None:
     twice = first_repeated(stations)
     if twice is not None:
-        first = lines[stations.index(stations[twice])]
+        first = table.lines[stations.index(stations[twice])]
+        wrong = np.arange(len(stations)) == twice
         found = f"station {stations[twice]!r} again (first at line {first})"
-        raise InputError(found, "every station label once", path, int(lines[twice]), "station")
+        table.refuse(wrong, "station", "every station label once", found)
 
 
 def _refuse_unread(
-    ranges: FloatArray, planes: tuple[str, ...], beams: list[str], path: Path, lines: np.ndarray
+    table: _Table, ranges: FloatArray, planes: tuple[str, ...], beams: list[str]
 ) -> None:
     seen = ~np.isnan(ranges)
     for index in np.flatnonzero(~seen.any(axis=0)):
         expected = "at least one reading of every beam, or no such column"
-        raise InputError("no reading at all", expected, path, None, PREFIX + beams[index])
+        raise InputError("no reading at all", expected, table.path, None, PREFIX + beams[index])
     read = {planes[row] for row in np.flatnonzero(seen.any(axis=1))}
-    for row, plane in enumerate(planes):
-        if plane not in read:
-            found = f"plane {plane!r} without any reading"
-            raise InputError(
-                found, "at least one reading of every plane", path, int(lines[row]), "plane"
-            )
+    unread = np.array([plane not in read for plane in planes])
+    found = f"plane {planes[unread.argmax()]!r} without any reading"
+    table.refuse(unread, "plane", "at least one reading of every plane", found)
 
 
 def _short(names: list[str]) -> str:
-    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    shown = ", ".join(name[:40] for name in names[:12])
+    return shown + (", ..." if len(names) > 12 else "")
