@@ -9,7 +9,10 @@ from .solvers.levenberg import linearize
 
 
 def covariances(
-    problem: CalibrationGraph, values: gtsam.Values, variance_factor: float
+    problem: CalibrationGraph,
+    values: gtsam.Values,
+    variance_factor: float,
+    origin: FloatArray | None = None,
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return the 8 x 8 covariance of every beam and the 4 x 4 one of every plane.
 
@@ -24,8 +27,11 @@ def covariances(
         The solution.
     variance_factor : float
         Multiplies every covariance: sigma0^2 where the range sigma of the graph was a guess.
+    origin : (3,), optional
+        Origin of the graph's frame in the world [m]; offsets are then those of the world frame.
     """
     marginals = gtsam.Marginals(linearize(problem, values), values)
+    origin = np.zeros(3) if origin is None else origin
     beams = []
     for beam in problem.beams:
         keys = [key for key in (beam.location, beam.direction, beam.range_error) if key is not None]
@@ -39,6 +45,6 @@ def covariances(
     for key in problem.planes:
         lift = np.zeros((4, 3))
         lift[:3, :2] = values.atOrientedPlane3(key).normal().basis()
-        lift[3, 2] = 1.0
+        lift[3] = (*(-origin @ lift[:3, :2]), 1.0)
         planes.append(variance_factor * (lift @ marginals.marginalCovariance(key) @ lift.T))
     return beams, planes

@@ -1,6 +1,6 @@
 """The unknowns of a calibration as plain arrays, shared by starts, solvers and results."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,10 @@ class Parameters:
         arrays = (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
         if [a.shape for a in arrays] != shapes:
             raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
+
+    def seen_from(self, origin: FloatArray) -> "Parameters":
+        """Return the parameters in a world frame whose origin is at `origin` (3,) of this one."""
+        return replace(self, offsets=self.offsets + self.normals @ origin)
 
     def finite(self) -> bool:
         """Tell whether every number is finite."""

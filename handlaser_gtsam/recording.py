@@ -5,7 +5,7 @@ one row a station.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +51,10 @@ class Readings:
         """Return the first row of each block of readings that share plane and beam."""
         change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
         return np.concatenate(([0], np.flatnonzero(change) + 1)).astype(np.intp)
+
+    def seen_from(self, origin: FloatArray) -> "Readings":
+        """Return the readings with hand positions relative to `origin` (3,), axes unchanged."""
+        return replace(self, world_t_hand=self.world_t_hand - origin)
 
     def subset(self, rows: IntArray) -> "Readings":
         """Return the readings `rows` (sorted indices), with the same beams and planes."""

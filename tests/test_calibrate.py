@@ -249,10 +249,11 @@ def test_cross_check_needs_a_converged_calibration():
         hl.cross_check(hl.calibrate(recording), recording)
 
 
-def test_far_from_the_world_origin_nothing_changes():
-    """The world frame 5 m away: same beams, to the rounding of 5 m numbers."""
+@pytest.mark.parametrize("away", [5.0, 1000.0])
+def test_far_from_the_world_origin_nothing_changes(away):
+    """Same beams, to the rounding of the positions; planes move with the origin."""
     recording, _ = simulated()
-    shift = np.array([5.0, -3.0, 4.0])
+    shift = away * np.array([1.0, -0.6, 0.8])
     moved = hl.Recording(
         recording.world_R_hand,
         recording.world_t_hand + shift,
@@ -261,7 +262,38 @@ def test_far_from_the_world_origin_nothing_changes():
         recording.beam_names,
     )
     near, far = hl.calibrate(recording, hl.Noise(SIGMA)), hl.calibrate(moved, hl.Noise(SIGMA))
+    # Positions of `away` metres are rounded to 1e-16 of that; a sigma is 1e-4 m, few readings a beam.
+    tolerance = max(1e-6, away * 1e-16 / 1e-7)
     for name, beam in near.beams.items():
         sigma = beam.location_sigma
-        assert (np.abs(far.beams[name].location - beam.location) < 1e-5 * sigma).all()
-        assert np.allclose(far.beams[name].location_sigma, sigma, rtol=1e-4)
+        assert (np.abs(far.beams[name].location - beam.location) < tolerance * sigma).all()
+        assert np.allclose(far.beams[name].location_sigma, sigma, rtol=1e-5)
+    for name, plane in near.planes.items():
+        offset = plane.offset - plane.normal @ shift
+        assert abs(far.planes[name].offset - offset) < 1e-5 * plane.offset_sigma * away
+        turned = np.array([*(-shift), 1.0])
+        assert far.planes[name].offset_sigma == pytest.approx(
+            np.sqrt(turned @ plane.covariance @ turned), rel=1e-4
+        )
+
+
+def test_only_turning_leaves_a_mirror_image():
+    """Without translation (-r, -v, -n) predicts the same readings: no number may be given."""
+    R, _ = motion("free", 30)
+    recording = recording_of(bench(1, 1), R, np.zeros((30, 3)), [0] * 30, 1e-4)
+    options = hl.CalibrationOptions(range_error="none")
+    calibration = hl.calibrate(recording, hl.Noise(1e-4), options)
+    assert calibration.status == "unobservable"
+    assert "mirror image" in calibration.message
+    assert "move the hand" in calibration.message
+    R, t = motion("free", 30)
+    moving = recording_of(bench(1, 1), R, t, [0] * 30, 1e-4)
+    assert hl.calibrate(moving, hl.Noise(1e-4), options).status == "converged"
+
+
+def test_turning_off_centre_by_a_hair_is_a_mirror_all_the_same():
+    """Translations far below the noise do not tell the image from the truth."""
+    R, t = motion("free", 30)
+    recording = recording_of(bench(1, 1), R, 1e-5 * t, [0] * 30, 1e-3)
+    options = hl.CalibrationOptions(range_error="none")
+    assert hl.calibrate(recording, hl.Noise(1e-3), options).status == "unobservable"

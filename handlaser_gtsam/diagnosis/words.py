@@ -98,7 +98,7 @@ def _directions(part: FloatArray) -> FloatArray:
 def _vector(axis: FloatArray) -> str:
     axis = axis / np.linalg.norm(axis)
     sign = np.sign(axis[np.argmax(np.abs(axis))])
-    return "(" + ", ".join(f"{x:.2f}" for x in sign * axis + 0.0) + ")"
+    return "(" + ", ".join(f"{x:.2f}" for x in np.round(sign * axis, 2) + 0.0) + ")"
 
 
 def _planes(names: list[str]) -> str:
