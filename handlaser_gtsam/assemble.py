@@ -7,7 +7,9 @@ import numpy as np
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
 from .covariance import covariances
+from .diagnosis.doubts import doubts, noise_advice
 from .diagnosis.mirror import mirror_image_fits
+from .diagnosis.observability import observability
 from .diagnosis.words import advice, undetermined
 from .noise import Noise
 from .range_error import Choice, Solution
@@ -49,7 +51,8 @@ def assemble(
     beams, planes = _estimates(recording, solution, fit, origin, status == "converged")
     return Calibration(
         status,
-        _message(status, solution, determined, noise),
+        _message(status, solution, determined),
+        doubts(readings, fit, noise),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -73,12 +76,17 @@ def _fit(
     chi2 = squares / (noise.range_sigma or 1.0) ** 2
     dof = len(readings) - solution.observability.rank
     sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
+    worst = int(np.abs(e).argmax())
     table = np.full(recording.ranges.shape, np.nan)
     table[readings.station, readings.beam] = e
     return Fit(
         readings=len(readings),
         rms=float(np.sqrt(squares / len(readings))),
-        largest=float(np.abs(e).max()),
+        largest=float(np.abs(e[worst])),
+        largest_at=(
+            recording.station_names[readings.station[worst]],
+            recording.beam_names[readings.beam[worst]],
+        ),
         chi2=chi2,
         dof=dof,
         sigma0=sigma0,
@@ -92,14 +100,18 @@ def _fit(
 def _determined(
     recording: Recording, readings: Readings, solution: Solution, fit: Fit
 ) -> Determined:
-    found = solution.observability
+    found, parameters = solution.observability, solution.parameters
     condition = found.condition if found.full else None
-    words = undetermined(found, solution.parameters, recording)
+    words = undetermined(found, parameters, recording)
     help_ = advice(found, recording)
     if found.full and fit.dof == 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(readings, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
+    elif not found.full:
+        terms = solution.problem.terms
+        if observability(parameters, readings, terms, range_sigma=0.0).full:
+            help_ = (noise_advice(fit),)
     return Determined(found.rank, found.unknowns, condition, words, help_)
 
 
@@ -116,19 +128,13 @@ def _status(solution: Solution, determined: Determined) -> Status:
     return "converged" if solution.result.status == "converged" else "not_converged"
 
 
-def _message(status: Status, solution: Solution, determined: Determined, noise: Noise) -> str:
+def _message(status: Status, solution: Solution, determined: Determined) -> str:
     if status == "unobservable":
         return (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    message = solution.result.message
-    if noise.poses_uncertain:
-        message += (
-            "; hand poses were taken as exact although their sigma is not zero, so the standard "
-            "deviations are too small"
-        )
-    return message
+    return solution.result.message
 
 
 def _estimates(

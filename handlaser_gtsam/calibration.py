@@ -100,6 +100,8 @@ class Fit:
         Readings used.
     rms, largest : float
         Root mean square and largest absolute residual [m].
+    largest_at : (str, str)
+        Station and beam of the largest residual.
     chi2 : float
         Sum of squared residuals over `range_sigma`^2 as given, or over 1 m^2 if not given.
     dof : int
@@ -118,6 +120,7 @@ class Fit:
     readings: int
     rms: float
     largest: float
+    largest_at: tuple[str, str]
     chi2: float
     dof: int
     sigma0: float
@@ -167,7 +170,9 @@ class Calibration:
         `converged`; `unobservable` when the recording leaves something open: numbers are then
         one of many solutions and have no covariance; `not_converged` when the solver gave up.
     message : str
-        The same in words, with any warning.
+        The same in words.
+    warnings : tuple of str
+        Signs that the result should not be believed, the gravest first.
     beams, planes : mappings by name, in the order of the recording
     fit : Fit
     observability : Determined
@@ -182,6 +187,7 @@ class Calibration:
 
     status: Status
     message: str
+    warnings: tuple[str, ...]
     beams: Mapping[str, Beam]
     planes: Mapping[str, Plane]
     fit: Fit

@@ -1,12 +1,15 @@
 """How many range-error terms the readings support.
 
 k1 and k2 are strongly coupled over a short range, so more terms are taken only on evidence: each
-number of terms is solved from the one before, and the lowest Bayesian information criterion wins,
+number of terms is solved from the one before, and the lowest criterion wins,
 
-    BIC = chi2 + q ln N            when the range sigma is given,
-    BIC = N ln(RSS / N) + q ln N   when it is not,
+    chi2 + q P                              when the range sigma is given,
+    N ln(RSS / N) + q P N / (N - q - 2)     when it is not,
 
-with q unknowns and N readings. Terms that the readings do not determine are not considered.
+with q unknowns, N readings and P = max(ln N, 6.63). This is the Bayesian information criterion with the
+small-sample correction of McQuarrie and Tsai where the sigma is unknown, and at least the price that
+lets a superfluous term in once in a hundred times. Terms that the readings do not determine are not
+considered.
 """
 
 from collections.abc import Callable
@@ -26,6 +29,8 @@ TERMS: dict[RangeError, int] = {"none": 0, "k1": 1, "k1k2": 2}
 NAMES = ("no range error", "k1", "k1 and k2")
 LEAST_RMS = 1e-12
 """Residuals below this [m] are rounding; they are no evidence."""
+LEAST_PRICE = 6.63
+"""Of a term: the 99 % point of chi2 with one degree of freedom."""
 UNIT_SIGMA = 1e-3
 """Range sigma [m] that weights the graph where none is given."""
 
@@ -64,12 +69,15 @@ def choose_terms(
         terms, latest = len(solutions), solutions[-1].parameters
         solutions.append(solve(readings, latest, terms, noise, options, progress))
     usable = [s for s in solutions if _determined(s)] or solutions[:1]
-    bic = [criterion(s, len(readings), noise) for s in usable]
-    best = int(np.argmin(bic))
+    bic = np.array([criterion(s, len(readings), noise) for s in usable])
+    best = usable[int(np.argmin(bic))]
+    chosen = NAMES[best.problem.terms]
+    if len(usable) == 1 or not np.isfinite(bic).all():
+        return Choice(best, f"{chosen}: the readings do not allow a comparison")
     listed = ", ".join(
-        f"{NAMES[s.problem.terms]} {b - bic[best]:+.1f}" for s, b in zip(usable, bic, strict=True)
+        f"{NAMES[s.problem.terms]} {b:+.1f}" for s, b in zip(usable, bic - bic.min(), strict=True)
     )
-    return Choice(usable[best], f"{NAMES[usable[best].problem.terms]} by BIC ({listed})")
+    return Choice(best, f"{chosen} by BIC (lower is better: {listed})")
 
 
 def solve(
@@ -96,12 +104,17 @@ def solve(
 
 
 def criterion(solution: Solution, readings: int, noise: Noise) -> float:
-    """Return the Bayesian information criterion of `solution`."""
+    """Return the criterion of `solution`; lower is better."""
     squares = float(solution.result.residual @ solution.result.residual)
-    penalty = solution.observability.unknowns * np.log(readings)
+    unknowns = solution.observability.unknowns
+    price = unknowns * max(np.log(readings), LEAST_PRICE)
     if noise.range_sigma is not None:
-        return float(squares / noise.range_sigma**2 + penalty)
-    return float(readings * np.log(max(squares / readings, LEAST_RMS**2)) + penalty)
+        return float(squares / noise.range_sigma**2 + price)
+    room = readings - unknowns - 2
+    if room <= 0:
+        return float("inf")
+    fit = readings * np.log(max(squares / readings, LEAST_RMS**2))
+    return float(fit + price * readings / room)
 
 
 def _determined(solution: Solution) -> bool:

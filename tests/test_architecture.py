@@ -17,6 +17,7 @@ FLOORS = [
     {"solvers", "scenes"},
     {"starts", "diagnosis.observability"},
     {"options", "covariance", "calibration", "diagnosis.words"},
+    {"diagnosis.doubts"},
     {"range_error", "diagnosis.mirror"},
     {"assemble"},
     {"pipeline", "limits", "diagnosis.cross_check"},

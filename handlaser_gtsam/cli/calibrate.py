@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
 MM = 1e-3
+WIDTH = 120
+"""Columns of what is printed to a file or pipe."""
 
 
 class RangeErrorChoice(StrEnum):
@@ -32,28 +34,33 @@ def calibrate(
     recording: Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)],
     rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise, sensor, limits.")] = None,
     range_error: Annotated[
-        RangeErrorChoice, typer.Option(help="Range error d + k1 d + k2 d^2; auto: by evidence.")
+        RangeErrorChoice,
+        typer.Option(
+            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: by evidence."
+        ),
     ] = RangeErrorChoice.auto,
     range_sigma_mm: Annotated[
-        float | None, typer.Option(help="Sigma of a reading; estimated if not given.")
+        float | None,
+        typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
     ] = None,
     pose_translation_sigma_mm: Annotated[
         float | None,
         typer.Option(
-            help="Sigma of the hand position. Poses count as exact: above 0 adds a warning."
+            help="Sigma of the hand position, mm. Poses count as exact: above 0 adds a warning."
         ),
     ] = None,
     pose_rotation_sigma_deg: Annotated[
         float | None,
         typer.Option(
-            help="Sigma of the hand rotation. Poses count as exact: above 0 adds a warning."
+            help="Sigma of the hand rotation, deg. Poses count as exact: above 0 adds a warning."
         ),
     ] = None,
     range_mm: Annotated[
-        tuple[float, float] | None, typer.Option(help="Least and largest range of the sensor.")
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
     ] = None,
     max_incidence_deg: Annotated[
-        float | None, typer.Option(help="Largest angle between beam and plane normal.")
+        float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
     cross_check: Annotated[
@@ -66,8 +73,8 @@ def calibrate(
 ) -> None:
     """Find the mount of every beam and every plane in RECORDING, with covariances.
 
-    Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration;
-    4 outside the limits of the rig file; 130 stopped by Ctrl-C.
+    Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, or
+    the solver gave up; 4 outside the limits of the rig file; 130 stopped by Ctrl-C.
     """
     from .. import limits
     from ..diagnosis import cross_check as checking
@@ -92,7 +99,7 @@ def calibrate(
     if json_:
         sys.stdout.write(text)
     elif not quiet:
-        _show(result, table, check)
+        _show(result, table, check, out)
     _finish(result, too_much, check if json_ or quiet else None)
 
 
@@ -121,16 +128,21 @@ def _settings(
     return replace(known, noise=noise, sensor=sensor)
 
 
-def _show(result: "Calibration", recording: "Recording", check: "CrossCheck | None") -> None:
+def _show(
+    result: "Calibration", recording: "Recording", check: "CrossCheck | None", out: Path | None
+) -> None:
     from rich.console import Console
 
     from .tables import calibration_tables, cross_check_line
 
-    console = Console(highlight=False, markup=False)
+    width = None if sys.stdout.isatty() else WIDTH
+    console = Console(highlight=False, markup=False, width=width)
     for part in calibration_tables(result, recording):
         console.print(part, soft_wrap=True)
     if check is not None:
         console.print(cross_check_line(check), soft_wrap=True)
+    if out is not None:
+        console.print(f"wrote {out}", soft_wrap=True)
 
 
 def _finish(result: "Calibration", too_much: tuple[str, ...], check: "CrossCheck | None") -> None:

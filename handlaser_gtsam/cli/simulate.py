@@ -49,8 +49,8 @@ def simulate(
     pose_axes: Annotated[
         PoseAxes | None, typer.Option(help="Hand axes on which the pose errs.")
     ] = None,
-    k1: Annotated[float, typer.Option(help="Range error of every beam.")] = 0.0,
-    k2_per_m: Annotated[float, typer.Option(help="Range error of every beam.")] = 0.0,
+    k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0,
+    k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,

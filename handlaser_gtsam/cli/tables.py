@@ -17,12 +17,15 @@ SHOWN_REJECTED = 10
 
 
 def calibration_tables(result: Calibration, recording: Recording) -> Iterator[RenderableType]:
-    """Yield the parts of the printed result, in reading order."""
+    """Yield the parts of the printed result, in reading order; no numbers that mean nothing."""
     yield _head(result, recording)
-    for beam in result.beams.values():
-        yield _beam_table(beam)
-    yield _plane_table(list(result.planes.values()))
+    if result.status == "converged":
+        for beam in result.beams.values():
+            yield _beam_table(beam)
+        yield _plane_table(list(result.planes.values()))
     yield from _fit_lines(result)
+    for warning in result.warnings:
+        yield f"WARNING: {warning}"
 
 
 def cross_check_line(check: CrossCheck) -> str:
@@ -35,9 +38,15 @@ def cross_check_line(check: CrossCheck) -> str:
 
 
 def _head(result: Calibration, recording: Recording) -> str:
-    stations, (beams, planes) = len(recording.plane_labels), (len(result.beams), len(result.planes))
+    sizes = (
+        _count(len(recording.plane_labels), "station"),
+        _count(len(result.planes), "plane"),
+        _count(len(result.beams), "beam"),
+        _count(result.fit.readings, "reading"),
+        f"{len(result.fit.rejected)} left out",
+    )
     lines = [
-        f"{stations} stations, {planes} planes, {beams} beams, {result.fit.readings} readings",
+        ", ".join(sizes),
         f"start: {result.start.method}; range error: {result.range_error_choice}",
     ]
     if recording.ignored_columns:
@@ -45,8 +54,12 @@ def _head(result: Calibration, recording: Recording) -> str:
     if result.status == "converged":
         lines.append(result.message)
     else:
-        lines.append(f"NOT A CALIBRATION ({result.status}): one of many solutions, not to be used")
+        lines.append(f"NOT A CALIBRATION ({result.status}): {result.message}")
     return "\n".join(lines)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def _beam_table(beam: Beam) -> Table:
@@ -72,13 +85,13 @@ def _beam_table(beam: Beam) -> Table:
 
 def _plane_table(planes: list[Plane]) -> Table:
     table = Table(title="planes n . x + b = 0, world frame", title_justify="left", box=SIMPLE_HEAD)
-    for name in ("plane", "n x", "n y", "n z", "std dev deg", "b mm", "std dev mm"):
-        table.add_column(name, justify="left" if name == "plane" else "right")
+    for name in ("plane", "n x", "n y", "n z", "+- deg", "b mm", "+- mm"):
+        table.add_column(name, justify="left" if name == "plane" else "right", no_wrap=True)
     for plane in planes[:SHOWN_PLANES]:
         turn = None if plane.normal_sigma is None else math.degrees(plane.normal_sigma)
         shift = None if plane.offset_sigma is None else plane.offset_sigma * MM
         normal = (f"{x:.6f}" for x in plane.normal)
-        offset = f"{plane.offset * MM:.4f}"
+        offset = f"{plane.offset * MM:.3f}"
         table.add_row(plane.name, *normal, _number(turn, ".4f"), offset, _number(shift, ".4f"))
     if len(planes) > SHOWN_PLANES:
         table.caption = f"and {len(planes) - SHOWN_PLANES} more; --out or --json has all"
@@ -87,14 +100,18 @@ def _plane_table(planes: list[Plane]) -> Table:
 
 def _fit_lines(result: Calibration) -> Iterator[str]:
     fit = result.fit
-    yield f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.largest * MM:.4g} mm"
+    station, beam = fit.largest_at
+    yield (
+        f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.largest * MM:.4g} mm "
+        f"(station {station}, beam {beam})"
+    )
     if fit.range_sigma_given:
         yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 if the sigma is right)"
     else:
         yield f"range sigma estimated from {fit.dof} degrees of freedom: {fit.range_sigma * MM:.4g} mm"
     condition = result.observability.condition
     if condition is not None:
-        yield f"condition number: {condition:.0f} (below 100 is the usual demand)"
+        yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
     for left_out in fit.rejected[:SHOWN_REJECTED]:
         residual = (
             "" if left_out.residual is None else f", residual {left_out.residual * MM:.3g} mm"

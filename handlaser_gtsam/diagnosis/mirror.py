@@ -39,7 +39,9 @@ def _image(solution: Parameters, readings: Readings) -> Parameters:
     """Return the beams and planes reflected through the mean hand position of each plane."""
     count = np.maximum(np.bincount(readings.plane, minlength=readings.planes), 1)
     t = readings.world_t_hand
-    middle: FloatArray = np.stack([np.bincount(readings.plane, t[:, i], readings.planes) for i in range(3)], 1)
+    middle: FloatArray = np.stack(
+        [np.bincount(readings.plane, t[:, i], readings.planes) for i in range(3)], 1
+    )
     middle = middle / count[:, None]
     return Parameters(
         -solution.locations,

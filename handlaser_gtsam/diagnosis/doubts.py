@@ -1,0 +1,71 @@
+"""Signs that a result should not be believed, each in a sentence with what to look at."""
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from ..calibration import Fit
+from ..noise import Noise
+from ..recording import Readings
+
+POOR_FIT = 0.1
+"""An rms residual above this part of the readings' spread is no fit."""
+FAR_READING = 4.0
+"""A residual of so many sigmas is worth a look."""
+UNLIKELY = 1e-3
+"""Probability below which chi2 contradicts the given range sigma."""
+LONG_RANGE = 100.0
+"""A median reading above this [m] is probably in millimetres."""
+CHECKS = (
+    "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
+    "inverse, plane labels are right, and look for outliers"
+)
+
+
+def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
+    """Return the warnings that a fit deserves, the gravest first."""
+    words = []
+    spread = float(readings.distance.std())
+    if fit.dof > 0 and fit.rms > POOR_FIT * spread:
+        words.append(
+            f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
+            f"{spread * 1e3:.3g} mm; {CHECKS}"
+        )
+    median = float(np.median(readings.distance))
+    if median > LONG_RANGE:
+        words.append(f"the median reading is {median:.0f} m; is the file in millimetres?")
+    words += _doubts_of_noise(fit, noise)
+    if fit.dof > 0 and fit.largest > FAR_READING * fit.range_sigma:
+        station, beam = fit.largest_at
+        words.append(
+            f"the reading of beam {beam} at station {station} is {fit.largest / fit.range_sigma:.1f} "
+            "sigmas off; leave it out if it is an outlier"
+        )
+    return tuple(words)
+
+
+def noise_advice(fit: Fit) -> str:
+    """Say what to do where the motion would be enough, but not for residuals of this size."""
+    return (
+        f"the motion would be enough if the readings fitted better than {fit.rms * 1e3:.3g} mm rms: "
+        f"{CHECKS}; otherwise add stations with more varied orientations"
+    )
+
+
+def _doubts_of_noise(fit: Fit, noise: Noise) -> list[str]:
+    words = []
+    if fit.range_sigma_given and fit.dof > 0:
+        if chi2_distribution.sf(fit.chi2, fit.dof) < UNLIKELY:
+            words.append(
+                f"residuals are {fit.sigma0:.2f} times as large as the range sigma says: the sigma is "
+                "too small or the model does not hold, and the standard deviations are too small"
+            )
+        elif chi2_distribution.cdf(fit.chi2, fit.dof) < UNLIKELY:
+            words.append(
+                f"residuals are only {fit.sigma0:.2f} times as large as the range sigma says"
+            )
+    if noise.poses_uncertain:
+        words.append(
+            "hand poses were taken as exact although their sigma is not zero: the standard deviations "
+            "are too small"
+        )
+    return words
