@@ -52,6 +52,10 @@ class RangeBlock:
         world_t_hand: ArrayLike,
         pose: int | None = None,
     ) -> None:
+        if not isinstance(beam, BeamKeys):
+            raise InputError(
+                f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
+            )
         self.beam, self.plane, self.pose = beam, plane, pose
         self.distance = frozen(distance)
         self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)

@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.keys import BeamKeys
 
 from .block import Noise, RangeBlock, range_factor
@@ -45,8 +46,11 @@ def range_to_plane(
     Raises
     ------
     InputError
-        Readings that are not positive, or numbers of poses, readings and noise that differ.
+        Keys that are no BeamKeys, readings that are not positive, or numbers of poses, readings and
+        noise that differ.
     """
+    if isinstance(world_T_hand, gtsam.Pose3):
+        raise InputError("one Pose3", "a sequence of hand poses, one a reading")
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
     t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
     return range_factor(RangeBlock(beam, plane, ranges, R, t), noise)

@@ -156,6 +156,13 @@ def test_poses_and_readings_must_pair():
         factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()], [0.1, 0.2], 1.0)
 
 
+def test_arguments_of_the_wrong_kind_are_named():
+    with pytest.raises(InputError, match="BeamKeys"):
+        factors.range_to_plane((11, 12), PLANE, [gtsam.Pose3()], [0.1], 1.0)
+    with pytest.raises(InputError, match="a sequence of hand poses"):
+        factors.range_to_plane(BARE, PLANE, gtsam.Pose3(), [0.1], 1.0)
+
+
 def test_grazing_beam_raises_through_gtsam():
     values, poses, d = scene(7, 0)
     n_hand = poses[0].rotation().matrix().T @ values.atOrientedPlane3(PLANE).normal().point3()

@@ -84,8 +84,9 @@ def test_stations_without_labels_are_numbered(tmp_path):
 
 
 def test_other_columns_are_named(tmp_path):
-    lines = [HEADER + ",time", *(row + ",12:00" for row in ROWS)]
-    assert read_recording(written(tmp_path, *lines)).ignored_columns == ("time",)
+    lines = [HEADER + ",time,angle_1,rate", *(row + ",12:00,3,4" for row in ROWS)]
+    recording = read_recording(written(tmp_path, *lines))
+    assert recording.ignored_columns == ("time", "angle_1", "rate")
 
 
 def test_quaternions_are_normalised_up_to_a_thousandth(tmp_path):
@@ -103,6 +104,15 @@ FAULTS = {
     ),
     "no pose column": ([HEADER.replace("qw", "w"), *ROWS], 1, "qw", "no column 'qw'"),
     "capital letters": ([HEADER.replace(",x,", ",X,"), *ROWS], 1, "x", "column 'X'"),
+    "misspelt beam": ([HEADER.replace("range_2", "rang_2"), *ROWS], 1, "rang_2", "'range_2'"),
+    "beam without underscore": (
+        [HEADER.replace("range_2", "range2"), *ROWS],
+        1,
+        "range2",
+        "'range_2'",
+    ),
+    "swapped letters": ([HEADER.replace("range_2", "rnage_2"), *ROWS], 1, "rnage_2", "'range_2'"),
+    "capital beam": ([HEADER.replace("range_2", "Range_2"), *ROWS], 1, "Range_2", "'range_2'"),
     "no beam": ([HEADER.replace("range_", "d_"), *ROWS], 1, "range_NAME", "no column of ranges"),
     "column twice": ([HEADER.replace("range_2", "range_1"), *ROWS], 1, "range_1", "twice"),
     "text": ([HEADER, ROWS[0].replace("0.02,", "far,"), *ROWS[1:]], 2, "range_1", "'far'"),

@@ -7,7 +7,9 @@ semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_c
 
 import csv
 import io
+import re
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,8 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX = "range_"
 QUATERNION_TOLERANCE = 1e-3
 LONGEST_LABEL = 200
+MISSPELT = 0.75
+"""A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,13 +169,20 @@ def _refuse_line_breaks(frame: pl.DataFrame, path: Path, header_line: int) -> No
 
 
 def _check_header(table: _Table) -> list[str]:
-    """Return the beam names; refuse a header without all columns."""
+    """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
     for name in ("plane", *POSE):
         if name not in columns:
             near = next((c for c in columns if c.lower() == name), None)
             found = f"column {near!r}" if near else f"no column {name!r} among {_short(columns)}"
             raise table.fault(found, f"{name!r}", name)
+    for column in columns:
+        start, number = re.fullmatch(r"(.*?)_?(\d*)", column).groups()  # type: ignore[union-attr]
+        likeness = SequenceMatcher(None, start.lower(), "range").ratio()
+        alike = start[:1] in ("r", "R") and likeness > MISSPELT
+        if alike and not column.startswith(PREFIX):
+            expected = f"'{PREFIX}{number or 'NAME'}' for a beam, or a name less like it"
+            raise table.fault(f"column {column!r}", expected, column)
     beams = [c.removeprefix(PREFIX) for c in columns if c.startswith(PREFIX) and c != PREFIX]
     if not beams:
         found = f"no column of ranges among {_short(columns)}"
