@@ -4,6 +4,7 @@ A scene says where beams, planes and stations are; noise is added to the reading
 hand poses behind the recorded ones. The recorded poses stay the commanded ones, as on a real robot.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,12 +39,23 @@ class Errors:
         Of the hand pose, in its own frame [m], [rad].
     pose_axes : tuple of axes 0, 1, 2
         The hand axes along and about which the pose errs; the paper has the Y axis only.
+
+    Raises
+    ------
+    InputError
+        A standard deviation that is negative or not finite.
     """
 
     range_sigma: float = 3e-5
     pose_translation_sigma: float = 0.0
     pose_rotation_sigma: float = 0.0
     pose_axes: tuple[int, ...] = (0, 1, 2)
+
+    def __post_init__(self) -> None:
+        for name in ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"{name} {value:g}", "zero or a positive number")
 
 
 def simulate(

@@ -215,6 +215,39 @@ def test_many_planes_are_cut_short_on_screen(handlaser, tmp_path):
     assert "and 2 more" in out
 
 
+def test_a_reader_that_goes_away_is_no_bug():
+    command = f"{sys.executable} -m handlaser_gtsam.cli calibrate {RECORDING} | head -1"
+    run = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
+    recording, _ = simulated(layout=Layout(planes=300))
+    write_recording(tmp_path / "recording.csv", recording)
+    interrupt = (
+        "import signal, sys, threading, os\n"
+        "import handlaser_gtsam.solvers.levenberg as solver\n"
+        "record = solver._Search._record\n"
+        "def interrupted(self, *rest):\n"
+        "    record(self, *rest)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "solver._Search._record = interrupted\n"
+        "from handlaser_gtsam.cli import main\n"
+        f"sys.argv = ['handlaser', 'calibrate', {str(tmp_path / 'recording.csv')!r}, '-q',"
+        f" '--out', {str(tmp_path / 'result.json')!r}]\n"
+        "main()\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", interrupt], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 130
+    assert "Traceback" not in run.stderr
+    assert "stopped by Ctrl-C" in run.stderr
+    assert json.loads((tmp_path / "result.json").read_text())["status"] == "not_converged"
+
+
 def test_version_and_help():
     from handlaser_gtsam.cli import app
 

@@ -81,6 +81,12 @@ def test_range_errors_without_a_reading_are_refused(k):
         read_back(np.array([0.03]), np.array([k]))
 
 
+@pytest.mark.parametrize("sigma", [-1.0, np.nan, np.inf])
+def test_errors_that_cannot_be_are_refused(sigma):
+    with pytest.raises(InputError, match="range_sigma"):
+        Errors(sigma)
+
+
 @pytest.mark.parametrize("size", ["beams", "planes", "stations"])
 def test_sizes_below_one_are_refused(size):
     with pytest.raises(InputError, match=size):

@@ -131,12 +131,10 @@ def _settings(
 def _show(
     result: "Calibration", recording: "Recording", check: "CrossCheck | None", out: Path | None
 ) -> None:
-    from rich.console import Console
-
-    from .tables import calibration_tables, cross_check_line
+    from .tables import TableConsole, calibration_tables, cross_check_line
 
     width = None if sys.stdout.isatty() else WIDTH
-    console = Console(highlight=False, markup=False, width=width)
+    console = TableConsole(highlight=False, markup=False, width=width)
     for part in calibration_tables(result, recording):
         console.print(part, soft_wrap=True)
     if check is not None:

@@ -1,10 +1,12 @@
 """What a person sees of a calibration: tables in millimetres and degrees."""
 
 import math
+import os
+import sys
 from collections.abc import Iterator
 
 from rich.box import SIMPLE_HEAD
-from rich.console import RenderableType
+from rich.console import Console, RenderableType
 from rich.table import Table
 
 from ..calibration import Beam, Calibration, Plane
@@ -14,6 +16,15 @@ from ..recording import Recording
 MM = 1e3
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
+
+
+class TableConsole(Console):
+    """A console that is silent when its reader has gone, as in `handlaser ... | head`."""
+
+    def on_broken_pipe(self) -> None:
+        """Send what is left to nowhere; rich would exit with 1, which means a bug here."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def calibration_tables(result: Calibration, recording: Recording) -> Iterator[RenderableType]:
