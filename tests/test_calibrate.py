@@ -90,6 +90,8 @@ def test_the_unknown_sigma_is_estimated(gripper):
     for name, beam in known.beams.items():
         assert np.allclose(unknown.beams[name].covariance, factor * beam.covariance, rtol=1e-5)
         assert np.allclose(unknown.beams[name].location, beam.location, atol=1e-10)
+    for name, plane in known.planes.items():
+        assert np.allclose(unknown.planes[name].covariance, factor * plane.covariance, rtol=1e-5)
 
 
 def test_the_given_sigma_scales_chi2(gripper):

@@ -197,3 +197,12 @@ def test_random_problems_reach_the_optimum_found_from_the_truth():
         assert calibration.fit.chi2 / 2 <= from_truth.cost + 1e-4
         compared += 1
     assert compared > 40
+
+
+def test_planes_known_the_wrong_way_round_are_turned():
+    """(-n, -b) is the same plane: the grown start has its normal away from the sensor."""
+    truth = bench(2)
+    readings = recording_of(truth, *motion("free", 20), [0] * 10 + [1] * 10, 0.0).readings()
+    start = PartialStart.empty(readings)
+    start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
+    assert_exact(grow(start, readings), truth)

@@ -128,13 +128,9 @@ def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Paramet
     order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
     found = []
     for c in order[: options.refined]:
-        sign = 1.0 if cosine[c].sum() >= 0.0 else -1.0
-        b = x[c, 3] - n[c] @ centre
-        found.append(
-            Parameters(
-                x[c : c + 1, :3], v[c : c + 1], _NONE, sign * n[c : c + 1], np.array([sign * b])
-            )
-        )
+        one = slice(c, c + 1)
+        b = np.array([x[c, 3] - n[c] @ centre])
+        found.append(Parameters(x[one, :3], v[one], _NONE, n[one], b))
     return found
 
 

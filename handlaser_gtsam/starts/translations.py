@@ -90,11 +90,8 @@ def _solve_normals(start: PartialStart, series: _Series) -> None:
     np.add.at(matrix, series.plane, free)
     spread, axes = np.linalg.eigh(matrix)
     serves = (spread[:, 1] > SPREAD * spread[:, 2]) & (spread[:, 1] > 9.0 * spread[:, 0])
-    n = axes[:, :, 0]
-    toward = np.zeros(len(n))
-    np.add.at(toward, series.plane, np.einsum("si,si->s", series.td, n[series.plane]))
-    n = np.where(toward[:, None] > 0.0, -n, n)
-    start.normals[serves] = n[serves]
+    # Either sign will do: p follows it, and `grow` faces the sensor in the end.
+    start.normals[serves] = axes[serves, :, 0]
 
 
 def _solve_directions(start: PartialStart, series: _Series) -> None:

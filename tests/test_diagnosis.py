@@ -1,0 +1,140 @@
+"""Stopping, observability, limits and checks: each judgement by itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
+
+import handlaser_gtsam as hl
+from handlaser_gtsam import model
+from handlaser_gtsam.diagnosis.mirror import mirror_image_fits
+from handlaser_gtsam.diagnosis.observability import observability
+from handlaser_gtsam.limits import Limits, exceeded
+from handlaser_gtsam.solvers.reduction import apply_step, normal_equations
+from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
+
+TRUTH = {"pure translations": 1, "one plane, one axis": 1, "two planes, no rotation": 2}
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    return hl.calibrate(recording, hl.Noise(3e-5)), recording
+
+
+@pytest.mark.parametrize("case", DEGENERATE)
+def test_moving_along_the_null_space_changes_no_reading(case):
+    """What is called undetermined is: a small step along it leaves every residual as it was."""
+    readings = degenerate(case, 0.0).readings()
+    truth = bench(TRUTH[case])
+    found = observability(truth, readings, 0, 1e-4)
+    assert found.rank < found.unknowns
+    centres = normal_equations(truth, readings, 0).centres
+    units = np.array([found.length] * 3 + [1.0] * 2), np.array([1.0, 1.0, found.length])
+    step = 1e-6
+    for column in range(found.null_space.beams.shape[-1]):
+        beam = step * units[0] * found.null_space.beams[..., column]
+        plane = step * units[1] * found.null_space.planes[..., column]
+        moved = apply_step(truth, beam, plane, centres, 0)
+        e = model.residuals(model.scene(moved, readings), readings.distance)
+        # Second order in a step of 1e-6; a determined direction would change 1e-7 m.
+        assert np.abs(e).max() < 1e-11
+
+
+def test_full_rank_where_the_motion_suffices():
+    readings = recording_of(bench(1), *motion("free", 20), [0] * 20, 1e-4).readings()
+    found = observability(bench(1), readings, 0, 1e-4)
+    assert found.full
+    assert found.null_space.beams.shape[-1] == 0
+    assert 1.0 < found.condition < 100.0
+
+
+def test_more_noise_determines_less():
+    readings = recording_of(bench(1), *motion("free", 20), [0] * 20, 1e-4).readings()
+    ranks = [observability(bench(1), readings, 0, sigma).rank for sigma in (1e-4, 1e-1, 10.0)]
+    assert ranks == sorted(ranks, reverse=True)
+    assert ranks[0] > ranks[-1]
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_a_mirror_image_through_two_fixed_hand_positions(still):
+    """Each plane is seen from one place of its own, away from the origin."""
+    truth = bench(2)
+    R, t = motion("free", 30)
+    places = np.repeat([[0.05, -0.02, 0.03], [-0.04, 0.06, -0.02]], 15, axis=0)
+    readings = recording_of(truth, R, places if still else t, [0] * 15 + [1] * 15, 0.0).readings()
+    assert mirror_image_fits(truth, readings, 0.0, 1e-4) is still
+
+
+def steps(stopping, decrements, damping=0.0, cost=50.0):
+    return [stopping.arrived(decrement, damping, cost) for decrement in decrements]
+
+
+def test_fast_steps_stop_by_what_is_left():
+    """Quadratic convergence: the step of 1e-5 leaves about 1e-8 after one of 1e-2."""
+    stopping = Stopping(2e-7, 0.0, 0.0, 100)
+    assert steps(stopping, [1.0, 1e-4, 1e-10]) == [None, None, "converged"]
+
+
+def test_slow_steps_do_not_stop_by_their_size():
+    """Steps that shrink by one percent leave a hundred times their length."""
+    stopping = Stopping(2e-7, 0.0, 0.0, 100)
+    lengths = 1e-6 * 0.99 ** np.arange(4)
+    assert steps(stopping, [1.0, *(lengths**2)])[2:] == [None] * 3
+
+
+def test_a_damped_step_alone_is_no_arrival():
+    assert Stopping(2e-7, 0.0, 0.0, 100).arrived(1e-20, 0.1, 50.0) is None
+
+
+def test_a_level_cost_ends_the_search():
+    stopping = Stopping(1e-12, 0.0, 0.0, 100)
+    verdicts = [stopping.arrived(1e-9 * 0.999**i, 0.1, 50.0) for i in range(LEVEL_STEPS)]
+    assert verdicts == [None] * (LEVEL_STEPS - 1) + ["the cost is level"]
+
+
+def test_failed_steps_restart_the_count():
+    stopping = Stopping(1e-12, 0.0, 0.0, 100)
+    for _ in range(LEVEL_STEPS - 1):
+        stopping.arrived(1e-9, 0.1, 50.0)
+    assert stopping.arrived(None, 0.1, 50.0) is None
+    assert stopping.arrived(1e-9, 0.1, 50.0) is None
+
+
+def test_rounding_is_an_arrival():
+    assert Stopping(1e-12, 0.0, 1e-15, 100).arrived(1e-16, 0.0, 1e-20) == "converged"
+
+
+@pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])
+def test_each_limit_passes_above_and_fails_below(calibration, name):
+    result = calibration[0]
+    beams = result.beams.values()
+    value = {
+        "rms": result.fit.rms,
+        "location_sigma": max(beam.location_sigma.max() for beam in beams),
+        "direction_sigma": max(beam.direction_sigma for beam in beams),
+    }[name]
+    assert exceeded(result, Limits(**{name: 1.01 * value})) == ()
+    words = exceeded(result, Limits(**{name: 0.99 * value}))
+    assert words
+    assert all(name.split("_")[0] in word for word in words)
+
+
+def test_the_cross_check_sees_a_wrong_calibration(calibration):
+    """One beam moved by three sigmas, one plane's covariance doubled."""
+    result, recording = calibration
+    beam, plane = result.beams["2"], result.planes["C"]
+    sigma, axes = np.linalg.eigh(beam.covariance[:3, :3])
+    moved = replace(beam, location=beam.location + 3.0 * np.sqrt(sigma[-1]) * axes[:, -1])
+    wide = replace(plane, covariance=4.0 * plane.covariance)
+    wrong = replace(
+        result,
+        beams={**result.beams, "2": moved},
+        planes={**result.planes, "C": wide},
+    )
+    check = hl.cross_check(wrong, recording)
+    assert check.largest == pytest.approx(3.0, abs=1e-3)
+    assert check.parameter == "beam 2 location"
+    assert check.largest_sigma == pytest.approx(0.5, abs=1e-3)
+    assert check.sigma_parameter.startswith("plane C")
