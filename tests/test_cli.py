@@ -267,3 +267,13 @@ def test_help_loads_nothing_heavy():
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_the_recording_is_never_overwritten_by_its_result(handlaser, tmp_path):
+    path = tmp_path / "recording.csv"
+    write_recording(path, simulated()[0])
+    before = path.read_bytes()
+    code, _, err = handlaser("calibrate", path, "-q", "--out", path)
+    assert code == 2
+    assert one_line(err)
+    assert path.read_bytes() == before

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,3 +125,28 @@ def test_a_file_may_be_replaced(tmp_path):
     write_text(path, "old")
     write_text(path, "new")
     assert path.read_text() == "new"
+
+
+def test_a_link_stays_a_link(tmp_path):
+    target, link = tmp_path / "target.json", tmp_path / "link.json"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
+def test_what_is_no_regular_file_is_never_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(hl.InputError, match="no regular file"):
+        write_text(pipe, "new")
+    assert pipe.is_fifo()
+
+
+def test_a_start_that_failed_is_null_in_the_result():
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    calibration = hl.calibrate(recording, hl.Noise(3e-5))
+    start = replace(calibration.start, tried=(("sweep", math.inf),))
+    record = json.loads(calibration_text(replace(calibration, start=start)))
+    assert record["start"]["tried"] == [{"method": "sweep", "rms_m": None}]

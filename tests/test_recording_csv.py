@@ -218,7 +218,7 @@ def test_nothing_is_left_beside_a_file_that_cannot_be_written(tmp_path):
     recording, _ = simulated()
     target = tmp_path / "folder.csv"
     target.mkdir()
-    with pytest.raises(InputError, match="no way to write"):
+    with pytest.raises(InputError, match="no regular file"):
         write_recording(target, recording)
     assert list(tmp_path.iterdir()) == [target]
 

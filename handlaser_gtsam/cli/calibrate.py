@@ -78,12 +78,16 @@ def calibrate(
     """
     from .. import limits
     from ..diagnosis import cross_check as checking
+    from ..errors import InputError
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
     from ..files.writing import write_text
     from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
 
+    for source in (recording, rig):
+        if out is not None and source is not None and out.resolve() == source.resolve():
+            raise InputError("the input itself as --out", "another file to write to", out)
     numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)
     settings = _settings(rig, numbers, range_mm, max_incidence_deg)
     table = read_recording(recording)

@@ -1,6 +1,7 @@
 """Calibrations, and the truth of a simulation, as JSON; SI units, finite numbers only."""
 
 import json
+import math
 from pathlib import Path
 
 from ..arrays import FloatArray
@@ -52,7 +53,10 @@ def calibration_text(calibration: Calibration) -> str:
         "range_error_choice": calibration.range_error_choice,
         "start": {
             "method": calibration.start.method,
-            "tried": [{"method": m, "rms_m": rms} for m, rms in calibration.start.tried],
+            "tried": [
+                {"method": method, "rms_m": rms if math.isfinite(rms) else None}
+                for method, rms in calibration.start.tried
+            ],
         },
         "iterations": calibration.iterations,
     }

@@ -13,9 +13,11 @@ def write_text(path: Path, text: str) -> None:
     Raises
     ------
     InputError
-        The folder is missing or not writable.
+        The folder is missing or not writable, or the target is no regular file (a folder, a device).
     """
-    path = Path(path)
+    path = Path(path).resolve()  # a link keeps pointing at what is written
+    if path.exists() and not path.is_file():
+        raise InputError("no regular file there", "a new name or a file to replace", path)
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
