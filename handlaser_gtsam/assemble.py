@@ -6,7 +6,7 @@ import numpy as np
 
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
-from .covariance import covariances
+from .covariance import covariances, covariances_of_determined
 from .diagnosis.doubts import doubts, noise_advice
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
@@ -26,7 +26,7 @@ NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 def assemble(
     recording: Recording,
     readings: Readings,
-    origin: FloatArray,
+    origins: FloatArray,
     noise: Noise,
     start: Start,
     choice: Choice,
@@ -38,9 +38,9 @@ def assemble(
     ----------
     recording : Recording
     readings : Readings
-        Those that were used, seen from `origin`.
-    origin : (3,)
-        Origin of the solution's frame in the world [m]; axes are the world's.
+        Those that were used, seen from `origins`.
+    origins : (P, 3)
+        Origin of every plane's frame in the world [m]; axes are the world's.
     noise, start, choice, rejected
         How the solution came about.
     """
@@ -48,7 +48,7 @@ def assemble(
     fit = _fit(recording, readings, solution, noise, rejected)
     determined = _determined(recording, readings, solution, fit)
     status = _status(solution, determined)
-    beams, planes = _estimates(recording, solution, fit, origin, status == "converged")
+    beams, planes = _estimates(recording, solution, fit, origins, status == "converged")
     return Calibration(
         status,
         _message(status, solution, determined),
@@ -138,14 +138,19 @@ def _message(status: Status, solution: Solution, determined: Determined) -> str:
 
 
 def _estimates(
-    recording: Recording, solution: Solution, fit: Fit, origin: FloatArray, with_covariance: bool
+    recording: Recording, solution: Solution, fit: Fit, origins: FloatArray, with_covariance: bool
 ) -> tuple[list[Beam], list[Plane]]:
-    parameters, problem = solution.parameters.seen_from(-origin), solution.problem
+    parameters, problem = solution.parameters.seen_from(-origins), solution.problem
     beam_covariance: list[FloatArray | None] = [None] * len(recording.beam_names)
     plane_covariance: list[FloatArray | None] = [None] * len(recording.plane_names)
     if with_covariance:
         factor = (fit.range_sigma / problem.range_sigma) ** 2
-        found = covariances(problem, solution.result.values, factor, origin)
+        try:
+            found = covariances(problem, solution.result.values, factor, origins)
+        except RuntimeError:
+            found = covariances_of_determined(
+                solution.observability, solution.parameters, fit.range_sigma, origins
+            )
         beam_covariance, plane_covariance = list(found[0]), list(found[1])
     beams = [
         Beam(

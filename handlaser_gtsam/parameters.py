@@ -40,9 +40,9 @@ class Parameters:
         if [a.shape for a in arrays] != shapes:
             raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
 
-    def seen_from(self, origin: FloatArray) -> "Parameters":
-        """Return the parameters in a world frame whose origin is at `origin` (3,) of this one."""
-        return replace(self, offsets=self.offsets + self.normals @ origin)
+    def seen_from(self, origins: FloatArray) -> "Parameters":
+        """Return the parameters with every plane in a frame whose origin is at `origins` (P, 3)."""
+        return replace(self, offsets=self.offsets + (self.normals * origins).sum(axis=1))
 
     def finite(self) -> bool:
         """Tell whether every number is finite."""

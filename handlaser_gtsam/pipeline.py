@@ -7,7 +7,7 @@ from .assemble import assemble
 from .calibration import Calibration
 from .noise import Noise
 from .options import CalibrationOptions
-from .range_error import choose_terms
+from .range_error import MOST_TERMS, choose_terms
 from .recording import Recording
 from .solvers.levenberg import Trial
 from .starts import find_start
@@ -41,15 +41,16 @@ def calibrate(
         The sensor's limits leave a beam or a plane without readings.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
-    # 1. Keep the readings the sensor can give, in a frame amid the stations: no digits are lost there.
-    origin = recording.world_t_hand.mean(axis=0)
-    everything = recording.readings().seen_from(origin)
+    # 1. Keep the readings the sensor can give; every plane in a frame amid its stations.
+    everything = recording.readings()
+    origins = everything.plane_means(everything.world_t_hand)
+    everything = everything.seen_from(origins)
     kept = limits.within_range(everything, options.sensor)
     rejected = limits.rejected(recording, everything, kept, "outside the sensor's range")
     readings = everything.subset(kept)
     limits.require_all(recording, readings)
     # 2. Find a start without a guess, then solve jointly, with as many range-error terms as show.
-    start = find_start(readings)
+    start = find_start(readings, noise.range_sigma, MOST_TERMS[options.range_error])
     choice = choose_terms(readings, start.parameters, noise, options, progress)
     # 3. Leave out readings that meet their plane too flat, and solve again from there.
     steep = limits.within_incidence(readings, choice.solution.parameters, options.sensor)
@@ -61,4 +62,4 @@ def calibrate(
         limits.require_all(recording, readings)
         choice = choose_terms(readings, choice.solution.parameters, noise, options, progress)
     # 4. Covariances, where everything is determined.
-    return assemble(recording, readings, origin, noise, start, choice, rejected)
+    return assemble(recording, readings, origins, noise, start, choice, rejected)

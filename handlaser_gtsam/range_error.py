@@ -26,6 +26,7 @@ from .recording import Readings
 from .solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
 
 TERMS: dict[RangeError, int] = {"none": 0, "k1": 1, "k1k2": 2}
+MOST_TERMS = TERMS | {"auto": 2}
 NAMES = ("no range error", "k1", "k1 and k2")
 LEAST_RMS = 1e-12
 """Residuals below this [m] are rounding; they are no evidence."""

@@ -52,9 +52,36 @@ class Readings:
         change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
         return np.concatenate(([0], np.flatnonzero(change) + 1)).astype(np.intp)
 
-    def seen_from(self, origin: FloatArray) -> "Readings":
-        """Return the readings with hand positions relative to `origin` (3,), axes unchanged."""
-        return replace(self, world_t_hand=self.world_t_hand - origin)
+    def seen_from(self, origins: FloatArray) -> "Readings":
+        """Return the readings with hand positions relative to `origins` (P, 3) of their planes.
+
+        A plane appears in its own readings only, and beams live in the hand frame: so every plane may
+        have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
+        """
+        return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
+
+    def copies(self, count: int) -> "Readings":
+        """Return the readings `count` times, each time with beams and planes of their own."""
+        if count == 1:
+            return self
+        copy = np.repeat(np.arange(count), len(self))
+        return Readings(
+            np.tile(self.station, count),
+            np.tile(self.beam, count) + copy * self.beams,
+            np.tile(self.plane, count) + copy * self.planes,
+            np.tile(self.distance, count),
+            np.tile(self.world_R_hand, (count, 1, 1)),
+            np.tile(self.world_t_hand, (count, 1)),
+            self.beams * count,
+            self.planes * count,
+        )
+
+    def plane_means(self, values: FloatArray) -> FloatArray:
+        """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""
+        count = np.maximum(np.bincount(self.plane, minlength=self.planes), 1)
+        sums = [np.bincount(self.plane, column, self.planes) for column in values.T]
+        mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
+        return mean
 
     def subset(self, rows: IntArray) -> "Readings":
         """Return the readings `rows` (sorted indices), with the same beams and planes."""

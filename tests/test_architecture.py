@@ -9,7 +9,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"errors", "arrays", "_version"},
+    {"errors", "arrays", "_version", "losses"},
     {"parameters", "recording", "noise", "keys"},
     {"model", "sensor"},
     {"factors"},

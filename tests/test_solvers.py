@@ -16,8 +16,9 @@ from handlaser_gtsam.solvers.levenberg import (
     levenberg_marquardt,
     linearize,
 )
-from handlaser_gtsam.solvers.reduction import normal_equations, refine
+from handlaser_gtsam.solvers.reduction import normal_equations
 from handlaser_gtsam.solvers.reference import solve_reference
+from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start
 
 SIGMA = 3e-5
@@ -88,18 +89,19 @@ def test_normal_equations_are_those_of_the_graph(problem):
     """The reduced information of the beams does not depend on how planes are parametrised."""
     _, readings, start, graph = problem
     normal = normal_equations(start, readings, 2)
-    E = np.swapaxes(normal.border, 0, 1).reshape(len(normal.beam), -1)
-    W = np.linalg.solve(normal.plane, np.swapaxes(normal.border, 1, 2)).reshape(-1, len(E))
-    reduced = normal.beam - E @ W
+    beam, border, plane = normal.beam[0], normal.border[0], normal.plane[0]
+    E = np.swapaxes(border, 0, 1).reshape(len(beam), -1)
+    W = np.linalg.solve(plane, np.swapaxes(border, 1, 2)).reshape(-1, len(E))
+    reduced = beam - E @ W
     values = start_values(start, graph.beams, graph.planes, 2)
     ordering = gtsam.Ordering()
-    for beam in graph.beams:
-        for key in (beam.location, beam.direction, beam.range_error):
+    for keys in graph.beams:
+        for key in (keys.location, keys.direction, keys.range_error):
             ordering.push_back(key)
     for key in graph.planes:
         ordering.push_back(key)
     H = linearize(graph, values).hessian(ordering)[0] * SIGMA**2
-    size = len(normal.beam)
+    size = len(beam)
     schur = H[:size, :size] - H[:size, size:] @ np.linalg.solve(H[size:, size:], H[size:, :size])
     # The two use different tangent bases of the directions: rotate one into the other.
     turn = np.eye(size)

@@ -131,10 +131,10 @@ def test_half_sphere_is_even():
     assert np.degrees(nearest.max()) < 12.0
 
 
-@pytest.mark.parametrize(("scene", "method"), [("paper", "translations"), ("arm", "sweep")])
+@pytest.mark.parametrize(("scene", "method"), [("paper", "translations"), ("arm", "directions")])
 def test_the_choice_is_automatic_and_reported(scene, method):
     recording, truth = simulated(scene)
-    start = find_start(recording.readings())
+    start = find_start(recording.readings(), 3e-5)
     assert start.method == method
     assert start.tried[0][0] == method
     location, direction = largest_error(start.parameters, truth)
@@ -158,7 +158,7 @@ def test_misleading_translations_lose_against_the_sweep():
         readings.world_R_hand, readings.world_t_hand, 1, 2,
     )  # fmt: skip
     tried = dict(find_start(spoilt).tried)
-    assert set(tried) == {"translations", "sweep"}
+    assert {"translations", "sweep"} <= set(tried)
 
 
 def test_growing_fills_what_nothing_reaches():
@@ -173,7 +173,9 @@ def test_a_start_that_grazes_is_straightened():
     """A beam along the plane it is thought to see: the plane turns, and a solver can start."""
     readings = recording_of(bench(1, 1), *motion("free", 10), [0] * 10, 0.0).readings()
     v = readings.world_R_hand[0].T @ np.array([1.0, 0.0, 0.0])
-    start = PartialStart(np.zeros((1, 3)), v[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1))
+    start = PartialStart(
+        np.zeros((1, 3)), v[None], np.array([[0.0, 0.0, 1.0]]), np.zeros(1), np.zeros((1, 2))
+    )
     found = grow(start, readings)
     model.linearize(model.scene(found, readings), readings.distance)
     assert (model.cosines(model.scene(found, readings)) > 0.1).all()

@@ -10,10 +10,9 @@ No local analysis of rank can see that: both solutions are determined, and one o
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..parameters import Parameters
 from ..recording import Readings
-from ..solvers.reduction import refine
+from ..solvers.refine import refine
 
 CHI2_MARGIN = 25.0
 """An image within this of the solution's chi2 (five standard deviations) cannot be ruled out."""
@@ -37,12 +36,7 @@ def mirror_image_fits(
 
 def _image(solution: Parameters, readings: Readings) -> Parameters:
     """Return the beams and planes reflected through the mean hand position of each plane."""
-    count = np.maximum(np.bincount(readings.plane, minlength=readings.planes), 1)
-    t = readings.world_t_hand
-    middle: FloatArray = np.stack(
-        [np.bincount(readings.plane, t[:, i], readings.planes) for i in range(3)], 1
-    )
-    middle = middle / count[:, None]
+    middle = readings.plane_means(readings.world_t_hand)
     return Parameters(
         -solution.locations,
         -solution.directions,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..parameters import Parameters
 from ..recording import Readings
 from ..solvers.reduction import NormalEquations, normal_equations
@@ -51,6 +51,39 @@ class NullSpace:
 
 
 @dataclass(frozen=True, slots=True)
+class Reduced:
+    """The information of the beams after planes are eliminated, in natural units, for unit weights.
+
+    Attributes
+    ----------
+    information : (nb,)
+        Eigenvalues, ascending.
+    axes : (nb, nb)
+        Eigenvectors, one a column.
+    determined : (nb,)
+        Which of them the readings determine.
+    plane_inverse : (P, 3, 3)
+        Pseudo-inverses of the planes' own information.
+    plane_response : (P, 3, nb)
+        How planes follow the beams, with the sign of `-plane_response @ beams`.
+    beam_unit : (nb,)
+    plane_unit : (3,)
+        Natural units.
+    centres : (P, 3)
+        Where the offset of each plane is taken [m].
+    """
+
+    information: FloatArray
+    axes: FloatArray
+    determined: BoolArray
+    plane_inverse: FloatArray
+    plane_response: FloatArray
+    beam_unit: FloatArray
+    plane_unit: FloatArray
+    centres: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Observability:
     """Rank and conditioning of a calibration.
 
@@ -64,6 +97,7 @@ class Observability:
     null_space : NullSpace
     length : float
         The typical range L [m] behind the natural units.
+    reduced : Reduced
     """
 
     rank: int
@@ -71,6 +105,7 @@ class Observability:
     condition: float
     null_space: NullSpace
     length: float
+    reduced: Reduced
 
     @property
     def full(self) -> bool:
@@ -103,7 +138,8 @@ def observability(
     S = normal.beam - E @ W.reshape(-1, len(beam_unit))
     information, axes = np.linalg.eigh(0.5 * (S + S.T))
     floor = _least_information(float(np.diagonal(normal.beam).max()), range_sigma, options)
-    open_beams = axes[:, information < floor]
+    determined = information >= floor
+    open_beams = axes[:, ~determined]
     beams = np.hstack((open_beams, np.zeros((len(beam_unit), plane_null.shape[-1]))))
     planes = np.concatenate((-W @ open_beams, plane_null), axis=2)
     lost = beams.shape[1]
@@ -114,19 +150,30 @@ def observability(
         condition=float(np.sqrt(ratio)),
         null_space=NullSpace(beams.reshape(readings.beams, 5 + terms, lost), planes),
         length=length,
+        reduced=Reduced(
+            information,
+            axes,
+            determined,
+            eliminate,
+            W,
+            beam_unit,
+            plane_unit,
+            normal.centres,
+        ),
     )
 
 
 def _scaled(
     normal: NormalEquations, beam_unit: FloatArray, plane_unit: FloatArray
 ) -> NormalEquations:
+    """Return the only copy of `normal` in natural units, without the axis of copies."""
     return NormalEquations(
-        normal.beam * np.outer(beam_unit, beam_unit),
-        normal.border * beam_unit[:, None] * plane_unit,
-        normal.plane * np.outer(plane_unit, plane_unit),
-        normal.beam_gradient * beam_unit,
-        normal.plane_gradient * plane_unit,
-        normal.centres,
+        normal.beam[0] * np.outer(beam_unit, beam_unit),
+        normal.border[0] * beam_unit[:, None] * plane_unit,
+        normal.plane[0] * np.outer(plane_unit, plane_unit),
+        normal.beam_gradient[0] * beam_unit,
+        normal.plane_gradient[0] * plane_unit,
+        normal.centres[0],
     )
 
 

@@ -8,6 +8,9 @@ couples it to the beams; the reduced system of the beams is
 and costs time linear in the number of planes. Beam unknowns are ordered (r, v, k) a beam, 5 + terms
 each, directions in the basis of `model.tangent_basis`; plane unknowns are (tangent of n, b).
 
+Several candidates for the same readings are worked on together, as copies: their parameters stand one
+after the other, and every array of the normal equations has the copies first.
+
 The offset of a plane is taken at the middle of its laser spots instead of the world origin: that
 changes neither S nor the solution, and keeps H_pp well conditioned far from the origin.
 """
@@ -18,27 +21,26 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..errors import GrazingBeamError
 from ..parameters import Parameters
 from ..recording import Readings
 
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """H delta = -g in blocks, for residuals in metres and unit weights.
+    """H delta = -g in blocks, for residuals in metres; K copies.
 
     Attributes
     ----------
-    beam : (nb, nb)
+    beam : (K, nb, nb)
         H_bb with nb = B (5 + terms).
-    border : (P, nb, 3)
+    border : (K, P, nb, 3)
         E_p.
-    plane : (P, 3, 3)
+    plane : (K, P, 3, 3)
         H_pp.
-    beam_gradient : (nb,)
-    plane_gradient : (P, 3)
-    centres : (P, 3)
-        Where the offset of each plane is taken [m], world frame.
+    beam_gradient : (K, nb)
+    plane_gradient : (K, P, 3)
+    centres : (K, P, 3)
+        Where the offset of each plane is taken [m].
     """
 
     beam: FloatArray
@@ -49,66 +51,70 @@ class NormalEquations:
     centres: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Refined:
-    """Parameters after some steps, and their sum of squared residuals [m^2]."""
+def normal_equations(
+    parameters: Parameters, readings: Readings, terms: int, weights: FloatArray | None = None
+) -> NormalEquations:
+    """Return the normal equations at `parameters`; raises GrazingBeamError like the model.
 
-    parameters: Parameters
-    squares: float
-
-
-def normal_equations(parameters: Parameters, readings: Readings, terms: int) -> NormalEquations:
-    """Return the normal equations at `parameters`; raises GrazingBeamError like the model."""
-    columns, centres = _columns(parameters, readings, terms)
+    Parameters
+    ----------
+    parameters : Parameters
+        Of K copies: K B beams and K P planes, copy after copy.
+    readings : Readings
+        Of one copy.
+    terms : int
+    weights : (K N,), optional
+        Of the readings; one where not given.
+    """
+    copies = len(parameters.locations) // readings.beams
+    columns, centres = _columns(parameters, readings.copies(copies), terms, weights)
     width, beams, planes = 5 + terms, readings.beams, readings.planes
-    starts = readings.block_starts()
-    size = width + 4
+    blocks, size = readings.block_starts(), width + 4
+    starts = (np.arange(copies)[:, None] * len(readings) + blocks).ravel()
     products = np.zeros((len(starts), size, size))
     for i in range(size):
         sums = np.add.reduceat(columns[i] * columns[i:], starts, axis=1)
         products[:, i, i:] = sums.T
         products[:, i:, i] = sums.T
-    beam_of, plane_of = readings.beam[starts], readings.plane[starts]
-    beam_blocks = np.zeros((beams, width, width + 1))
+    copy = np.repeat(np.arange(copies), len(blocks))
+    beam_of = np.tile(readings.beam[blocks], copies)
+    plane_of = np.tile(readings.plane[blocks], copies)
+    beam_blocks = np.zeros((copies, beams, width, width + 1))
     pick = [*range(width), size - 1]
-    np.add.at(beam_blocks, beam_of, products[:, :width, pick])
-    plane_blocks = np.zeros((planes, 3, 4))
-    np.add.at(plane_blocks, plane_of, products[:, width : width + 3, width:])
-    border = np.zeros((planes, beams, width, 3))
-    border[plane_of, beam_of] = products[:, :width, width : width + 3]
-    H = np.zeros((beams, width, beams, width))
-    H[np.arange(beams), :, np.arange(beams), :] = beam_blocks[:, :, :width]
+    np.add.at(beam_blocks, (copy, beam_of), products[:, :width, pick])
+    plane_blocks = np.zeros((copies, planes, 3, 4))
+    np.add.at(plane_blocks, (copy, plane_of), products[:, width : width + 3, width:])
+    border = np.zeros((copies, planes, beams, width, 3))
+    border[copy, plane_of, beam_of] = products[:, :width, width : width + 3]
+    H = np.zeros((copies, beams, width, beams, width))
+    each = np.arange(beams)
+    H[:, each, :, each, :] = np.moveaxis(beam_blocks[..., :width], 1, 0)
     return NormalEquations(
-        H.reshape(beams * width, beams * width),
-        border.reshape(planes, beams * width, 3),
-        plane_blocks[:, :, :3],
-        beam_blocks[:, :, width].ravel(),
-        plane_blocks[:, :, 3],
-        centres,
+        H.reshape(copies, beams * width, beams * width),
+        border.reshape(copies, planes, beams * width, 3),
+        plane_blocks[..., :3],
+        beam_blocks[..., width].reshape(copies, -1),
+        plane_blocks[..., 3],
+        centres.reshape(copies, planes, 3),
     )
 
 
-def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -> Refined | None:
-    """Take up to `iterations` damped steps from `start`; None where a beam grazes its plane there."""
-    squares = _squares(start, readings)
-    if squares is None:
-        return None
-    parameters, damping = start, 1e-8
-    for _ in range(iterations):
-        normal = normal_equations(parameters, readings, terms)
-        while damping < 1e6:
-            trial = _step(parameters, normal, damping, terms)
-            trial_squares = _squares(trial, readings) if trial.finite() else None
-            if trial_squares is not None and trial_squares < squares:
-                break
-            damping *= 10.0
-        else:
-            break
-        gain = squares - trial_squares
-        parameters, squares, damping = trial, trial_squares, max(damping / 10.0, 1e-8)
-        if gain <= 1e-9 * squares:
-            break
-    return Refined(parameters, squares)
+def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the steps (K, nb) of the beams and (K, P, 3) of the planes for damping (K,)."""
+    lift = _lift(damping, np.einsum("kii->ki", normal.beam))
+    plane_lift = _lift(damping, np.einsum("kpii->kpi", normal.plane))
+    plane = normal.plane + plane_lift[..., None] * np.eye(3)
+    right = np.concatenate((np.swapaxes(normal.border, 2, 3), normal.plane_gradient[..., None]), 3)
+    solved = _solve(plane, right)
+    W, w = solved[..., :-1], solved[..., -1]
+    copies, size = normal.beam_gradient.shape
+    E = np.swapaxes(normal.border, 1, 2).reshape(copies, size, -1)
+    S = normal.beam + lift[..., None] * np.eye(size) - E @ W.reshape(copies, -1, size)
+    gradient = normal.beam_gradient - (E @ w.reshape(copies, -1, 1))[..., 0]
+    scale = 1.0 / np.sqrt(np.einsum("kii->ki", normal.beam) + lift)
+    scaled = S * scale[:, :, None] * scale[:, None, :]
+    beam = -scale * _solve(scaled, (gradient * scale)[..., None])[..., 0]
+    return beam, -w - np.einsum("kpij,kj->kpi", W, beam)
 
 
 def apply_step(
@@ -132,57 +138,44 @@ def apply_step(
 
 
 def _columns(
-    parameters: Parameters, readings: Readings, terms: int
+    parameters: Parameters, readings: Readings, terms: int, weights: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rows of (J_beam, J_plane, e), transposed (5 + terms + 4, N), and the centres."""
     x = model.scene(parameters, readings)
     at = model.linearize(x, readings.distance)
-    spots = at.normal / at.offset[:, None]
-    count = np.bincount(readings.plane, minlength=readings.planes)
-    sums = np.stack(
-        [np.bincount(readings.plane, spots[:, i], readings.planes) for i in range(3)], 1
-    )
-    centres = sums / np.maximum(count, 1)[:, None]
+    centres = readings.plane_means(at.normal / at.offset[:, None])
     local = at.normal - at.offset[:, None] * centres[readings.plane]
     v_basis = model.tangent_basis(parameters.directions)[readings.beam]
     n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-    columns = (
-        at.location,
-        np.einsum("ni,nij->nj", at.direction, v_basis),
-        at.range_error[:, :terms],
-        np.einsum("ni,nij->nj", local, n_basis),
-        at.offset[:, None],
-        at.residual[:, None],
+    columns = np.hstack(
+        (
+            at.location,
+            np.einsum("ni,nij->nj", at.direction, v_basis),
+            at.range_error[:, :terms],
+            np.einsum("ni,nij->nj", local, n_basis),
+            at.offset[:, None],
+            at.residual[:, None],
+        )
     )
-    return np.ascontiguousarray(np.hstack(columns).T), centres
+    if weights is not None:
+        columns *= np.sqrt(weights)[:, None]
+    return np.ascontiguousarray(columns.T), centres
 
 
-def _step(
-    parameters: Parameters, normal: NormalEquations, damping: float, terms: int
-) -> Parameters:
-    beam = normal.beam + np.diag(_lift(damping, np.diagonal(normal.beam)))
-    diagonal = np.einsum("pii->pi", normal.plane)
-    plane = normal.plane + _lift(damping, diagonal)[:, :, None] * np.eye(3)
-    right = np.concatenate((np.swapaxes(normal.border, 1, 2), normal.plane_gradient[..., None]), 2)
-    solved = np.linalg.solve(plane, right)
-    W, w = solved[..., :-1], solved[..., -1]
-    E = np.swapaxes(normal.border, 0, 1).reshape(len(beam), -1)
-    S = beam - E @ W.reshape(-1, len(beam))
-    gradient = normal.beam_gradient - E @ w.ravel()
-    beam_step = np.asarray(-np.linalg.lstsq(S, gradient, rcond=1e-14)[0], dtype=np.float64)
-    plane_step: FloatArray = -w - W @ beam_step
-    width = 5 + terms
-    return apply_step(parameters, beam_step.reshape(-1, width), plane_step, normal.centres, terms)
-
-
-def _lift(damping: float, diagonal: FloatArray) -> FloatArray:
+def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
     """Return what Marquardt's damping adds, at least a trace of it where a column is empty."""
-    return damping * np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-300))
+    copies = len(diagonal)
+    largest = np.maximum(diagonal.reshape(copies, -1).max(axis=1), 1e-300)
+    shape = (copies,) + (1,) * (diagonal.ndim - 1)
+    least = (1e-12 * largest).reshape(shape)
+    lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
+    return lift
 
 
-def _squares(parameters: Parameters, readings: Readings) -> float | None:
+def _solve(A: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Return x of A x = rhs for stacks; the least-norm one where a matrix is singular."""
     try:
-        e = model.residuals(model.scene(parameters, readings), readings.distance)
-    except GrazingBeamError:
-        return None
-    return float(e @ e)
+        solved = np.linalg.solve(A, rhs)
+    except np.linalg.LinAlgError:
+        solved = np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ rhs
+    return np.asarray(solved, dtype=np.float64)

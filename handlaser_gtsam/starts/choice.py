@@ -1,18 +1,31 @@
-"""Which start: the ones that apply are tried, refined a few steps, and compared by cost."""
+"""Which start: all that apply are tried, refined a few steps, and compared by cost.
 
+Cheap starts come first. The search ends early only on evidence: when the residuals are as small as
+the given range sigma says, or, where no sigma is given, when several starts agree on the optimum.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..parameters import Parameters
 from ..recording import Readings
-from ..solvers.reduction import refine
+from ..solvers.refine import refine_many
+from .directions import direction_starts
+from .lifted import lifted_starts
 from .partial import PartialStart, grow
-from .sweep import sweep_starts
-from .translations import translation_start
+from .sweep import SweepOptions, sweep_starts
+from .translations import translation_start, translation_start_with_range_errors
 
-GOOD_FIT = 0.02
-"""A start whose rms residual is below this part of the spread of the readings is taken at once."""
+FIRST_STEPS, LAST_STEPS = 10, 40
+"""Refinement steps of all starts, and of the best of them."""
+FINALISTS = 6
+SEARCH_ROWS = 1500
+"""Starts are searched on about so many readings; more would only cost time."""
+AGREEING = 4
+"""So many starts at one optimum are believed where no range sigma is given."""
+SAME_COST = 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +37,10 @@ class Start:
     parameters : Parameters
         With range errors where there were enough readings to refine them.
     method : str
-        `translations` or `sweep`.
+        How it was found: `translations`, `sweep` (of normals), `directions`, or `least norm` where
+        nothing else applies.
     tried : tuples (method, rms [m])
-        Every start that applied, with its rms residual after a few steps; the lowest first.
+        Every method that applied, with the lowest rms residual it reached; the lowest first.
     """
 
     parameters: Parameters
@@ -34,44 +48,99 @@ class Start:
     tried: tuple[tuple[str, float], ...]
 
 
-def find_start(readings: Readings, iterations: int = 5) -> Start:
-    """Return the best start for `readings`.
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A refined start and its sum of squared residuals [m^2]."""
 
-    The closed form from pure translations is tried first; the sweep follows where it does not apply
-    or leaves a residual above `GOOD_FIT` of the readings' spread.
+    method: str
+    parameters: Parameters
+    squares: float
+
+
+Seeds = list[tuple[str, PartialStart]]
+
+
+def find_start(readings: Readings, range_sigma: float | None = None, terms: int = 2) -> Start:
+    """Return the best start for `readings`.
 
     Parameters
     ----------
     readings : Readings
-    iterations : int
-        Refinement steps before starts are compared.
+    range_sigma : float, optional
+        Standard deviation of a reading [m]: says when a start fits.
+    terms : int
+        Most range-error terms the solution will have.
     """
-    found: list[tuple[float, str, Parameters]] = []
+    unknowns = 7 * readings.beams + 3 * readings.planes
+    terms = terms if len(readings) >= 1.5 * unknowns else 0
+    found: list[Candidate] = []
+    for seeds in _rounds(readings, terms):
+        found += _refined(seeds, readings, terms)
+        found.sort(key=lambda candidate: candidate.squares)
+        if found and _believed(found, readings, range_sigma, terms):
+            break
+    if not found:
+        lost = grow(PartialStart.empty(readings), readings)
+        return Start(lost, "least norm", (("least norm", float("inf")),))
+    lowest: dict[str, float] = {}
+    for candidate in found:
+        lowest.setdefault(candidate.method, float(np.sqrt(candidate.squares / len(readings))))
+    return Start(found[0].parameters, found[0].method, tuple(lowest.items()))
+
+
+def _rounds(readings: Readings, terms: int) -> Iterator[Seeds]:
+    """Yield seeds, the cheap ones first."""
     closed = translation_start(readings)
     if closed is not None:
-        found.append(_grown("translations", closed, readings, iterations))
-    spread = float(readings.distance.std())
-    if not found or not found[0][0] <= GOOD_FIT * spread:
-        swept = sweep_starts(readings)
-        found += [_grown("sweep", s, readings, iterations) for s in swept]
-    if not found:
-        found.append(_grown("least norm", PartialStart.empty(readings), readings, iterations))
-    found.sort(key=lambda entry: entry[0])
-    tried = tuple((method, rms) for rms, method, _ in found)
-    return Start(found[0][2], found[0][1], tried)
+        yield [("translations", closed)]
+    with_errors = translation_start_with_range_errors(readings) if terms else None
+    part = _manageable(readings)
+    yield (
+        ([("translations with range error", with_errors)] if with_errors is not None else [])
+        + [("lifted", s) for s in lifted_starts(part, 2)]
+        + [("sweep", s) for s in sweep_starts(part)]
+        + [("directions", s) for s in direction_starts(part, 6)]
+    )
+    yield [("directions", s) for s in direction_starts(part, 40, tried=600)]
+    options = SweepOptions(refined=16, seeds=8, kept=4)
+    yield [("sweep", s) for s in sweep_starts(part, options)]
 
 
-def _grown(
-    method: str, partial: PartialStart, readings: Readings, iterations: int
-) -> tuple[float, str, Parameters]:
-    start = grow(partial, readings)
-    refined = refine(start, readings, _terms(readings), iterations)
-    if refined is None:
-        return float("inf"), method, start
-    return float(np.sqrt(refined.squares / len(readings))), method, refined.parameters
+def _manageable(readings: Readings) -> Readings:
+    """Return the readings, or of a long recording those of the planes that have most."""
+    if len(readings) <= SEARCH_ROWS:
+        return readings
+    count = np.bincount(readings.plane, minlength=readings.planes)
+    order = np.argsort(-count, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(count[order]), SEARCH_ROWS)) + 1
+    rows = np.flatnonzero(np.isin(readings.plane, order[:enough]))
+    return readings.subset(rows)
 
 
-def _terms(readings: Readings) -> int:
-    """Range-error terms of the refinement: without them a good start may look bad."""
-    unknowns = 7 * readings.beams + 3 * readings.planes
-    return 2 if len(readings) >= 1.5 * unknowns else 0
+def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
+    """Grow and refine all seeds a little, the best to the end."""
+    starts = [grow(partial, readings) for _, partial in seeds]
+    first = refine_many(starts, readings, 0, FIRST_STEPS)
+    usable = [i for i, one in enumerate(first) if one is not None]
+    squares = {i: one.squares for i in usable if (one := first[i]) is not None}
+    best = sorted(usable, key=lambda i: squares[i])[:FINALISTS]
+    parameters = [one.parameters for i in best if (one := first[i]) is not None]
+    last = refine_many(parameters, readings, terms, LAST_STEPS)
+    return [
+        Candidate(seeds[i][0], one.parameters, one.squares)
+        for i, one in zip(best, last, strict=True)
+        if one is not None
+    ]
+
+
+def _believed(
+    found: Sequence[Candidate], readings: Readings, range_sigma: float | None, terms: int
+) -> bool:
+    """Tell whether the best of `found` needs no rivals."""
+    dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
+    if dof <= 0:
+        return False
+    if range_sigma is not None:
+        return found[0].squares <= float(range_sigma**2 * (dof + 4.0 * np.sqrt(2.0 * dof)))
+    agreeing = [c for c in found if c.squares <= SAME_COST * found[0].squares]
+    return len(agreeing) >= AGREEING

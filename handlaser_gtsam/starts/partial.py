@@ -30,6 +30,7 @@ class PartialStart:
     directions: FloatArray
     normals: FloatArray
     offsets: FloatArray
+    range_errors: FloatArray
 
     @classmethod
     def empty(cls, readings: Readings) -> "PartialStart":
@@ -41,6 +42,7 @@ class PartialStart:
             np.full((beams, 3), nan),
             np.full((planes, 3), nan),
             np.full(planes, nan),
+            np.zeros((beams, 2)),
         )
 
     def known_beams(self) -> BoolArray:
@@ -68,8 +70,9 @@ def grow(start: PartialStart, readings: Readings) -> Parameters:
     _fill_unreached(start)
     _straighten(start, readings)
     _face_the_sensor(start, readings)
-    none = np.zeros((readings.beams, 2))
-    return Parameters(start.locations, start.directions, none, start.normals, start.offsets)
+    return Parameters(
+        start.locations, start.directions, start.range_errors, start.normals, start.offsets
+    )
 
 
 def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> None:
@@ -78,8 +81,7 @@ def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> N
     if not rows.size:
         return
     part = readings.subset(rows)
-    spots = start.locations[part.beam] + part.distance[:, None] * start.directions[part.beam]
-    spots = np.einsum("nij,nj->ni", part.world_R_hand, spots) + part.world_t_hand
+    spots = _spots(start, part)
     planes, first, index = np.unique(part.plane, return_index=True, return_inverse=True)
     counts = np.bincount(index)
     centres = np.add.reduceat(spots, first) / counts[:, None]
@@ -140,10 +142,18 @@ def _straighten(start: PartialStart, readings: Readings) -> None:
     for plane in np.unique(readings.plane[cosine < LEAST_COSINE]):
         rows = np.flatnonzero(readings.plane == plane)
         part = readings.subset(rows)
-        spots = start.locations[part.beam] + part.distance[:, None] * start.directions[part.beam]
-        spots = np.einsum("nij,nj->ni", part.world_R_hand, spots) + part.world_t_hand
+        spots = _spots(start, part)
         start.normals[plane] = np.linalg.svd(v_world[rows], full_matrices=False)[2][0]
         start.offsets[plane] = -(spots @ start.normals[plane]).mean()
+
+
+def _spots(start: PartialStart, readings: Readings) -> FloatArray:
+    """Return where the beams of `start` meet their planes (N, 3), by the corrected readings."""
+    k = start.range_errors[readings.beam]
+    ranges = model.corrected(readings.distance, k)
+    spots = start.locations[readings.beam] + ranges[:, None] * start.directions[readings.beam]
+    moved: FloatArray = np.einsum("nij,nj->ni", readings.world_R_hand, spots)
+    return moved + readings.world_t_hand
 
 
 def _face_the_sensor(start: PartialStart, readings: Readings) -> None:

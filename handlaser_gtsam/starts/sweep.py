@@ -16,10 +16,12 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
-from ..solvers.reduction import Refined, refine
+from ..solvers.refine import refine_many
 from .partial import PartialStart
 
 _NONE = np.zeros((1, 2))
+SAME_DIRECTION = 0.02
+"""Directions closer than this [rad] count as one solution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,15 @@ class SweepOptions:
         Most steps of each refinement.
     seeds : int
         Pairs of beam and plane that are swept, those with the richest motion first.
+    kept : int
+        Different solutions that each pair gives.
     """
 
     normals: int = 300
     refined: int = 8
     iterations: int = 12
     seeds: int = 2
+    kept: int = 2
 
 
 def sweep_starts(readings: Readings, options: SweepOptions | None = None) -> list[PartialStart]:
@@ -50,14 +55,13 @@ def sweep_starts(readings: Readings, options: SweepOptions | None = None) -> lis
     starts = []
     for rows in _richest_blocks(readings)[: options.seeds]:
         part = readings.subset(rows)
-        found = _sweep_block(_alone(part), options)
-        if found is not None:
+        for found in _sweep_block(_alone(part), options):
             start = PartialStart.empty(readings)
             beam, plane = part.beam[0], part.plane[0]
-            start.locations[beam] = found.parameters.locations[0]
-            start.directions[beam] = found.parameters.directions[0]
-            start.normals[plane] = found.parameters.normals[0]
-            start.offsets[plane] = found.parameters.offsets[0]
+            start.locations[beam] = found.locations[0]
+            start.directions[beam] = found.directions[0]
+            start.normals[plane] = found.normals[0]
+            start.offsets[plane] = found.offsets[0]
             starts.append(start)
     return starts
 
@@ -96,13 +100,19 @@ def _alone(part: Readings) -> Readings:
     )
 
 
-def _sweep_block(readings: Readings, options: SweepOptions) -> Refined | None:
-    best: Refined | None = None
-    for start in _linear_solutions(readings, options):
-        refined = refine(start, readings, terms=0, iterations=options.iterations)
-        if refined is not None and (best is None or refined.squares < best.squares):
-            best = refined
-    return best
+def _sweep_block(readings: Readings, options: SweepOptions) -> list[Parameters]:
+    """Return the best different solutions, the lowest cost first."""
+    starts = _linear_solutions(readings, options)
+    refined = refine_many(starts, readings, terms=0, iterations=options.iterations)
+    found = sorted((f for f in refined if f is not None), key=lambda f: f.squares)
+    kept: list[Parameters] = []
+    for candidate in found:
+        if len(kept) == options.kept:
+            break
+        v = candidate.parameters.directions[0]
+        if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in kept):
+            kept.append(candidate.parameters)
+    return kept
 
 
 def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Parameters]:

@@ -10,10 +10,16 @@ translations differ, equation (12): n . dt = -dd p with p = n_H . v.
    give v (Lemma 2): from hand rotations, from planes, or from both mixed.
 3. With n and v known, n_H . r + b = -d (n_H . v) - n . t is linear in every r and b [15]-[17].
 
+With a range error d + k1 d + k2 d^2 the relation of a series becomes
+n . dt = -(dd + kappa d(d^2)) p' with p' = (1 + k1) p and kappa = k2 / (1 + k1). It is linear in
+(n / p', kappa), so kappa of a beam follows from all its series; readings are corrected by it, and the
+length of v that step 2 then finds is 1 + k1. Without noise that is exact; with noise kappa may be
+poor, so this start competes with the plain one.
+
 Planes and beams that satisfy no lemma are left out here and grown afterwards.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,9 +33,15 @@ SPREAD = 1e-4
 """Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
 
 
+LEAST_SHARE = 1e-8
+"""Part of the squared readings that translations must leave free for kappa to be determined."""
+LARGEST_CORRECTION = 0.5
+"""A range error above this part of the reading is noise, not a sensor."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Second moments of translations and readings about their means, one row a series."""
+    """Second moments of translations t, readings d and squares q about their means, one row a series."""
 
     plane: IntArray
     beam: IntArray
@@ -37,6 +49,9 @@ class _Series:
     tt: FloatArray
     td: FloatArray
     dd: FloatArray
+    tq: FloatArray
+    dq: FloatArray
+    qq: FloatArray
 
 
 def translation_start(readings: Readings) -> PartialStart | None:
@@ -49,8 +64,48 @@ def translation_start(readings: Readings) -> PartialStart | None:
     _solve_directions(start, series)
     if np.isnan(start.normals).all() or np.isnan(start.directions).all():
         return None
+    start.range_errors[:, 0] = 0.0
     _solve_locations(start, readings)
     return start
+
+
+def translation_start_with_range_errors(readings: Readings) -> PartialStart | None:
+    """Return the same with k1 and k2 of every beam, or None where they are not determined."""
+    series = _series(readings)
+    kappa = None if series is None else _kappas(series, readings)
+    if kappa is None:
+        return None
+    corrected = replace(
+        readings, distance=readings.distance * (1.0 + kappa[readings.beam] * readings.distance)
+    )
+    series = _series(corrected)
+    if series is None:
+        return None
+    start = PartialStart.empty(readings)
+    _solve_normals(start, series)
+    _solve_directions(start, series)
+    if np.isnan(start.normals).all() or np.isnan(start.directions).all():
+        return None
+    _solve_locations(start, corrected)
+    start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
+    return start
+
+
+def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
+    """Return kappa (B,) [1/m], zero where a beam's series do not determine it; None if all are zero."""
+    inverse = np.linalg.pinv(series.tt, rcond=1e-10, hermitian=True)
+    along = np.einsum("si,sij->sj", series.tq, inverse)
+    free = series.qq - np.einsum("si,si->s", along, series.tq)
+    rest = series.dq - np.einsum("si,si->s", along, series.td)
+    beams = readings.beams
+    total = np.bincount(series.beam, series.qq, beams)
+    left, right = np.bincount(series.beam, free, beams), np.bincount(series.beam, rest, beams)
+    usable = left > LEAST_SHARE * total
+    kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
+    farthest = np.zeros(beams)
+    np.maximum.at(farthest, readings.beam, readings.distance)
+    kappa = np.where(np.abs(kappa) * farthest <= LARGEST_CORRECTION, kappa, 0.0)
+    return kappa if kappa.any() else None
 
 
 def _series(readings: Readings) -> _Series | None:
@@ -63,8 +118,10 @@ def _series(readings: Readings) -> _Series | None:
     t_mean = np.stack([np.bincount(index, t[:, i]) for i in range(3)], axis=1) / count[:, None]
     dt = t - t_mean[index]
     dd = d - (np.bincount(index, d) / count)[index]
-    columns = np.column_stack((dt, dd))
-    moments = np.zeros((len(count), 4, 4))
+    q = d * d
+    dq = q - (np.bincount(index, q) / count)[index]
+    columns = np.column_stack((dt, dd, dq))
+    moments = np.zeros((len(count), 5, 5))
     np.add.at(moments, index, columns[:, :, None] * columns[:, None, :])
     moving = np.flatnonzero(np.trace(moments[:, :3, :3], axis1=1, axis2=2) > 1e-18)
     if not moving.size:
@@ -77,6 +134,9 @@ def _series(readings: Readings) -> _Series | None:
         moments[moving, :3, :3],
         moments[moving, :3, 3],
         moments[moving, 3, 3],
+        moments[moving, :3, 4],
+        moments[moving, 3, 4],
+        moments[moving, 4, 4],
     )
 
 
@@ -110,7 +170,9 @@ def _solve_directions(start: PartialStart, series: _Series) -> None:
     spread = np.linalg.eigvalsh(matrix)
     for beam in np.flatnonzero(spread[:, 0] > SPREAD * spread[:, 2]):
         v = np.linalg.solve(matrix[beam], rhs[beam])
-        start.directions[beam] = v / np.linalg.norm(v)
+        length = float(np.linalg.norm(v))
+        start.directions[beam] = v / length
+        start.range_errors[beam, 0] = length - 1.0
 
 
 def _solve_locations(start: PartialStart, readings: Readings) -> None:
@@ -121,7 +183,8 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     n = start.normals[part.plane]
     n_hand = np.einsum("nji,nj->ni", part.world_R_hand, n)
     cosine = np.einsum("ni,ni->n", n_hand, start.directions[part.beam])
-    rhs = -part.distance * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
+    ranges = part.distance * (1.0 + start.range_errors[part.beam, 0])
+    rhs = -ranges * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
     count = np.maximum(np.bincount(part.plane, minlength=part.planes), 1)
     rhs_mean = np.bincount(part.plane, rhs, part.planes) / count
     rows_mean = np.zeros((part.planes, part.beams, 3))

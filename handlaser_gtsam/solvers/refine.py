@@ -1,0 +1,200 @@
+"""A few damped Gauss-Newton steps for many candidates at once, in NumPy.
+
+Starts are compared after such steps. All candidates share their readings and are worked on together,
+each with its own damping; those that have arrived drop out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..losses import Loss
+from ..parameters import Parameters
+from ..recording import Readings
+from .reduction import apply_step, damped_step, normal_equations
+
+GAUSSIAN = Loss()
+LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
+LEVEL = 1e-9
+"""A candidate whose cost falls by less than this part has arrived."""
+ROWS = 60_000
+"""Readings times candidates worked on at once: more would leave the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """Parameters after some steps, and twice their cost: the sum of squares [m^2] if Gaussian."""
+
+    parameters: Parameters
+    squares: float
+
+
+def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -> Refined | None:
+    """Take up to `iterations` damped steps from `start`; None where a beam grazes its plane there."""
+    return refine_many([start], readings, terms, iterations)[0]
+
+
+def refine_many(
+    starts: Sequence[Parameters],
+    readings: Readings,
+    terms: int,
+    iterations: int,
+    loss: Loss = GAUSSIAN,
+    scale: float = 1.0,
+) -> list[Refined | None]:
+    """Refine every start; None where a beam grazes its plane there.
+
+    Parameters
+    ----------
+    starts : Parameters, each
+    readings : Readings
+    terms : int
+        Range-error terms that are refined with the rest.
+    iterations : int
+        Most trial steps.
+    loss : Loss
+        Of residuals in units of `scale`.
+    scale : float
+        [m]
+    """
+    share = max(ROWS // max(len(readings), 1), 1)
+    found: list[Refined | None] = []
+    for first in range(0, len(starts), share):
+        search = _Search(starts[first : first + share], readings, terms, loss, scale)
+        found += search.run(iterations)
+    return found
+
+
+class _Search:
+    """The candidates of one refinement; copy k of the parameters is candidate k."""
+
+    def __init__(
+        self,
+        starts: Sequence[Parameters],
+        readings: Readings,
+        terms: int,
+        loss: Loss,
+        scale: float,
+    ) -> None:
+        self.readings, self.terms, self.loss, self.scale = readings, terms, loss, scale
+        self.at = joined(starts)
+        self.damping = np.full(len(starts), LEAST_DAMPING)
+        self.residual, self.cost = self._evaluate(self.at)
+        self.active: BoolArray = np.isfinite(self.cost)
+
+    def run(self, iterations: int) -> list[Refined | None]:
+        for _ in range(iterations):
+            rows = np.flatnonzero(self.active)
+            if not rows.size:
+                break
+            self._advance(rows)
+        return [
+            Refined(parameters, float(2.0 * cost)) if np.isfinite(cost) else None
+            for parameters, cost in zip(parted(self.at, self.readings), self.cost, strict=True)
+        ]
+
+    def _advance(self, rows: IntArray) -> None:
+        """Try one step of candidates `rows`; those that fail raise their damping and try again."""
+        here = self._pick(self.at, rows)
+        weights = None
+        if self.loss.name != "gaussian":
+            weights = self.loss.weight(self.residual[rows].ravel() / self.scale)
+        normal = normal_equations(here, self.readings, self.terms, weights)
+        waiting = np.arange(len(rows))
+        while waiting.size:
+            own = rows[waiting]
+            part = replace(
+                normal,
+                **{name: getattr(normal, name)[waiting] for name in normal.__dataclass_fields__},
+            )
+            beam, plane = damped_step(part, self.damping[own])
+            trial = apply_step(
+                self._pick(self.at, own),
+                beam.reshape(-1, 5 + self.terms),
+                plane.reshape(-1, 3),
+                part.centres.reshape(-1, 3),
+                self.terms,
+            )
+            residual, cost = self._evaluate(trial)
+            better = cost < self.cost[own]
+            gain = self.cost[own] - cost
+            self._take(own[better], self._pick(trial, np.flatnonzero(better)))
+            self.residual[own[better]] = residual[better]
+            arrived = better & (gain <= LEVEL * cost)
+            self.cost[own[better]] = cost[better]
+            self.active[own[arrived]] = False
+            self.damping[own[better]] = np.maximum(self.damping[own[better]] / 10.0, LEAST_DAMPING)
+            self.damping[own[~better]] *= 10.0
+            hopeless = self.damping[own] > MOST_DAMPING
+            self.active[own[hopeless]] = False
+            waiting = waiting[~better & ~hopeless]
+
+    def _evaluate(self, at: Parameters) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (K, N) [m] and costs (K,), infinite where a beam grazes its plane."""
+        copies = len(at.locations) // self.readings.beams
+        many = self.readings.copies(copies)
+        x = model.scene(at, many)
+        with np.errstate(all="ignore"):
+            steep = np.abs(model.cosines(x)) >= model.GRAZING_LIMIT
+        usable = steep.reshape(copies, -1).all(axis=1)
+        residual = np.full((copies, len(self.readings)), np.inf)
+        if usable.any():
+            kept = np.repeat(usable, len(self.readings))
+            part = model.Scene(*(getattr(x, name)[kept] for name in x.__dataclass_fields__))
+            e = model.residuals(part, many.distance[kept])
+            residual[usable] = e.reshape(-1, len(self.readings))
+        cost = np.full(copies, np.inf)
+        if usable.any():
+            rho = self.loss.cost(residual[usable] / self.scale)
+            cost[usable] = self.scale**2 * rho.sum(axis=1)
+        return residual, np.where(np.isfinite(cost), cost, np.inf)
+
+    def _pick(self, at: Parameters, rows: IntArray) -> Parameters:
+        return picked(at, self.readings, rows)
+
+    def _take(self, rows: IntArray, new: Parameters) -> None:
+        beams, planes = _indices(self.readings, rows)
+        arrays = []
+        for name in ("locations", "directions", "range_errors", "normals", "offsets"):
+            array = getattr(self.at, name).copy()
+            array[planes if name in ("normals", "offsets") else beams] = getattr(new, name)
+            arrays.append(array)
+        self.at = Parameters(*arrays)
+
+
+def joined(copies: Sequence[Parameters]) -> Parameters:
+    """Return the beams and planes of several candidates, one after the other."""
+    return Parameters(
+        np.concatenate([p.locations for p in copies]),
+        np.concatenate([p.directions for p in copies]),
+        np.concatenate([p.range_errors for p in copies]),
+        np.concatenate([p.normals for p in copies]),
+        np.concatenate([p.offsets for p in copies]),
+    )
+
+
+def parted(at: Parameters, readings: Readings) -> list[Parameters]:
+    """Return the candidates that were `joined`."""
+    copies = len(at.locations) // readings.beams
+    return [picked(at, readings, np.array([k])) for k in range(copies)]
+
+
+def picked(at: Parameters, readings: Readings, rows: IntArray) -> Parameters:
+    """Return candidates `rows` of joined parameters."""
+    beams, planes = _indices(readings, rows)
+    return Parameters(
+        at.locations[beams],
+        at.directions[beams],
+        at.range_errors[beams],
+        at.normals[planes],
+        at.offsets[planes],
+    )
+
+
+def _indices(readings: Readings, rows: IntArray) -> tuple[IntArray, IntArray]:
+    beams = (rows[:, None] * readings.beams + np.arange(readings.beams)).ravel()
+    planes = (rows[:, None] * readings.planes + np.arange(readings.planes)).ravel()
+    return beams.astype(np.intp), planes.astype(np.intp)

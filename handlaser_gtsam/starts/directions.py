@@ -1,0 +1,91 @@
+r"""A start from few stations of many planes or beams: sweep the common direction of the beams.
+
+Blocks of one beam and one plane may be too small to solve alone. Here all beams share one location
+and direction for a moment. For a direction v the laser spots of a reading lie at
+
+    X = R (r + d v) + t
+
+so that, from r = 0 on, planes follow from their spots by total least squares, and r follows from the
+planes by linear least squares, in turns. The directions whose spots are flattest become starts; every
+beam gets its own location and direction when they are refined.
+"""
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..recording import Readings
+from .partial import PartialStart
+
+TURNS = 3
+LEAST_COSINE = 0.1
+
+
+def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
+    """Return the `count` best starts of `tried` directions over the sphere."""
+    v = sphere(tried)
+    r = np.zeros_like(v)
+    reach = np.einsum("nij,cj->cni", readings.world_R_hand, v) * readings.distance[:, None]
+    reach += readings.world_t_hand
+    n = b = np.empty(0)
+    for turn in range(TURNS + 1):
+        spots = reach + np.einsum("nij,cj->cni", readings.world_R_hand, r)
+        n, b = _planes(spots, readings)
+        if turn < TURNS:
+            r = _location(reach, n, b, readings)
+    misfit = _misfit(spots, v, n, b, readings)
+    starts = []
+    for c in np.argsort(misfit, kind="stable")[:count]:
+        start = PartialStart.empty(readings)
+        start.locations[:], start.directions[:] = r[c], v[c]
+        start.normals[:], start.offsets[:] = n[c], b[c]
+        starts.append(start)
+    return starts
+
+
+def sphere(count: int) -> FloatArray:
+    """Return `count` unit vectors (count, 3) spread evenly over the sphere (Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * index / count
+    angle = index * np.pi * (3.0 - np.sqrt(5.0))
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
+
+
+def _planes(spots: FloatArray, readings: Readings) -> tuple[FloatArray, FloatArray]:
+    """Fit every plane to its spots (C, N, 3); return normals (C, P, 3) and offsets (C, P)."""
+    first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
+    count = np.diff(np.append(first, len(readings)))
+    centre = np.add.reduceat(spots, first, axis=1) / count[:, None]
+    local = spots - np.repeat(centre, count, axis=1)
+    outer = local[..., :, None] * local[..., None, :]
+    n = np.linalg.eigh(np.add.reduceat(outer, first, axis=1))[1][..., 0]
+    normals = np.zeros((len(spots), readings.planes, 3))
+    normals[..., 2] = 1.0
+    offsets = np.zeros((len(spots), readings.planes))
+    seen = readings.plane[first]
+    normals[:, seen] = n
+    offsets[:, seen] = -np.einsum("cpi,cpi->cp", n, centre)
+    return normals, offsets
+
+
+def _location(reach: FloatArray, n: FloatArray, b: FloatArray, readings: Readings) -> FloatArray:
+    """Return the location (C, 3) that all beams share, for known planes."""
+    each = n[:, readings.plane]
+    A = np.einsum("nji,cnj->cni", readings.world_R_hand, each)
+    rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
+    H = np.swapaxes(A, 1, 2) @ A
+    ridge = 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    solved: FloatArray = np.linalg.solve(H + ridge, np.swapaxes(A, 1, 2) @ rhs[..., None])[..., 0]
+    return solved
+
+
+def _misfit(
+    spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
+) -> FloatArray:
+    """Return the sum of squared residuals along the beams (C,)."""
+    each = n[:, readings.plane]
+    away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
+    v_world = np.einsum("nij,cj->cni", readings.world_R_hand, v)
+    cosine = np.abs(np.einsum("cni,cni->cn", each, v_world))
+    misfit: FloatArray = ((away / np.maximum(cosine, LEAST_COSINE)) ** 2).sum(axis=1)
+    return misfit
