@@ -12,7 +12,7 @@ import numpy as np
 from ..parameters import Parameters
 from ..recording import Readings
 from ..solvers.refine import refine_many
-from .directions import direction_starts
+from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
 from .partial import PartialStart, grow
 from .sweep import SweepOptions, sweep_starts
@@ -21,11 +21,18 @@ from .translations import translation_start, translation_start_with_range_errors
 FIRST_STEPS, LAST_STEPS = 10, 40
 """Refinement steps of all starts, and of the best of them."""
 FINALISTS = 6
+"""So many starts of each round are refined to the end, or a quarter of the round if that is more."""
+RANDOM_ROUNDS, RANDOM_STARTS = 8, 100
+"""The last resort; each start reaches the optimum of the hardest problems met in one case of 50."""
 SEARCH_ROWS = 1500
 """Starts are searched on about so many readings; more would only cost time."""
 AGREEING = 4
 """So many starts at one optimum are believed where no range sigma is given."""
 SAME_COST = 1.01
+MISFIT = 10.0
+"""Residuals beyond so many of the given sigmas are not believed however many starts agree;"""
+POOR_FIT = 0.05
+"""nor, where no sigma is given, beyond this part of the spread of the readings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +111,9 @@ def _rounds(readings: Readings, terms: int) -> Iterator[Seeds]:
     yield [("directions", s) for s in direction_starts(part, 40, tried=600)]
     options = SweepOptions(refined=16, seeds=8, kept=4)
     yield [("sweep", s) for s in sweep_starts(part, options)]
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_ROUNDS):
+        yield [("random", s) for s in random_starts(part, RANDOM_STARTS, rng)]
 
 
 def _manageable(readings: Readings) -> Readings:
@@ -123,7 +133,7 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     first = refine_many(starts, readings, 0, FIRST_STEPS)
     usable = [i for i, one in enumerate(first) if one is not None]
     squares = {i: one.squares for i in usable if (one := first[i]) is not None}
-    best = sorted(usable, key=lambda i: squares[i])[:FINALISTS]
+    best = sorted(usable, key=lambda i: squares[i])[: max(FINALISTS, len(seeds) // 4)]
     parameters = [one.parameters for i in best if (one := first[i]) is not None]
     last = refine_many(parameters, readings, terms, LAST_STEPS)
     return [
@@ -140,7 +150,12 @@ def _believed(
     dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
     if dof <= 0:
         return False
+    squares = found[0].squares
     if range_sigma is not None:
-        return found[0].squares <= float(range_sigma**2 * (dof + 4.0 * np.sqrt(2.0 * dof)))
-    agreeing = [c for c in found if c.squares <= SAME_COST * found[0].squares]
-    return len(agreeing) >= AGREEING
+        if squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof))):
+            return True
+        poor = squares > MISFIT**2 * range_sigma**2 * dof
+    else:
+        poor = squares > POOR_FIT**2 * len(readings) * float(readings.distance.var())
+    agreeing = [c for c in found if c.squares <= SAME_COST * squares]
+    return len(agreeing) >= AGREEING and not poor

@@ -7,11 +7,13 @@ and direction for a moment. For a direction v the laser spots of a reading lie a
 
 so that, from r = 0 on, planes follow from their spots by total least squares, and r follows from the
 planes by linear least squares, in turns. The directions whose spots are flattest become starts; every
-beam gets its own location and direction when they are refined.
+beam gets its own location and direction when they are refined. Where beams sit far from the hand's
+origin and blocks are tiny, r = 0 is too far away: then r is drawn at random too.
 """
 
 import numpy as np
 
+from .. import model
 from ..arrays import FloatArray
 from ..recording import Readings
 from .partial import PartialStart
@@ -24,22 +26,46 @@ def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[P
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
     r = np.zeros_like(v)
-    reach = np.einsum("nij,cj->cni", readings.world_R_hand, v) * readings.distance[:, None]
-    reach += readings.world_t_hand
-    n = b = np.empty(0)
-    for turn in range(TURNS + 1):
-        spots = reach + np.einsum("nij,cj->cni", readings.world_R_hand, r)
-        n, b = _planes(spots, readings)
-        if turn < TURNS:
-            r = _location(reach, n, b, readings)
-    misfit = _misfit(spots, v, n, b, readings)
+    reach = _reach(v, readings)
+    for _ in range(TURNS):
+        n, b = _planes(reach + _turned(r, readings), readings)
+        r = _location(reach, n, b, readings)
+    spots = reach + _turned(r, readings)
+    n, b = _planes(spots, readings)
+    best = np.argsort(_misfit(spots, v, n, b, readings), kind="stable")[:count]
+    return _starts(r[best], v[best], n[best], b[best], readings)
+
+
+def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[PartialStart]:
+    """Return starts of random directions and locations, up to twenty ranges from the hand's origin."""
+    v = model.normalized(rng.standard_normal((count, 3)))
+    r = model.normalized(rng.standard_normal((count, 3)))
+    r *= float(np.median(readings.distance)) * 10.0 ** rng.uniform(-0.5, 1.3, (count, 1))
+    n, b = _planes(_reach(v, readings) + _turned(r, readings), readings)
+    return _starts(r, v, n, b, readings)
+
+
+def _starts(
+    r: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
+) -> list[PartialStart]:
     starts = []
-    for c in np.argsort(misfit, kind="stable")[:count]:
+    for c in range(len(v)):
         start = PartialStart.empty(readings)
         start.locations[:], start.directions[:] = r[c], v[c]
         start.normals[:], start.offsets[:] = n[c], b[c]
         starts.append(start)
     return starts
+
+
+def _reach(v: FloatArray, readings: Readings) -> FloatArray:
+    """Return d R v + t (C, N, 3) for directions v (C, 3)."""
+    return _turned(v, readings) * readings.distance[:, None] + readings.world_t_hand
+
+
+def _turned(vectors: FloatArray, readings: Readings) -> FloatArray:
+    """Return R u (C, N, 3) for vectors u (C, 3), hand frame."""
+    turned: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
+    return turned
 
 
 def sphere(count: int) -> FloatArray:
@@ -85,7 +111,6 @@ def _misfit(
     """Return the sum of squared residuals along the beams (C,)."""
     each = n[:, readings.plane]
     away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
-    v_world = np.einsum("nij,cj->cni", readings.world_R_hand, v)
-    cosine = np.abs(np.einsum("cni,cni->cn", each, v_world))
+    cosine = np.abs(np.einsum("cni,cni->cn", each, _turned(v, readings)))
     misfit: FloatArray = ((away / np.maximum(cosine, LEAST_COSINE)) ** 2).sum(axis=1)
     return misfit

@@ -41,7 +41,7 @@ LARGEST_CORRECTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Second moments of translations t, readings d and squares q about their means, one row a series."""
+    """Second moments of translations t, readings d, squares q about their means, a row a series."""
 
     plane: IntArray
     beam: IntArray
