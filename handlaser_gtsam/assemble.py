@@ -6,16 +6,18 @@ import numpy as np
 
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
-from .covariance import covariances, covariances_of_determined
+from .covariance import Covariances, covariances, covariances_of_determined
 from .diagnosis.doubts import doubts, noise_advice
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
-from .diagnosis.words import advice, undetermined
+from .diagnosis.reasons import Reasons, reasons
+from .diagnosis.words import Names, advice, undetermined
 from .noise import Noise
-from .range_error import Choice, Solution
+from .ordering import Order
+from .range_error import Solution
 from .recording import Readings, Recording
+from .selection import FLAT, OUTSIDE, Selection
 from .sensor import Rejected
-from .starts import Start
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
@@ -26,11 +28,10 @@ NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 def assemble(
     recording: Recording,
     readings: Readings,
+    order: Order,
     origins: FloatArray,
     noise: Noise,
-    start: Start,
-    choice: Choice,
-    rejected: tuple[Rejected, ...],
+    selection: Selection,
 ) -> Calibration:
     """Return the calibration of a solution.
 
@@ -38,79 +39,136 @@ def assemble(
     ----------
     recording : Recording
     readings : Readings
-        Those that were used, seen from `origins`.
+        All of them, in the world frame, sorted.
+    order : Order
+        From sorted numbers to those of the recording.
     origins : (P, 3)
-        Origin of every plane's frame in the world [m]; axes are the world's.
-    noise, start, choice, rejected
-        How the solution came about.
+        Origin of every plane's frame of the solution in the world [m]; axes are the world's.
+    noise : Noise
+    selection : Selection
+        Which readings were used, and their solution.
     """
-    solution = choice.solution
-    fit = _fit(recording, readings, solution, noise, rejected)
-    determined = _determined(recording, readings, solution, fit)
+    choice, solution = selection.choice, selection.choice.solution
+    names = _names(recording, order)
+    used = readings.subset(np.flatnonzero(selection.used))
+    fit, why = _fit(recording, readings, order, origins, noise, selection, names)
+    determined = _determined(names, used.seen_from(origins), solution, fit)
     status = _status(solution, determined)
-    beams, planes = _estimates(recording, solution, fit, origins, status == "converged")
+    beams, planes = _estimates(names, solution, fit, origins, status == "converged")
     return Calibration(
         status,
         _message(status, solution, determined),
-        doubts(readings, fit, noise),
+        _label_warnings(recording, order, names, why) + doubts(used, fit, noise),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
         determined,
-        StartReport(start.method, start.tried),
+        StartReport(selection.method, selection.start.tried),
         choice.reason,
         solution.result.iterations,
         solution.result.status == "interrupted",
     )
 
 
+def _names(recording: Recording, order: Order) -> Names:
+    """Return names with their sorted numbers, in the order of the recording."""
+    beams, planes = np.argsort(order.beams), np.argsort(order.planes)
+    return Names(
+        tuple((name, int(beams[i])) for i, name in enumerate(recording.beam_names)),
+        tuple((name, int(planes[p])) for p, name in enumerate(recording.plane_names)),
+    )
+
+
 def _fit(
     recording: Recording,
     readings: Readings,
-    solution: Solution,
+    order: Order,
+    origins: FloatArray,
     noise: Noise,
-    rejected: tuple[Rejected, ...],
-) -> Fit:
+    selection: Selection,
+    names: Names,
+) -> tuple[Fit, Reasons]:
+    solution = selection.choice.solution
     e = solution.result.residual
     squares = float(e @ e)
     chi2 = squares / (noise.range_sigma or 1.0) ** 2
-    dof = len(readings) - solution.observability.rank
+    dof = len(e) - solution.observability.rank
     sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
-    worst = int(np.abs(e).argmax())
+    sigma = noise.range_sigma or sigma0
+    station, beam = order.stations[readings.station], order.beams[readings.beam]
     table = np.full(recording.ranges.shape, np.nan)
-    table[readings.station, readings.beam] = e
-    return Fit(
-        readings=len(readings),
-        rms=float(np.sqrt(squares / len(readings))),
-        largest=float(np.abs(e[worst])),
+    table[station[selection.used], beam[selection.used]] = e
+    worst = np.flatnonzero(selection.used)[int(np.abs(e).argmax())]
+    parameters = solution.parameters.seen_from(-origins)
+    fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
+    why = reasons(readings, ~selection.outliers(), parameters, fitted, names.sorted_planes())
+    fit = Fit(
+        readings=len(e),
+        rms=float(np.sqrt(squares / len(e))),
+        largest=float(np.abs(e).max()),
         largest_at=(
-            recording.station_names[readings.station[worst]],
-            recording.beam_names[readings.beam[worst]],
+            recording.station_names[station[worst]],
+            recording.beam_names[beam[worst]],
         ),
         chi2=chi2,
         dof=dof,
         sigma0=sigma0,
-        range_sigma=noise.range_sigma or sigma0,
+        range_sigma=sigma,
         range_sigma_given=noise.range_sigma is not None,
         residuals=table,
-        rejected=rejected,
+        rejected=_rejected(recording, readings, order, selection, why),
+    )
+    return fit, why
+
+
+def _rejected(
+    recording: Recording, readings: Readings, order: Order, selection: Selection, why: Reasons
+) -> tuple[Rejected, ...]:
+    """Name what was left out, in the order of the recording."""
+    words = np.full(len(readings), "", dtype=object)
+    words[selection.outliers()] = why.words
+    words[selection.flat] = FLAT
+    words[selection.outside] = OUTSIDE
+    station, beam = order.stations[readings.station], order.beams[readings.beam]
+    rows = np.flatnonzero(~selection.used)
+    rows = rows[np.lexsort((beam[rows], station[rows]))]
+    return tuple(
+        Rejected(
+            recording.station_names[station[row]],
+            recording.beam_names[beam[row]],
+            str(words[row]),
+            None if selection.outside[row] else why.residual_of(int(row)),
+        )
+        for row in rows
     )
 
 
-def _determined(
-    recording: Recording, readings: Readings, solution: Solution, fit: Fit
-) -> Determined:
+def _label_warnings(
+    recording: Recording, order: Order, names: Names, why: Reasons
+) -> tuple[str, ...]:
+    planes = names.sorted_planes()
+    found = sorted(
+        (int(order.stations[station]), plane) for station, plane in why.other_plane.items()
+    )
+    return tuple(
+        f"station {recording.station_names[station]} is labelled plane "
+        f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label"
+        for station, plane in found
+    )
+
+
+def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> Determined:
     found, parameters = solution.observability, solution.parameters
     condition = found.condition if found.full else None
-    words = undetermined(found, parameters, recording)
-    help_ = advice(found, recording)
+    words = undetermined(found, parameters, names)
+    help_ = advice(found, names)
     if found.full and fit.dof == 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
-    elif found.full and _is_ambiguous(readings, solution, fit):
+    elif found.full and _is_ambiguous(used, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
     elif not found.full:
         terms = solution.problem.terms
-        if observability(parameters, readings, terms, range_sigma=0.0).full:
+        if observability(parameters, used, terms, range_sigma=0.0).full:
             help_ = (noise_advice(fit),)
     return Determined(found.rank, found.unknowns, condition, words, help_)
 
@@ -138,19 +196,13 @@ def _message(status: Status, solution: Solution, determined: Determined) -> str:
 
 
 def _estimates(
-    recording: Recording, solution: Solution, fit: Fit, origins: FloatArray, with_covariance: bool
+    names: Names, solution: Solution, fit: Fit, origins: FloatArray, with_covariance: bool
 ) -> tuple[list[Beam], list[Plane]]:
     parameters, problem = solution.parameters.seen_from(-origins), solution.problem
-    beam_covariance: list[FloatArray | None] = [None] * len(recording.beam_names)
-    plane_covariance: list[FloatArray | None] = [None] * len(recording.plane_names)
+    beam_covariance: list[FloatArray | None] = [None] * len(names.beams)
+    plane_covariance: list[FloatArray | None] = [None] * len(names.planes)
     if with_covariance:
-        factor = (fit.range_sigma / problem.range_sigma) ** 2
-        try:
-            found = covariances(problem, solution.result.values, factor, origins)
-        except RuntimeError:
-            found = covariances_of_determined(
-                solution.observability, solution.parameters, fit.range_sigma, origins
-            )
+        found = _covariances(solution, fit, origins)
         beam_covariance, plane_covariance = list(found[0]), list(found[1])
     beams = [
         Beam(
@@ -161,10 +213,20 @@ def _estimates(
             problem.terms,
             beam_covariance[i],
         )
-        for i, name in enumerate(recording.beam_names)
+        for name, i in names.beams
     ]
     planes = [
         Plane(name, parameters.normals[p], float(parameters.offsets[p]), plane_covariance[p])
-        for p, name in enumerate(recording.plane_names)
+        for name, p in names.planes
     ]
     return beams, planes
+
+
+def _covariances(solution: Solution, fit: Fit, origins: FloatArray) -> Covariances:
+    factor = (fit.range_sigma / solution.problem.range_sigma) ** 2
+    try:
+        return covariances(solution.problem, solution.result.values, factor, origins)
+    except RuntimeError:
+        return covariances_of_determined(
+            solution.observability, solution.parameters, fit.range_sigma, origins
+        )

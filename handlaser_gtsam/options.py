@@ -8,6 +8,7 @@ from .sensor import Sensor
 from .solvers.levenberg import LevenbergOptions
 
 RangeError = Literal["auto", "none", "k1", "k1k2"]
+Outliers = Literal["reject", "keep"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +19,8 @@ class CalibrationOptions:
     ----------
     range_error : {"auto", "none", "k1", "k1k2"}
         Range-error terms of every beam; `auto` chooses by evidence.
+    outliers : {"reject", "keep"}
+        Whether readings that the others contradict are left out, and listed.
     sensor : Sensor
         Readings outside its limits are left out, and listed.
     solver : LevenbergOptions
@@ -25,6 +28,7 @@ class CalibrationOptions:
     """
 
     range_error: RangeError = "auto"
+    outliers: Outliers = "reject"
     sensor: Sensor = field(default_factory=Sensor)
     solver: LevenbergOptions = field(default_factory=LevenbergOptions)
     observability: ObservabilityOptions = field(default_factory=ObservabilityOptions)

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 
-from . import sensor as limits
 from .assemble import assemble
 from .calibration import Calibration
 from .noise import Noise
 from .options import CalibrationOptions
-from .range_error import MOST_TERMS, choose_terms
+from .ordering import sorted_readings
 from .recording import Recording
+from .selection import select
 from .solvers.levenberg import Trial
-from .starts import find_start
 
 
 def calibrate(
@@ -41,25 +40,10 @@ def calibrate(
         The sensor's limits leave a beam or a plane without readings.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
-    # 1. Keep the readings the sensor can give; every plane in a frame amid its stations.
-    everything = recording.readings()
-    origins = everything.plane_means(everything.world_t_hand)
-    everything = everything.seen_from(origins)
-    kept = limits.within_range(everything, options.sensor)
-    rejected = limits.rejected(recording, everything, kept, "outside the sensor's range")
-    readings = everything.subset(kept)
-    limits.require_all(recording, readings)
-    # 2. Find a start without a guess, then solve jointly, with as many range-error terms as show.
-    start = find_start(readings, noise.range_sigma, MOST_TERMS[options.range_error])
-    choice = choose_terms(readings, start.parameters, noise, options, progress)
-    # 3. Leave out readings that meet their plane too flat, and solve again from there.
-    steep = limits.within_incidence(readings, choice.solution.parameters, options.sensor)
-    if len(steep) < len(readings):
-        residual = choice.solution.result.residual
-        reason = "incidence above the sensor's limit"
-        rejected += limits.rejected(recording, readings, steep, reason, residual)
-        readings = readings.subset(steep)
-        limits.require_all(recording, readings)
-        choice = choose_terms(readings, choice.solution.parameters, noise, options, progress)
-    # 4. Covariances, where everything is determined.
-    return assemble(recording, readings, origins, noise, start, choice, rejected)
+    # 1. An order that only the content decides, and every plane in a frame amid its stations.
+    readings, order = sorted_readings(recording)
+    origins = readings.plane_means(readings.world_t_hand)
+    # 2. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
+    selection = select(recording, readings.seen_from(origins), noise, options, progress)
+    # 3. Covariances of what is determined, in the names and the order of the recording.
+    return assemble(recording, readings, order, origins, noise, selection)

@@ -348,7 +348,8 @@ def test_an_outlier_is_named():
     recording, _ = simulated(layout=Layout(planes=6, stations=15))
     ranges = recording.ranges.copy()
     ranges[17, 2] += 1e-3
-    calibration = hl.calibrate(broken(recording, ranges=ranges), hl.Noise(SIGMA))
+    keep = hl.CalibrationOptions(outliers="keep")
+    calibration = hl.calibrate(broken(recording, ranges=ranges), hl.Noise(SIGMA), keep)
     assert calibration.fit.largest_at == ("18", "3")
     assert any("beam 3 at station 18" in words for words in calibration.warnings)
 

@@ -91,7 +91,7 @@ def calibrate(
     numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)
     settings = _settings(rig, numbers, range_mm, max_incidence_deg)
     table = read_recording(recording)
-    options = CalibrationOptions(range_error.value, settings.sensor)
+    options = CalibrationOptions(range_error.value, sensor=settings.sensor)
     result = run(table, settings.noise, options)
     text = calibration_text(result)
     if out is not None:

@@ -1,39 +1,50 @@
 """Undetermined unknowns in words an engineer understands, and what would determine them."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
 from ..parameters import Parameters
-from ..recording import Recording
 from .observability import Observability
 
 SHARE = 0.02
 """A part of a null vector below this length is not worth a word."""
 
 
-def undetermined(
-    found: Observability, parameters: Parameters, recording: Recording
-) -> tuple[str, ...]:
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Names of beams and planes, each with its index, in the order in which they are listed."""
+
+    beams: tuple[tuple[str, int], ...]
+    planes: tuple[tuple[str, int], ...]
+
+    def sorted_planes(self) -> tuple[str, ...]:
+        """Return the names of the planes in the order of their indices."""
+        return tuple(name for name, _ in sorted(self.planes, key=lambda plane: plane[1]))
+
+
+def undetermined(found: Observability, parameters: Parameters, names: Names) -> tuple[str, ...]:
     """Say what the readings leave open, one sentence a beam or kind of plane."""
     if found.full:
         return ()
     beams, planes = _normalized(found)
     bases = model.tangent_basis(parameters.directions)
     words = []
-    for index, name in enumerate(recording.beam_names):
+    for name, index in names.beams:
         parts = _beam_words(beams[index], bases[index])
         if parts:
             words.append(f"beam {name}: {', '.join(parts)}")
     for part, rows in (("normal", slice(0, 2)), ("offset", slice(2, 3))):
         open_ = np.linalg.norm(planes[:, rows], axis=(1, 2)) > SHARE
-        names = [recording.plane_names[p] for p in np.flatnonzero(open_)]
-        if names:
-            words.append(f"{_planes(names)}: {part}")
+        found_open = [name for name, p in names.planes if open_[p]]
+        if found_open:
+            words.append(f"{_planes(found_open)}: {part}")
     return tuple(words)
 
 
-def advice(found: Observability, recording: Recording) -> tuple[str, ...]:
+def advice(found: Observability, names: Names) -> tuple[str, ...]:
     """Say which motion or option would determine what is open."""
     if found.full:
         return ()
@@ -53,9 +64,9 @@ def advice(found: Observability, recording: Recording) -> tuple[str, ...]:
     if np.linalg.norm(beams[:, 5:]) > SHARE and not turning and not location.shape[1]:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:
-        open_ = np.flatnonzero(np.linalg.norm(planes, axis=(1, 2)) > SHARE)
-        names = _planes([recording.plane_names[p] for p in open_])
-        words.append(f"measure {names} at three or more spots that are not on a line")
+        open_ = np.linalg.norm(planes, axis=(1, 2)) > SHARE
+        listed = _planes([name for name, p in names.planes if open_[p]])
+        words.append(f"measure {listed} at three or more spots that are not on a line")
     return tuple(words)
 
 

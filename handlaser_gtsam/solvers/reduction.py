@@ -67,7 +67,9 @@ def normal_equations(
         Of the readings; one where not given.
     """
     copies = len(parameters.locations) // readings.beams
-    columns, centres = _columns(parameters, readings.copies(copies), terms, weights)
+    columns, centres = jacobian_columns(parameters, readings.copies(copies), terms)
+    if weights is not None:
+        columns *= np.sqrt(weights)
     width, beams, planes = 5 + terms, readings.beams, readings.planes
     blocks, size = readings.block_starts(), width + 4
     starts = (np.arange(copies)[:, None] * len(readings) + blocks).ravel()
@@ -137,13 +139,17 @@ def apply_step(
     )
 
 
-def _columns(
-    parameters: Parameters, readings: Readings, terms: int, weights: FloatArray | None
+def jacobian_columns(
+    parameters: Parameters, readings: Readings, terms: int, centres: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of (J_beam, J_plane, e), transposed (5 + terms + 4, N), and the centres."""
+    """Return the rows of (J_beam, J_plane, e), transposed (5 + terms + 4, N), and the centres (P, 3).
+
+    Offsets of planes are taken at `centres`: at the middle of the laser spots where not given.
+    """
     x = model.scene(parameters, readings)
     at = model.linearize(x, readings.distance)
-    centres = readings.plane_means(at.normal / at.offset[:, None])
+    if centres is None:
+        centres = readings.plane_means(at.normal / at.offset[:, None])
     local = at.normal - at.offset[:, None] * centres[readings.plane]
     v_basis = model.tangent_basis(parameters.directions)[readings.beam]
     n_basis = model.tangent_basis(parameters.normals)[readings.plane]
@@ -157,8 +163,6 @@ def _columns(
             at.residual[:, None],
         )
     )
-    if weights is not None:
-        columns *= np.sqrt(weights)[:, None]
     return np.ascontiguousarray(columns.T), centres
 
 

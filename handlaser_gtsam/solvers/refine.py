@@ -20,16 +20,53 @@ GAUSSIAN = Loss()
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
 LEVEL = 1e-9
 """A candidate whose cost falls by less than this part has arrived."""
+QUANTILE = 1.2
+"""Of half to two thirds of the readings, among up to a third of outliers, in standard deviations."""
 ROWS = 60_000
 """Readings times candidates worked on at once: more would leave the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
+class Scale:
+    """The unit of residuals in a loss.
+
+    Attributes
+    ----------
+    least : float
+        The unit [m], or the least one where it follows the residuals.
+    good : float, optional
+        Part of the readings that count as good. The unit then follows the quantile of the absolute
+        residuals of each candidate at that part over `QUANTILE`, and never grows: a gradual tightening.
+    """
+
+    least: float = 1.0
+    good: float | None = None
+
+    def of(self, residual: FloatArray) -> FloatArray:
+        """Return the unit (K,) for residuals (K, N)."""
+        if self.good is None:
+            return np.full(len(residual), self.least)
+        rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
+        quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
+        return np.asarray(np.maximum(quantile / QUANTILE, self.least))
+
+
+@dataclass(frozen=True, slots=True)
 class Refined:
-    """Parameters after some steps, and twice their cost: the sum of squares [m^2] if Gaussian."""
+    """Parameters after some steps.
+
+    Attributes
+    ----------
+    parameters : Parameters
+    squares : float
+        Twice the cost: the sum of squares [m^2] if the loss is Gaussian.
+    scale : float
+        The unit of the loss at the end [m].
+    """
 
     parameters: Parameters
     squares: float
+    scale: float
 
 
 def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -> Refined | None:
@@ -43,7 +80,7 @@ def refine_many(
     terms: int,
     iterations: int,
     loss: Loss = GAUSSIAN,
-    scale: float = 1.0,
+    scale: "Scale | None" = None,
 ) -> list[Refined | None]:
     """Refine every start; None where a beam grazes its plane there.
 
@@ -56,10 +93,11 @@ def refine_many(
     iterations : int
         Most trial steps.
     loss : Loss
-        Of residuals in units of `scale`.
-    scale : float
-        [m]
+        Of residuals in units of the scale.
+    scale : Scale, optional
+        Not needed for the Gaussian loss.
     """
+    scale = scale or Scale()
     share = max(ROWS // max(len(readings), 1), 1)
     found: list[Refined | None] = []
     for first in range(0, len(starts), share):
@@ -77,12 +115,15 @@ class _Search:
         readings: Readings,
         terms: int,
         loss: Loss,
-        scale: float,
+        scale: Scale,
     ) -> None:
-        self.readings, self.terms, self.loss, self.scale = readings, terms, loss, scale
+        self.readings, self.terms, self.loss, self.rule = readings, terms, loss, scale
         self.at = joined(starts)
         self.damping = np.full(len(starts), LEAST_DAMPING)
-        self.residual, self.cost = self._evaluate(self.at)
+        self.residual = self._residuals(self.at)
+        self.scale = scale.of(self.residual)
+        self.cost = self._costs(self.residual, self.scale)
+        self.tightening = np.zeros(len(starts), dtype=bool)
         self.active: BoolArray = np.isfinite(self.cost)
 
     def run(self, iterations: int) -> list[Refined | None]:
@@ -92,8 +133,10 @@ class _Search:
                 break
             self._advance(rows)
         return [
-            Refined(parameters, float(2.0 * cost)) if np.isfinite(cost) else None
-            for parameters, cost in zip(parted(self.at, self.readings), self.cost, strict=True)
+            Refined(parameters, float(2.0 * cost), float(scale)) if np.isfinite(cost) else None
+            for parameters, cost, scale in zip(
+                parted(self.at, self.readings), self.cost, self.scale, strict=True
+            )
         ]
 
     def _advance(self, rows: IntArray) -> None:
@@ -101,7 +144,7 @@ class _Search:
         here = self._pick(self.at, rows)
         weights = None
         if self.loss.name != "gaussian":
-            weights = self.loss.weight(self.residual[rows].ravel() / self.scale)
+            weights = self._tighten(rows)
         normal = normal_equations(here, self.readings, self.terms, weights)
         waiting = np.arange(len(rows))
         while waiting.size:
@@ -118,12 +161,13 @@ class _Search:
                 part.centres.reshape(-1, 3),
                 self.terms,
             )
-            residual, cost = self._evaluate(trial)
+            residual = self._residuals(trial)
+            cost = self._costs(residual, self.scale[own])
             better = cost < self.cost[own]
             gain = self.cost[own] - cost
             self._take(own[better], self._pick(trial, np.flatnonzero(better)))
             self.residual[own[better]] = residual[better]
-            arrived = better & (gain <= LEVEL * cost)
+            arrived = better & (gain <= LEVEL * cost) & ~self.tightening[own]
             self.cost[own[better]] = cost[better]
             self.active[own[arrived]] = False
             self.damping[own[better]] = np.maximum(self.damping[own[better]] / 10.0, LEAST_DAMPING)
@@ -132,8 +176,17 @@ class _Search:
             self.active[own[hopeless]] = False
             waiting = waiting[~better & ~hopeless]
 
-    def _evaluate(self, at: Parameters) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (K, N) [m] and costs (K,), infinite where a beam grazes its plane."""
+    def _tighten(self, rows: IntArray) -> FloatArray:
+        """Let the scale of candidates `rows` follow their residuals; return the weights."""
+        residual = self.residual[rows]
+        before = self.scale[rows]
+        self.scale[rows] = np.minimum(before, self.rule.of(residual))
+        self.tightening[rows] = self.scale[rows] < 0.999 * before
+        self.cost[rows] = self._costs(residual, self.scale[rows])
+        return self.loss.weight(residual / self.scale[rows, None]).ravel()
+
+    def _residuals(self, at: Parameters) -> FloatArray:
+        """Return residuals (K, N) [m], infinite where a beam of the candidate grazes its plane."""
         copies = len(at.locations) // self.readings.beams
         many = self.readings.copies(copies)
         x = model.scene(at, many)
@@ -146,11 +199,15 @@ class _Search:
             part = model.Scene(*(getattr(x, name)[kept] for name in x.__dataclass_fields__))
             e = model.residuals(part, many.distance[kept])
             residual[usable] = e.reshape(-1, len(self.readings))
-        cost = np.full(copies, np.inf)
-        if usable.any():
-            rho = self.loss.cost(residual[usable] / self.scale)
-            cost[usable] = self.scale**2 * rho.sum(axis=1)
-        return residual, np.where(np.isfinite(cost), cost, np.inf)
+        return residual
+
+    def _costs(self, residual: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return costs (K,) [m^2], infinite where a residual is."""
+        cost = np.full(len(residual), np.inf)
+        usable = np.isfinite(residual).all(axis=1)
+        rho = self.loss.cost(residual[usable] / scale[usable, None])
+        cost[usable] = scale[usable] ** 2 * rho.sum(axis=1)
+        return cost
 
     def _pick(self, at: Parameters, rows: IntArray) -> Parameters:
         return picked(at, self.readings, rows)

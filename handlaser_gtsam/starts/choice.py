@@ -29,6 +29,8 @@ SEARCH_ROWS = 1500
 AGREEING = 4
 """So many starts at one optimum are believed where no range sigma is given."""
 SAME_COST = 1.01
+RIVALS = 5
+"""So many other candidates are handed on."""
 MISFIT = 10.0
 """Residuals beyond so many of the given sigmas are not believed however many starts agree;"""
 POOR_FIT = 0.05
@@ -48,11 +50,20 @@ class Start:
         nothing else applies.
     tried : tuples (method, rms [m])
         Every method that applied, with the lowest rms residual it reached; the lowest first.
+    fits : bool
+        Whether the residuals are as small as the given range sigma says.
+    believed : bool
+        Whether the search ended on evidence, and not because there was nothing left to try.
+    rivals : Parameters, each
+        The best other candidates.
     """
 
     parameters: Parameters
     method: str
     tried: tuple[tuple[str, float], ...]
+    fits: bool = False
+    believed: bool = False
+    rivals: tuple[Parameters, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +78,9 @@ class Candidate:
 Seeds = list[tuple[str, PartialStart]]
 
 
-def find_start(readings: Readings, range_sigma: float | None = None, terms: int = 2) -> Start:
+def find_start(
+    readings: Readings, range_sigma: float | None = None, terms: int = 2, *, thorough: bool = True
+) -> Start:
     """Return the best start for `readings`.
 
     Parameters
@@ -77,14 +90,18 @@ def find_start(readings: Readings, range_sigma: float | None = None, terms: int 
         Standard deviation of a reading [m]: says when a start fits.
     terms : int
         Most range-error terms the solution will have.
+    thorough : bool
+        Whether random starts follow where nothing else is believed.
     """
     unknowns = 7 * readings.beams + 3 * readings.planes
     terms = terms if len(readings) >= 1.5 * unknowns else 0
     found: list[Candidate] = []
-    for seeds in _rounds(readings, terms):
+    believed = False
+    for seeds in _rounds(readings, terms, thorough):
         found += _refined(seeds, readings, terms)
         found.sort(key=lambda candidate: candidate.squares)
-        if found and _believed(found, readings, range_sigma, terms):
+        believed = bool(found) and _believed(found, readings, range_sigma, terms)
+        if believed:
             break
     if not found:
         lost = grow(PartialStart.empty(readings), readings)
@@ -92,10 +109,17 @@ def find_start(readings: Readings, range_sigma: float | None = None, terms: int 
     lowest: dict[str, float] = {}
     for candidate in found:
         lowest.setdefault(candidate.method, float(np.sqrt(candidate.squares / len(readings))))
-    return Start(found[0].parameters, found[0].method, tuple(lowest.items()))
+    return Start(
+        found[0].parameters,
+        found[0].method,
+        tuple(lowest.items()),
+        _fits(found[0].squares, readings, range_sigma, terms),
+        believed,
+        tuple(candidate.parameters for candidate in found[1 : RIVALS + 1]),
+    )
 
 
-def _rounds(readings: Readings, terms: int) -> Iterator[Seeds]:
+def _rounds(readings: Readings, terms: int, thorough: bool) -> Iterator[Seeds]:
     """Yield seeds, the cheap ones first."""
     closed = translation_start(readings)
     if closed is not None:
@@ -112,7 +136,7 @@ def _rounds(readings: Readings, terms: int) -> Iterator[Seeds]:
     options = SweepOptions(refined=16, seeds=8, kept=4)
     yield [("sweep", s) for s in sweep_starts(part, options)]
     rng = np.random.default_rng(0)
-    for _ in range(RANDOM_ROUNDS):
+    for _ in range(RANDOM_ROUNDS if thorough else 0):
         yield [("random", s) for s in random_starts(part, RANDOM_STARTS, rng)]
 
 
@@ -143,18 +167,23 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     ]
 
 
+def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
+    """Tell whether a sum of squares [m^2] agrees with the given range sigma."""
+    dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
+    if dof <= 0 or range_sigma is None:
+        return False
+    return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))
+
+
 def _believed(
     found: Sequence[Candidate], readings: Readings, range_sigma: float | None, terms: int
 ) -> bool:
     """Tell whether the best of `found` needs no rivals."""
-    dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
-    if dof <= 0:
-        return False
     squares = found[0].squares
+    if _fits(squares, readings, range_sigma, terms):
+        return True
     if range_sigma is not None:
-        if squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof))):
-            return True
-        poor = squares > MISFIT**2 * range_sigma**2 * dof
+        poor = squares > MISFIT**2 * range_sigma**2 * len(readings)
     else:
         poor = squares > POOR_FIT**2 * len(readings) * float(readings.distance.var())
     agreeing = [c for c in found if c.squares <= SAME_COST * squares]

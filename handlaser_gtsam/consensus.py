@@ -1,0 +1,108 @@
+"""Which readings agree on one solution, before that solution is trusted."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from .arrays import BoolArray
+from .diagnosis.outliers import Screening, quick_evidence, screen
+from .losses import Loss
+from .parameters import Parameters
+from .recording import Readings
+from .solvers.refine import Scale, refine_many
+from .starts import Start, find_start
+from .starts.choice import POOR_FIT
+from .starts.robust import RobustStart, robust_starts
+
+SUSPICIOUS = 0.6
+"""Where most readings agree this much better than all of them do, there are outliers to look for."""
+SCREENED = 4
+CONVINCING = 3.0
+"""Readings that agree within so many of the given sigmas need no further search."""
+STEPS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Consensus:
+    """The readings that agree, the parameters they agree on, and how those were found."""
+
+    kept: BoolArray
+    parameters: Parameters
+    method: str
+
+
+def find_consensus(
+    readings: Readings, start: Start, range_sigma: float | None, terms: int
+) -> Consensus:
+    """Leave out what contradicts the rest; all readings are kept where no majority agrees.
+
+    Parameters
+    ----------
+    readings : Readings
+    start : Start
+        Found as if all readings were good.
+    range_sigma : float, optional
+        Standard deviation of a reading [m].
+    terms : int
+        Most range-error terms.
+    """
+    unknowns = 7 * readings.beams + 3 * readings.planes
+    terms = terms if len(readings) >= 1.5 * unknowns else 0
+    plain = screen(readings, start.parameters, terms, range_sigma)
+    found: list[tuple[str, Screening]] = [] if plain is None else [(start.method, plain)]
+    if not start.fits:
+        for candidate in _robust(readings, start, range_sigma, terms)[:SCREENED]:
+            one = screen(readings, candidate.parameters, terms, range_sigma, candidate.scale)
+            if one is not None:
+                found.append(("consensus", one))
+    if not start.fits and not _convincing(found, readings, range_sigma):
+        start = find_start(readings, range_sigma, terms)
+        plain = screen(readings, start.parameters, terms, range_sigma)
+        if plain is not None:
+            found.append((start.method, plain))
+    if not found:
+        return Consensus(np.ones(len(readings), dtype=bool), start.parameters, start.method)
+    method, best = min(found, key=lambda entry: entry[1].evidence)
+    return Consensus(best.kept, best.parameters, method)
+
+
+def _convincing(
+    found: list[tuple[str, Screening]], readings: Readings, range_sigma: float | None
+) -> bool:
+    """Tell whether the best screening fits well enough to end the search."""
+    if not found:
+        return False
+    sigma = min(found, key=lambda entry: entry[1].evidence)[1].range_sigma
+    if range_sigma is not None:
+        return sigma <= CONVINCING * range_sigma
+    return sigma <= POOR_FIT * float(readings.distance.std())
+
+
+def _robust(
+    readings: Readings, start: Start, range_sigma: float | None, terms: int
+) -> list[RobustStart]:
+    """Return robust candidates: from the candidates at hand if they show no outliers, else from all."""
+    others = [start.parameters, *start.rivals]
+    if start.believed:
+        share = _spread_ratio(readings, start.parameters, range_sigma, terms)
+        if share > SUSPICIOUS:
+            return []
+    evidence = partial(quick_evidence, readings, terms, range_sigma)
+    return robust_starts(readings, others, range_sigma, terms, evidence)
+
+
+def _spread_ratio(
+    readings: Readings, parameters: Parameters, range_sigma: float | None, terms: int
+) -> float:
+    """Return how much smaller the residuals of most readings can be than those of all."""
+    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
+    total = len(readings)
+    good = max((unknowns + 0.5 * max(total - unknowns, 0)) / total, 0.5)
+    all_of_them = refine_many([parameters], readings, terms, STEPS)[0]
+    if all_of_them is None:
+        return 0.0
+    sigma = float(np.sqrt(all_of_them.squares / max(total - unknowns, 1)))
+    rule = Scale(max(range_sigma or 0.0, 1e-9 * float(readings.distance.max())), good)
+    most = refine_many([parameters], readings, terms, STEPS, Loss("cauchy"), rule)[0]
+    return 0.0 if most is None else most.scale / max(sigma, rule.least)

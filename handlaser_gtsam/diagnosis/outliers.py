@@ -1,0 +1,171 @@
+r"""Which readings to leave out: those that the others contradict.
+
+From a candidate that fits most readings, the far ones are left out, the rest is fitted again, and all
+readings are tested anew against that fit, until nothing changes. Candidates are compared by the
+evidence for "Gaussian among m readings, anything within the span W for the others":
+
+    m ln sigma^2 + RSS / sigma^2 + 2 (N - m) ln(W / sqrt(2 pi)) - 2 ln(share of each)
+
+so that leaving a reading out has its price: about 4 standard deviations.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray
+from ..errors import GrazingBeamError
+from ..parameters import Parameters
+from ..recording import Readings
+from ..solvers.refine import refine
+from .leverage import leverages, standardized
+from .observability import observability
+
+CUT = 4.0
+"""A reading further off than this many of its standard deviations is an outlier."""
+FIRST_CUT = 4.0
+"""The same for the candidate's own scale, in the first round."""
+ROUNDS, STEPS = 20, 25
+LEAST_SHARE = 0.5
+"""At least this part of the readings must remain: a minority is no evidence."""
+ROUNDING = 1e-12
+"""Residuals below this part of the readings are rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """Which readings agree on one solution.
+
+    Attributes
+    ----------
+    kept : (N,) of bool
+    parameters : Parameters
+        Fitted to the readings that were kept.
+    range_sigma : float
+        Standard deviation behind the test [m]: the larger of the given and the estimated one.
+    evidence : float
+        Criterion above; lower is better.
+    """
+
+    kept: BoolArray
+    parameters: Parameters
+    range_sigma: float
+    evidence: float
+
+
+def screen(
+    readings: Readings,
+    candidate: Parameters,
+    terms: int,
+    range_sigma: float | None,
+    scale: float | None = None,
+) -> Screening | None:
+    """Leave out what contradicts the rest, from `candidate` on.
+
+    Parameters
+    ----------
+    readings : Readings
+    candidate : Parameters
+    terms : int
+    range_sigma : float, optional
+        Given standard deviation of a reading [m].
+    scale : float, optional
+        Standard deviation of the good readings about `candidate` [m]; all count as good at first
+        where it is not given.
+
+    Returns
+    -------
+    Screening or None
+        None where too few readings agree, or a plane or a beam is left without any.
+    """
+    kept = np.ones(len(readings), dtype=bool)
+    if scale is not None:
+        kept = np.abs(residuals(candidate, readings)) <= FIRST_CUT * scale
+    parameters, sigma = candidate, 0.0
+    seen: set[bytes] = set()
+    for _ in range(ROUNDS):
+        if not enough(readings, kept, terms):
+            return None
+        try:
+            parameters, sigma, t = test(readings, kept, parameters, terms, range_sigma)
+        except GrazingBeamError:
+            return None
+        before, kept = kept, np.abs(t) <= CUT
+        if (kept == before).all() or kept.tobytes() in seen:
+            kept = before
+            break
+        seen.add(kept.tobytes())
+    return Screening(kept, parameters, sigma, _evidence(readings, kept, parameters, sigma))
+
+
+def quick_evidence(
+    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
+) -> float:
+    """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
+    e = np.abs(residuals(parameters, readings))
+    best = np.inf
+    for cut in (FIRST_CUT * scale, 2.0 * FIRST_CUT * scale):
+        kept = e <= cut
+        if enough(readings, kept, terms):
+            free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
+            estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
+            sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
+            best = min(best, _evidence(readings, kept, parameters, sigma))
+    return float(best)
+
+
+def test(
+    readings: Readings,
+    kept: BoolArray,
+    start: Parameters,
+    terms: int,
+    range_sigma: float | None,
+) -> tuple[Parameters, float, FloatArray]:
+    """Fit the `kept` readings from `start`; return parameters, sigma and residuals in their sigmas."""
+    part = readings.subset(np.flatnonzero(kept))
+    refined = refine(start, part, terms, STEPS)
+    parameters = start if refined is None else refined.parameters
+    e = residuals(parameters, readings)
+    free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
+    estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
+    sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
+    found = observability(parameters, part, terms, 0.0)
+    h = leverages(parameters, readings, terms, found)
+    return parameters, sigma, standardized(e, h, kept, sigma)
+
+
+def _unknowns(readings: Readings, terms: int) -> int:
+    return (5 + terms) * readings.beams + 3 * readings.planes
+
+
+def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
+    """Tell whether the `kept` readings are a majority, and enough for every beam and plane."""
+    if kept.sum() < max(LEAST_SHARE * len(readings), _unknowns(readings, terms) + 1):
+        return False
+    beams = np.bincount(readings.beam[kept], minlength=readings.beams)
+    planes = np.bincount(readings.plane[kept], minlength=readings.planes)
+    return bool(beams.all() and planes.all())
+
+
+def _evidence(
+    readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float
+) -> float:
+    e = residuals(parameters, readings)[kept]
+    total, good = len(kept), int(kept.sum())
+    bad = total - good
+    span = max(float(np.ptp(readings.distance)), range_sigma)
+    inside = good * np.log(range_sigma**2) + float(e @ e) / range_sigma**2
+    outside = 2.0 * bad * np.log(span / np.sqrt(2.0 * np.pi))
+    shares = sum(m * np.log(m / total) for m in (good, bad) if m)
+    return float(inside + outside - 2.0 * shares)
+
+
+def residuals(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return residuals (N,) [m]; infinite where a beam grazes its plane."""
+    x = model.scene(parameters, readings)
+    steep = np.abs(model.cosines(x)) >= model.GRAZING_LIMIT
+    e = np.full(len(readings), np.inf)
+    part = model.Scene(*(getattr(x, name)[steep] for name in x.__dataclass_fields__))
+    e[steep] = model.residuals(part, readings.distance[steep])
+    return e

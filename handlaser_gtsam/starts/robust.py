@@ -1,0 +1,116 @@
+"""Starts among outliers: many candidates, each tightened around the readings that agree with it.
+
+A linear start follows its outliers. Here every candidate, linear or swept, is refined with Cauchy's
+loss, whose scale follows the residuals of those readings that must be good for the answer to mean
+anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Garbage agrees
+with nothing: the candidates that reach the strongest evidence are those that found the consensus.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..losses import Loss
+from ..parameters import Parameters
+from ..recording import Readings
+from ..solvers.refine import Scale, refine_many
+from .directions import direction_starts, random_starts
+from .partial import grow
+
+SWEPT, TRIED = 32, 400
+RANDOM_ROUNDS, RANDOM_STARTS = 3, 48
+CAUCHY_STEPS, TUKEY_STEPS = 40, 10
+SHARES = (0.5, 0.25, 0.0)
+"""Parts of the redundant readings that must be good, besides as many as there are unknowns."""
+AGREEING, SAME_EVIDENCE = 4, 0.5
+"""So many candidates of the same evidence end the search,"""
+AMPLE = 4.0
+"""where there are so many readings an unknown; among fewer, garbage may agree by chance."""
+KEPT = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RobustStart:
+    """A candidate, the scale of the readings that agree with it [m], and its evidence (low is good)."""
+
+    parameters: Parameters
+    scale: float
+    evidence: float
+
+
+Evidence = Callable[[Parameters, float], float]
+"""Of a candidate and its scale; lower is better."""
+
+
+def robust_starts(
+    readings: Readings,
+    others: list[Parameters],
+    range_sigma: float | None,
+    terms: int,
+    evidence: Evidence,
+) -> list[RobustStart]:
+    """Return the best candidates for readings with outliers, the strongest evidence first.
+
+    Parameters
+    ----------
+    readings : Readings
+    others : Parameters, each
+        Candidates of other starts, which compete.
+    range_sigma : float, optional
+        Standard deviation of a reading [m]; the scale never falls below it.
+    terms : int
+        Range-error terms of the last steps.
+    evidence : callable
+    """
+    least = max(range_sigma or 0.0, 1e-9 * float(readings.distance.max()))
+    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
+    ample = len(readings) >= AMPLE * unknowns
+    found: list[RobustStart] = []
+    for starts, good in _rounds(readings, others, terms):
+        found += _tightened(starts, readings, terms, Scale(least, good), evidence)
+        found.sort(key=lambda candidate: candidate.evidence)
+        best = found[0].evidence if found else np.inf
+        if ample and sum(c.evidence <= best + SAME_EVIDENCE for c in found) >= AGREEING:
+            break
+    return _different(found)
+
+
+def _rounds(
+    readings: Readings, others: list[Parameters], terms: int
+) -> Iterator[tuple[list[Parameters], float]]:
+    """Yield starts and the part of the readings that must be good."""
+    total = len(readings)
+    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
+    parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
+    parts = [min(max(part, 0.5), 1.0) for part in parts]
+    swept = [grow(start, readings) for start in direction_starts(readings, SWEPT, TRIED)]
+    for part in parts:
+        yield [*others, *swept], part
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_ROUNDS):
+        drawn = [grow(start, readings) for start in random_starts(readings, RANDOM_STARTS, rng)]
+        for part in parts:
+            yield drawn, part
+
+
+def _tightened(
+    starts: list[Parameters], readings: Readings, terms: int, rule: Scale, evidence: Evidence
+) -> list[RobustStart]:
+    loose = refine_many(starts, readings, 0, CAUCHY_STEPS, Loss("cauchy"), rule)
+    usable = [one.parameters for one in loose if one is not None]
+    tight = refine_many(usable, readings, terms, TUKEY_STEPS, Loss("tukey"), rule)
+    return [
+        RobustStart(one.parameters, one.scale, evidence(one.parameters, one.scale))
+        for one in tight
+        if one is not None
+    ]
+
+
+def _different(found: list[RobustStart]) -> list[RobustStart]:
+    """Return the best few candidates that differ in their evidence."""
+    found = [candidate for candidate in found if np.isfinite(candidate.evidence)]
+    evidence: FloatArray = np.array([candidate.evidence for candidate in found])
+    first = np.flatnonzero(np.diff(evidence, prepend=-np.inf) > SAME_EVIDENCE)
+    return [found[i] for i in first[:KEPT]]
