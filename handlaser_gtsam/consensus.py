@@ -12,12 +12,16 @@ from .parameters import Parameters
 from .recording import Readings
 from .solvers.refine import Scale, refine_many
 from .starts import Start, find_start
-from .starts.choice import POOR_FIT
+from .starts.choice import POOR_FIT, usable_terms
+from .starts.part import part_of
 from .starts.robust import RobustStart, robust_starts
 
-SUSPICIOUS = 0.6
-"""Where most readings agree this much better than all of them do, there are outliers to look for."""
+SUSPICIOUS = 0.35
+"""Where most readings agree this much better than all of them do, there are outliers to look for;
+of Gaussian residuals the scale of the better half is about 0.6 of the standard deviation."""
 SCREENED = 4
+MAJORITY = 0.6
+"""Part of a long recording that must be good."""
 CONVINCING = 3.0
 """Readings that agree within so many of the given sigmas need no further search."""
 STEPS = 20
@@ -47,8 +51,7 @@ def find_consensus(
     terms : int
         Most range-error terms.
     """
-    unknowns = 7 * readings.beams + 3 * readings.planes
-    terms = terms if len(readings) >= 1.5 * unknowns else 0
+    terms = usable_terms(readings, terms)
     plain = screen(readings, start.parameters, terms, range_sigma)
     found: list[tuple[str, Screening]] = [] if plain is None else [(start.method, plain)]
     if not start.fits:
@@ -88,8 +91,20 @@ def _robust(
         share = _spread_ratio(readings, start.parameters, range_sigma, terms)
         if share > SUSPICIOUS:
             return []
-    evidence = partial(quick_evidence, readings, terms, range_sigma)
-    return robust_starts(readings, others, range_sigma, terms, evidence)
+    part = part_of(readings)
+    evidence = partial(quick_evidence, part.readings, terms, range_sigma)
+    known = [part.restricted(parameters) for parameters in others]
+    found = robust_starts(part.readings, known, range_sigma, terms, evidence)
+    if part.is_whole:
+        return found
+    rule = Scale(_least_scale(readings, range_sigma), MAJORITY)
+    grown = [part.extended(candidate.parameters) for candidate in found[:SCREENED]]
+    whole = refine_many(grown, readings, terms, STEPS, Loss("cauchy"), rule)
+    return [RobustStart(one.parameters, one.scale, 0.0) for one in whole if one is not None]
+
+
+def _least_scale(readings: Readings, range_sigma: float | None) -> float:
+    return max(range_sigma or 0.0, 1e-9 * float(readings.distance.max()))
 
 
 def _spread_ratio(
@@ -103,6 +118,6 @@ def _spread_ratio(
     if all_of_them is None:
         return 0.0
     sigma = float(np.sqrt(all_of_them.squares / max(total - unknowns, 1)))
-    rule = Scale(max(range_sigma or 0.0, 1e-9 * float(readings.distance.max())), good)
+    rule = Scale(_least_scale(readings, range_sigma), good)
     most = refine_many([parameters], readings, terms, STEPS, Loss("cauchy"), rule)[0]
     return 0.0 if most is None else most.scale / max(sigma, rule.least)

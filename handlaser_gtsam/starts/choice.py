@@ -5,7 +5,7 @@ the given range sigma says, or, where no sigma is given, when several starts agr
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ..recording import Readings
 from ..solvers.refine import refine_many
 from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
+from .part import part_of
 from .partial import PartialStart, grow
 from .sweep import SweepOptions, sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
@@ -24,11 +25,11 @@ FINALISTS = 6
 """So many starts of each round are refined to the end, or a quarter of the round if that is more."""
 RANDOM_ROUNDS, RANDOM_STARTS = 8, 100
 """The last resort; each start reaches the optimum of the hardest problems met in one case of 50."""
-SEARCH_ROWS = 1500
-"""Starts are searched on about so many readings; more would only cost time."""
 AGREEING = 4
 """So many starts at one optimum are believed where no range sigma is given."""
 SAME_COST = 1.01
+EXACT = 1e-9
+"""Residuals below this part of the range are those of readings without noise."""
 RIVALS = 5
 """So many other candidates are handed on."""
 MISFIT = 10.0
@@ -93,8 +94,25 @@ def find_start(
     thorough : bool
         Whether random starts follow where nothing else is believed.
     """
-    unknowns = 7 * readings.beams + 3 * readings.planes
-    terms = terms if len(readings) >= 1.5 * unknowns else 0
+    terms = usable_terms(readings, terms)
+    part = part_of(readings)
+    start = _search(part.readings, range_sigma, terms, thorough)
+    if part.is_whole:
+        return start
+    grown = part.extended(start.parameters)
+    whole = refine_many([grown], readings, terms, FIRST_STEPS)[0]
+    fits = whole is not None and _fits(whole.squares, readings, range_sigma, terms)
+    parameters = grown if whole is None else whole.parameters
+    rivals = tuple(part.extended(rival) for rival in start.rivals)
+    return replace(start, parameters=parameters, fits=fits, rivals=rivals)
+
+
+def usable_terms(readings: Readings, terms: int) -> int:
+    """Return how many range-error terms a start can have: few readings would fit anything."""
+    return terms if len(readings) >= 1.5 * (7 * readings.beams + 3 * readings.planes) else 0
+
+
+def _search(readings: Readings, range_sigma: float | None, terms: int, thorough: bool) -> Start:
     found: list[Candidate] = []
     believed = False
     for seeds in _rounds(readings, terms, thorough):
@@ -125,30 +143,18 @@ def _rounds(readings: Readings, terms: int, thorough: bool) -> Iterator[Seeds]:
     if closed is not None:
         yield [("translations", closed)]
     with_errors = translation_start_with_range_errors(readings) if terms else None
-    part = _manageable(readings)
     yield (
         ([("translations with range error", with_errors)] if with_errors is not None else [])
-        + [("lifted", s) for s in lifted_starts(part, 2)]
-        + [("sweep", s) for s in sweep_starts(part)]
-        + [("directions", s) for s in direction_starts(part, 6)]
+        + [("lifted", s) for s in lifted_starts(readings, 2)]
+        + [("sweep", s) for s in sweep_starts(readings)]
+        + [("directions", s) for s in direction_starts(readings, 6)]
     )
-    yield [("directions", s) for s in direction_starts(part, 40, tried=600)]
+    yield [("directions", s) for s in direction_starts(readings, 40, tried=600)]
     options = SweepOptions(refined=16, seeds=8, kept=4)
-    yield [("sweep", s) for s in sweep_starts(part, options)]
+    yield [("sweep", s) for s in sweep_starts(readings, options)]
     rng = np.random.default_rng(0)
     for _ in range(RANDOM_ROUNDS if thorough else 0):
-        yield [("random", s) for s in random_starts(part, RANDOM_STARTS, rng)]
-
-
-def _manageable(readings: Readings) -> Readings:
-    """Return the readings, or of a long recording those of the planes that have most."""
-    if len(readings) <= SEARCH_ROWS:
-        return readings
-    count = np.bincount(readings.plane, minlength=readings.planes)
-    order = np.argsort(-count, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(count[order]), SEARCH_ROWS)) + 1
-    rows = np.flatnonzero(np.isin(readings.plane, order[:enough]))
-    return readings.subset(rows)
+        yield [("random", s) for s in random_starts(readings, RANDOM_STARTS, rng)]
 
 
 def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
@@ -169,6 +175,8 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
 
 def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
     """Tell whether a sum of squares [m^2] agrees with the given range sigma."""
+    if squares <= len(readings) * (EXACT * float(readings.distance.max())) ** 2:
+        return True
     dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
     if dof <= 0 or range_sigma is None:
         return False
