@@ -79,7 +79,7 @@ def solve_graph(readings: Readings, start: Parameters) -> tuple[float, int]:
 
 def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
     """Go the whole way with this package; return cost and iterations."""
-    graph = build_graph(readings, find_start(readings).parameters, TERMS, SIGMA)
+    graph = build_graph(readings, find_start(readings, SIGMA).parameters, TERMS, SIGMA)
     result = levenberg_marquardt(graph)
     covariances(graph, result.values, 1.0)
     return result.cost, result.iterations

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
 
@@ -49,6 +49,17 @@ class NormalEquations:
     beam_gradient: FloatArray
     plane_gradient: FloatArray
     centres: FloatArray
+
+    def picked(self, copies: IntArray) -> "NormalEquations":
+        """Return the normal equations of some copies."""
+        return NormalEquations(
+            self.beam[copies],
+            self.border[copies],
+            self.plane[copies],
+            self.beam_gradient[copies],
+            self.plane_gradient[copies],
+            self.centres[copies],
+        )
 
 
 def normal_equations(

@@ -5,7 +5,7 @@ each with its own damping; those that have arrived drop out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -149,10 +149,7 @@ class _Search:
         waiting = np.arange(len(rows))
         while waiting.size:
             own = rows[waiting]
-            part = replace(
-                normal,
-                **{name: getattr(normal, name)[waiting] for name in normal.__dataclass_fields__},
-            )
+            part = normal if len(waiting) == len(rows) else normal.picked(waiting)
             beam, plane = damped_step(part, self.damping[own])
             trial = apply_step(
                 self._pick(self.at, own),
@@ -194,6 +191,8 @@ class _Search:
             steep = np.abs(model.cosines(x)) >= model.GRAZING_LIMIT
         usable = steep.reshape(copies, -1).all(axis=1)
         residual = np.full((copies, len(self.readings)), np.inf)
+        if usable.all():
+            return model.residuals(x, many.distance).reshape(copies, -1)
         if usable.any():
             kept = np.repeat(usable, len(self.readings))
             part = model.Scene(*(getattr(x, name)[kept] for name in x.__dataclass_fields__))
@@ -213,6 +212,9 @@ class _Search:
         return picked(at, self.readings, rows)
 
     def _take(self, rows: IntArray, new: Parameters) -> None:
+        if len(rows) == len(self.cost):
+            self.at = new
+            return
         beams, planes = _indices(self.readings, rows)
         arrays = []
         for name in ("locations", "directions", "range_errors", "normals", "offsets"):
@@ -240,7 +242,9 @@ def parted(at: Parameters, readings: Readings) -> list[Parameters]:
 
 
 def picked(at: Parameters, readings: Readings, rows: IntArray) -> Parameters:
-    """Return candidates `rows` of joined parameters."""
+    """Return candidates `rows` (ascending) of joined parameters."""
+    if len(rows) * readings.beams == len(at.locations):
+        return at
     beams, planes = _indices(readings, rows)
     return Parameters(
         at.locations[beams],

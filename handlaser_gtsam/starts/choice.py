@@ -19,8 +19,8 @@ from .partial import PartialStart, grow
 from .sweep import SweepOptions, sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
 
-FIRST_STEPS, LAST_STEPS = 10, 40
-"""Refinement steps of all starts, and of the best of them."""
+CLOSED_STEPS, FIRST_STEPS, LAST_STEPS = 4, 10, 40
+"""Refinement steps of a closed form alone, of many starts, and of the best of those."""
 FINALISTS = 6
 """So many starts of each round are refined to the end, or a quarter of the round if that is more."""
 RANDOM_ROUNDS, RANDOM_STARTS = 8, 100
@@ -160,6 +160,9 @@ def _rounds(readings: Readings, terms: int, thorough: bool) -> Iterator[Seeds]:
 def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     """Grow and refine all seeds a little, the best to the end."""
     starts = [grow(partial, readings) for _, partial in seeds]
+    if len(starts) == 1:
+        one = refine_many(starts, readings, terms, CLOSED_STEPS)[0]
+        return [] if one is None else [Candidate(seeds[0][0], one.parameters, one.squares)]
     first = refine_many(starts, readings, 0, FIRST_STEPS)
     usable = [i for i, one in enumerate(first) if one is not None]
     squares = {i: one.squares for i in usable if (one := first[i]) is not None}
