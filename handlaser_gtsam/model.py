@@ -22,6 +22,8 @@ from .errors import GrazingBeamError
 from .parameters import Parameters
 from .recording import Readings
 
+LARGEST_CORRECTION = 0.5
+"""A range error above this part of the reading is a wrong solution, not a sensor."""
 GRAZING_LIMIT = 1e-3
 """Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
 
@@ -88,6 +90,16 @@ def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
     """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (N,) and range errors k (N, 2)."""
     true: FloatArray = d * (1.0 + k[:, 0] + k[:, 1] * d)
     return true
+
+
+def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
+    """Tell whether no correction exceeds `LARGEST_CORRECTION` of its reading.
+
+    Near k1 = -1 all corrected readings are alike, and many a wrong beam fits them.
+    """
+    k = parameters.range_errors[readings.beam]
+    change = k[:, 0] + k[:, 1] * readings.distance
+    return bool((np.abs(change) <= LARGEST_CORRECTION).all())
 
 
 def cosines(x: Scene) -> FloatArray:

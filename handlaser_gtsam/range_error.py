@@ -19,6 +19,7 @@ import numpy as np
 
 from .diagnosis.observability import Observability, observability
 from .graph import CalibrationGraph, build_graph, read_parameters
+from .model import plausible_range_errors
 from .noise import Noise
 from .options import CalibrationOptions, RangeError
 from .parameters import Parameters
@@ -69,7 +70,9 @@ def choose_terms(
     while len(solutions) < 3 and _determined(solutions[-1]):
         terms, latest = len(solutions), solutions[-1].parameters
         solutions.append(solve(readings, latest, terms, noise, options, progress))
-    usable = [s for s in solutions if _determined(s)] or solutions[:1]
+    usable = [
+        s for s in solutions if _determined(s) and plausible_range_errors(s.parameters, readings)
+    ] or solutions[:1]
     bic = np.array([criterion(s, len(readings), noise) for s in usable])
     best = usable[int(np.argmin(bic))]
     chosen = NAMES[best.problem.terms]

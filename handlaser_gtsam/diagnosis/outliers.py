@@ -96,6 +96,8 @@ def screen(
             kept = before
             break
         seen.add(kept.tobytes())
+    if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
+        return None
     return Screening(kept, parameters, sigma, _evidence(readings, kept, parameters, sigma))
 
 
@@ -103,6 +105,8 @@ def quick_evidence(
     readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
 ) -> float:
     """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
+    if not model.plausible_range_errors(parameters, readings):
+        return np.inf
     e = np.abs(residuals(parameters, readings))
     best = np.inf
     for cut in (FIRST_CUT * scale, 2.0 * FIRST_CUT * scale):

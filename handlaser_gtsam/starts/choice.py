@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..model import plausible_range_errors
 from ..parameters import Parameters
 from ..recording import Readings
 from ..solvers.refine import refine_many
@@ -172,7 +173,7 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     return [
         Candidate(seeds[i][0], one.parameters, one.squares)
         for i, one in zip(best, last, strict=True)
-        if one is not None
+        if one is not None and plausible_range_errors(one.parameters, readings)
     ]
 
 

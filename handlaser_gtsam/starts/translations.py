@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .. import model
 from ..arrays import FloatArray, IntArray
 from ..recording import Readings
 from .partial import PartialStart
@@ -35,8 +36,6 @@ SPREAD = 1e-4
 
 LEAST_SHARE = 1e-8
 """Part of the squared readings that translations must leave free for kappa to be determined."""
-LARGEST_CORRECTION = 0.5
-"""A range error above this part of the reading is noise, not a sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
     kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
     farthest = np.zeros(beams)
     np.maximum.at(farthest, readings.beam, readings.distance)
-    kappa = np.where(np.abs(kappa) * farthest <= LARGEST_CORRECTION, kappa, 0.0)
+    kappa = np.where(np.abs(kappa) * farthest <= model.LARGEST_CORRECTION, kappa, 0.0)
     return kappa if kappa.any() else None
 
 
