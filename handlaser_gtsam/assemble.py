@@ -11,7 +11,15 @@ from .diagnosis.doubts import doubts, noise_advice
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
 from .diagnosis.reasons import Reasons, reasons
-from .diagnosis.words import Names, advice, undetermined
+from .diagnosis.words import (
+    LEAK,
+    Names,
+    advice,
+    open_coordinates,
+    open_parts,
+    undetermined,
+    weakest,
+)
 from .noise import Noise
 from .ordering import Order
 from .range_error import Solution
@@ -54,7 +62,7 @@ def assemble(
     fit, why = _fit(recording, readings, order, origins, noise, selection, names)
     determined = _determined(names, used.seen_from(origins), solution, fit)
     status = _status(solution, determined)
-    beams, planes = _estimates(names, solution, fit, origins, status == "converged")
+    beams, planes = _estimates(names, solution, fit, origins, _trusted(status, solution, fit))
     return Calibration(
         status,
         _message(status, solution, determined),
@@ -160,8 +168,8 @@ def _label_warnings(
 def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> Determined:
     found, parameters = solution.observability, solution.parameters
     condition = found.condition if found.full else None
-    words = undetermined(found, parameters, names)
-    help_ = advice(found, names)
+    parts = open_parts(found, parameters, names)
+    words, help_ = undetermined(parts), advice(parts)
     if found.full and fit.dof == 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(used, solution, fit):
@@ -170,7 +178,16 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
         terms = solution.problem.terms
         if observability(parameters, used, terms, range_sigma=0.0).full:
             help_ = (noise_advice(fit),)
-    return Determined(found.rank, found.unknowns, condition, words, help_)
+    return Determined(
+        found.rank,
+        found.unknowns,
+        condition,
+        words,
+        help_,
+        parts,
+        found.indices(),
+        weakest(found, parameters, names),
+    )
 
 
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
@@ -196,14 +213,16 @@ def _message(status: Status, solution: Solution, determined: Determined) -> str:
 
 
 def _estimates(
-    names: Names, solution: Solution, fit: Fit, origins: FloatArray, with_covariance: bool
+    names: Names, solution: Solution, fit: Fit, origins: FloatArray, trusted: bool
 ) -> tuple[list[Beam], list[Plane]]:
     parameters, problem = solution.parameters.seen_from(-origins), solution.problem
-    beam_covariance: list[FloatArray | None] = [None] * len(names.beams)
-    plane_covariance: list[FloatArray | None] = [None] * len(names.planes)
-    if with_covariance:
+    beam: list[Uncertainty] = [(None, None)] * len(names.beams)
+    plane: list[Uncertainty] = [(None, None)] * len(names.planes)
+    if trusted:
         found = _covariances(solution, fit, origins)
-        beam_covariance, plane_covariance = list(found[0]), list(found[1])
+        reach = open_coordinates(solution.observability, solution.parameters)
+        beam = [_uncertainty(S, open_) for S, open_ in zip(found[0], reach[0], strict=True)]
+        plane = [_uncertainty(S, open_) for S, open_ in zip(found[1], reach[1], strict=True)]
     beams = [
         Beam(
             name,
@@ -211,18 +230,40 @@ def _estimates(
             parameters.directions[i],
             parameters.range_errors[i],
             problem.terms,
-            beam_covariance[i],
+            *beam[i],
         )
         for name, i in names.beams
     ]
     planes = [
-        Plane(name, parameters.normals[p], float(parameters.offsets[p]), plane_covariance[p])
+        Plane(name, parameters.normals[p], float(parameters.offsets[p]), *plane[p])
         for name, p in names.planes
     ]
     return beams, planes
 
 
+Uncertainty = tuple[FloatArray | None, FloatArray | None]
+"""Covariance, if all coordinates are determined, and their standard deviations."""
+
+
+def _uncertainty(covariance: FloatArray, reach: FloatArray) -> Uncertainty:
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    open_ = reach > LEAK
+    return (None if open_.any() else covariance), np.where(open_, np.inf, sigma)
+
+
+def _trusted(status: Status, solution: Solution, fit: Fit) -> bool:
+    """Tell whether standard deviations of what is determined mean anything."""
+    if status == "converged":
+        return True
+    settled = solution.result.status == "converged" and fit.range_sigma > 0.0
+    return status == "unobservable" and settled and not solution.observability.full
+
+
 def _covariances(solution: Solution, fit: Fit, origins: FloatArray) -> Covariances:
+    if not solution.observability.full:
+        return covariances_of_determined(
+            solution.observability, solution.parameters, fit.range_sigma, origins
+        )
     factor = (fit.range_sigma / solution.problem.range_sigma) ** 2
     try:
         return covariances(solution.problem, solution.result.values, factor, origins)

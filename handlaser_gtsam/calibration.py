@@ -7,6 +7,8 @@ from typing import Literal
 import numpy as np
 
 from .arrays import FloatArray
+from .diagnosis.observability import Indices
+from .diagnosis.words import OpenPart
 from .sensor import Rejected
 
 Status = Literal["converged", "unobservable", "not_converged"]
@@ -29,7 +31,10 @@ class Beam:
         How many of k1, k2 were estimated; the others are zero.
     covariance : (8, 8) or None
         Over (x, y, z, vx, vy, vz, k1, k2) in SI units, the direction in ambient coordinates (its
-        row along v is zero). None where the recording does not determine the calibration.
+        row along v is zero). None unless all of the beam is determined.
+    sigma : (8,) or None
+        Standard deviations of the same coordinates, infinite where the recording leaves one open;
+        None where nothing is known: a solver that gave up, or a second solution.
     """
 
     name: str
@@ -38,23 +43,26 @@ class Beam:
     range_error: FloatArray
     terms: int
     covariance: FloatArray | None
+    sigma: FloatArray | None
 
     @property
     def location_sigma(self) -> FloatArray | None:
-        """Standard deviations of the location (3,) [m]."""
-        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance)[:3])
+        """Standard deviations of the location (3,) [m]; infinite where open."""
+        return None if self.sigma is None else self.sigma[:3]
 
     @property
     def direction_sigma(self) -> float | None:
-        """Largest standard deviation of the direction over its tangent plane [rad]."""
-        if self.covariance is None:
+        """Largest standard deviation over the tangent plane [rad]; infinite if open."""
+        if self.sigma is None:
             return None
+        if self.covariance is None:
+            return float(np.linalg.norm(self.sigma[3:6]))  # an upper bound, infinite if open
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
 
     @property
     def range_error_sigma(self) -> FloatArray | None:
-        """Standard deviations of k1 [1] and k2 [1/m]; zero where not estimated."""
-        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance)[6:])
+        """Standard deviations of k1 [1] and k2 [1/m]; zero where not estimated, infinite if open."""
+        return None if self.sigma is None else self.sigma[6:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,25 +77,30 @@ class Plane:
     offset : float
         b [m].
     covariance : (4, 4) or None
-        Over (nx, ny, nz, b), the normal in ambient coordinates.
+        Over (nx, ny, nz, b), the normal in ambient coordinates. None unless all is determined.
+    sigma : (4,) or None
+        Standard deviations of the same coordinates, infinite where the recording leaves one open.
     """
 
     name: str
     normal: FloatArray
     offset: float
     covariance: FloatArray | None
+    sigma: FloatArray | None
 
     @property
     def normal_sigma(self) -> float | None:
-        """Largest standard deviation of the normal over its tangent plane [rad]."""
-        if self.covariance is None:
+        """Largest standard deviation of the normal over its tangent plane [rad]; infinite if open."""
+        if self.sigma is None:
             return None
+        if self.covariance is None:
+            return float(np.linalg.norm(self.sigma[:3]))  # an upper bound, infinite if open
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
 
     @property
     def offset_sigma(self) -> float | None:
-        """Standard deviation of the offset [m]."""
-        return None if self.covariance is None else float(np.sqrt(self.covariance[3, 3]))
+        """Standard deviation of the offset [m]; infinite if open."""
+        return None if self.sigma is None else float(self.sigma[3])
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +156,12 @@ class Determined:
         What is left open, in words.
     advice : tuple of str
         Which motion would determine it.
+    open_parts : tuple of OpenPart
+        The same as names and axes.
+    indices : Indices or None
+        Observability indices O1 to O4; None when rank is short.
+    weakest : str
+        Along what the solution is known worst, in words; empty when rank is short.
     """
 
     rank: int
@@ -150,6 +169,9 @@ class Determined:
     condition: float | None
     undetermined: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
+    open_parts: tuple[OpenPart, ...] = ()
+    indices: Indices | None = None
+    weakest: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,7 +95,9 @@ def test_exit_3_says_what_is_undetermined(handlaser, tmp_path, case):
     assert record["status"] == "unobservable"
     assert record["observability"]["undetermined"]
     assert record["observability"]["advice"]
-    assert record["beams"][0]["sigma"] is None
+    assert record["beams"][0]["covariance"] is None
+    assert None in record["beams"][0]["sigma"]["location_m"]
+    assert "open" in out
     assert record["beams"][0]["covariance"] is None
 
 

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Iterator
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.table import Table
@@ -16,6 +17,8 @@ from ..recording import Recording
 MM = 1e3
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
+OPEN = "open"
+"""Stands for a number that the recording does not determine."""
 
 
 class TableConsole(Console):
@@ -30,7 +33,7 @@ class TableConsole(Console):
 def calibration_tables(result: Calibration, recording: Recording) -> Iterator[RenderableType]:
     """Yield the parts of the printed result, in reading order; no numbers that mean nothing."""
     yield _head(result, recording)
-    if result.status == "converged":
+    if any(beam.sigma is not None for beam in result.beams.values()):
         for beam in result.beams.values():
             yield _beam_table(beam)
         yield _plane_table(list(result.planes.values()))
@@ -77,20 +80,15 @@ def _beam_table(beam: Beam) -> Table:
     table = Table(title=f"beam {beam.name}, hand frame", title_justify="left", box=SIMPLE_HEAD)
     for name in ("parameter", "value", "std dev", "unit"):
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
-    location, k_sigma, covariance = beam.location_sigma, beam.range_error_sigma, beam.covariance
+    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     for i, axis in enumerate("xyz"):
-        sigma = None if location is None else location[i] * MM
-        table.add_row(
-            f"location {axis}", f"{beam.location[i] * MM:.4f}", _number(sigma, ".4f"), "mm"
-        )
+        table.add_row(f"location {axis}", *_pair(beam.location[i] * MM, sigma[i] * MM, ".4f"), "mm")
     for i, axis in enumerate("xyz"):
-        sigma = None if covariance is None else math.sqrt(max(covariance[3 + i, 3 + i], 0.0))
-        table.add_row(f"direction {axis}", f"{beam.direction[i]:.6f}", _number(sigma, ".6f"), "1")
-    turn = None if beam.direction_sigma is None else math.degrees(beam.direction_sigma)
-    table.add_row("direction, largest", "", _number(turn, ".4f"), "deg")
+        table.add_row(f"direction {axis}", *_pair(beam.direction[i], sigma[3 + i], ".6f"), "1")
+    turn = math.inf if beam.direction_sigma is None else math.degrees(beam.direction_sigma)
+    table.add_row("direction, largest", "", _pair(0.0, turn, ".4f")[1], "deg")
     for i, (name, unit) in enumerate((("k1", "1"), ("k2", "1/m"))[: beam.terms]):
-        sigma = None if k_sigma is None else k_sigma[i]
-        table.add_row(name, f"{beam.range_error[i]:.6f}", _number(sigma, ".6f"), unit)
+        table.add_row(name, *_pair(beam.range_error[i], sigma[6 + i], ".6f"), unit)
     return table
 
 
@@ -99,11 +97,12 @@ def _plane_table(planes: list[Plane]) -> Table:
     for name in ("plane", "n x", "n y", "n z", "+- deg", "b mm", "+- mm"):
         table.add_column(name, justify="left" if name == "plane" else "right", no_wrap=True)
     for plane in planes[:SHOWN_PLANES]:
-        turn = None if plane.normal_sigma is None else math.degrees(plane.normal_sigma)
-        shift = None if plane.offset_sigma is None else plane.offset_sigma * MM
-        normal = (f"{x:.6f}" for x in plane.normal)
-        offset = f"{plane.offset * MM:.3f}"
-        table.add_row(plane.name, *normal, _number(turn, ".4f"), offset, _number(shift, ".4f"))
+        turn = math.inf if plane.normal_sigma is None else math.degrees(plane.normal_sigma)
+        shift = math.inf if plane.offset_sigma is None else plane.offset_sigma * MM
+        normal = (_pair(x, turn, ".6f")[0] for x in plane.normal)
+        offset = _pair(plane.offset * MM, shift, ".3f")[0]
+        spread = _pair(0.0, turn, ".4f")[1], _pair(0.0, shift, ".4f")[1]
+        table.add_row(plane.name, *normal, spread[0], offset, spread[1])
     if len(planes) > SHOWN_PLANES:
         table.caption = f"and {len(planes) - SHOWN_PLANES} more; --out or --json has all"
     return table
@@ -132,5 +131,6 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"left out: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
 
 
-def _number(value: float | None, spec: str) -> str:
-    return "-" if value is None else format(value, spec)
+def _pair(value: float, sigma: float, spec: str) -> tuple[str, str]:
+    """Return a value and its standard deviation; no value where it is open."""
+    return (format(value, spec), format(sigma, spec)) if math.isfinite(sigma) else (OPEN, OPEN)

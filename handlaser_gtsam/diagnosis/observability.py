@@ -84,6 +84,16 @@ class Reduced:
 
 
 @dataclass(frozen=True, slots=True)
+class Indices:
+    """Observability indices of the calibration literature, without unit; larger is better."""
+
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+
+
+@dataclass(frozen=True, slots=True)
 class Observability:
     """Rank and conditioning of a calibration.
 
@@ -97,6 +107,7 @@ class Observability:
     null_space : NullSpace
     length : float
         The typical range L [m] behind the natural units.
+    readings : int
     reduced : Reduced
     """
 
@@ -105,7 +116,22 @@ class Observability:
     condition: float
     null_space: NullSpace
     length: float
+    readings: int
     reduced: Reduced
+
+    def indices(self) -> Indices | None:
+        """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
+
+        From its singular values s_1 >= .. >= s_m, in natural units and for residuals in parts of the
+        typical range, so that they have no unit: O1 the geometric mean over the square root of the
+        number of readings (Borm and Menq), O2 = s_m / s_1 (Driels and Pathre), O3 = s_m and
+        O4 = s_m^2 / s_1 (Nahvi and others). Larger is better.
+        """
+        if not self.full:
+            return None
+        s = np.sqrt(self.reduced.information[::-1]) / self.length
+        mean = float(np.exp(np.log(s).mean() - 0.5 * np.log(self.readings)))
+        return Indices(mean, float(s[-1] / s[0]), float(s[-1]), float(s[-1] ** 2 / s[0]))
 
     @property
     def full(self) -> bool:
@@ -150,6 +176,7 @@ def observability(
         condition=float(np.sqrt(ratio)),
         null_space=NullSpace(beams.reshape(readings.beams, 5 + terms, lost), planes),
         length=length,
+        readings=len(readings),
         reduced=Reduced(
             information,
             axes,

@@ -1,5 +1,6 @@
-"""Undetermined unknowns in words an engineer understands, and what would determine them."""
+"""What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,12 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..parameters import Parameters
-from .observability import Observability
+from .observability import NullSpace, Observability
 
 SHARE = 0.02
 """A part of a null vector below this length is not worth a word."""
+LEAK = 1e-6
+"""A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,34 +28,53 @@ class Names:
         return tuple(name for name, _ in sorted(self.planes, key=lambda plane: plane[1]))
 
 
-def undetermined(found: Observability, parameters: Parameters, names: Names) -> tuple[str, ...]:
-    """Say what the readings leave open, one sentence a beam or kind of plane."""
-    if found.full:
-        return ()
-    beams, planes = _normalized(found)
-    bases = model.tangent_basis(parameters.directions)
+@dataclass(frozen=True, slots=True)
+class OpenPart:
+    """A quantity that the readings leave open, wholly or along some axes.
+
+    Attributes
+    ----------
+    owner : str
+        "beam NAME" or "plane NAME".
+    quantity : str
+        `location`, `direction`, `range error`, `normal` or `offset`.
+    axes : (D, K)
+        Orthonormal columns: location and direction in the hand frame, normal in the world frame;
+        range error over (k1, k2), offset 1.
+    """
+
+    owner: str
+    quantity: str
+    axes: FloatArray
+
+
+def open_parts(found: Observability, parameters: Parameters, names: Names) -> tuple[OpenPart, ...]:
+    """Return what the null space leaves open: beams first, in the order of `names`."""
+    return _parts(found.null_space, parameters, names)
+
+
+def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
+    """Say what is left open, one sentence a beam or kind of plane."""
     words = []
-    for name, index in names.beams:
-        parts = _beam_words(beams[index], bases[index])
-        if parts:
-            words.append(f"beam {name}: {', '.join(parts)}")
-    for part, rows in (("normal", slice(0, 2)), ("offset", slice(2, 3))):
-        open_ = np.linalg.norm(planes[:, rows], axis=(1, 2)) > SHARE
-        found_open = [name for name, p in names.planes if open_[p]]
-        if found_open:
-            words.append(f"{_planes(found_open)}: {part}")
+    for owner in dict.fromkeys(part.owner for part in parts if part.owner.startswith("beam ")):
+        own = [_part_words(part) for part in parts if part.owner == owner]
+        words.append(f"{owner}: {', '.join(own)}")
+    for quantity in ("normal", "offset"):
+        planes = [p.owner.removeprefix("plane ") for p in parts if p.quantity == quantity]
+        if planes:
+            words.append(f"{_planes(planes)}: {quantity}")
     return tuple(words)
 
 
-def advice(found: Observability, names: Names) -> tuple[str, ...]:
+def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     """Say which motion or option would determine what is open."""
-    if found.full:
+    if not parts:
         return ()
-    beams, planes = _normalized(found)
-    location = _directions(np.concatenate(list(beams[:, :3]), axis=1))
-    turning = bool((np.linalg.norm(beams[:, 3:5], axis=(1, 2)) > SHARE).any())
+    quantities = {part.quantity for part in parts}
+    axes = [part.axes for part in parts if part.quantity == "location"]
+    location = _span(np.concatenate(axes, axis=1)) if axes else np.empty((3, 0))
     words = []
-    if turning:
+    if "direction" in quantities:
         words.append(
             "turn the hand about two different axes, neither along the plane's normal, and translate "
             "in three directions that are not coplanar; or add planes with other normals"
@@ -61,18 +83,76 @@ def advice(found: Observability, names: Names) -> tuple[str, ...]:
         words.append("turn the hand about two different axes in front of each plane")
     elif location.shape[1] == 1:
         words.append(f"turn the hand about an axis across {_vector(location[:, 0])}")
-    if np.linalg.norm(beams[:, 5:]) > SHARE and not turning and not location.shape[1]:
+    if quantities >= {"range error"} and not words:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:
-        open_ = np.linalg.norm(planes, axis=(1, 2)) > SHARE
-        listed = _planes([name for name, p in names.planes if open_[p]])
+        listed = _planes(list(dict.fromkeys(part.owner.removeprefix("plane ") for part in parts)))
         words.append(f"measure {listed} at three or more spots that are not on a line")
     return tuple(words)
 
 
-def _normalized(found: Observability) -> tuple[FloatArray, FloatArray]:
+def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
+    """Say in words along what the solution is known worst; nothing where rank is short."""
+    if not found.full:
+        return ""
+    reduced = found.reduced
+    axis = reduced.axes[:, :1]
+    width = len(reduced.beam_unit) // len(parameters.locations)
+    planes = -(reduced.plane_response @ axis)
+    space = NullSpace(axis.reshape(-1, width, 1), planes)
+    parts = _parts(space, parameters, names, share=WEAK_SHARE)
+    return "; ".join(undetermined(parts))
+
+
+WEAK_SHARE = 0.2
+"""Only what takes this part of the weakest direction is named."""
+
+
+def open_coordinates(found: Observability, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4)."""
+    if found.full:
+        return np.zeros((len(parameters.locations), 8)), np.zeros((len(parameters.offsets), 4))
+    beams, planes = _normalized(found.null_space)
+    count, width, columns = beams.shape
+    lifted = np.zeros((count, 8, columns))
+    lifted[:, :3] = beams[:, :3]
+    lifted[:, 3:6] = model.tangent_basis(parameters.directions) @ beams[:, 3:5]
+    lifted[:, 6 : 1 + width] = beams[:, 5:]
+    flat = np.zeros((len(planes), 4, columns))
+    flat[:, :3] = model.tangent_basis(parameters.normals) @ planes[:, :2]
+    flat[:, 3] = np.linalg.norm(planes, axis=1)  # the offset at the origin follows the normal
+    return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
+
+
+def _parts(
+    space: NullSpace, parameters: Parameters, names: Names, share: float = SHARE
+) -> tuple[OpenPart, ...]:
+    if space.beams.shape[-1] == 0:
+        return ()
+    beams, planes = _normalized(space)
+    bases = model.tangent_basis(parameters.directions)
+    parts = []
+    for name, i in names.beams:
+        for quantity, rows in (
+            ("location", beams[i, :3]),
+            ("direction", bases[i] @ beams[i, 3:5]),
+            ("range error", beams[i, 5:]),
+        ):
+            axes = _span(rows, share)
+            if axes.shape[1]:
+                parts.append(OpenPart(f"beam {name}", quantity, axes))
+    normals = model.tangent_basis(parameters.normals)
+    for name, p in names.planes:
+        for quantity, rows in (("normal", normals[p] @ planes[p, :2]), ("offset", planes[p, 2:])):
+            axes = _span(rows, share)
+            if axes.shape[1]:
+                parts.append(OpenPart(f"plane {name}", quantity, axes))
+    return tuple(parts)
+
+
+def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
     """Return the null space with columns orthonormal over beams and planes together."""
-    beams, planes = found.null_space.beams, found.null_space.planes
+    beams, planes = space.beams, space.planes
     columns = beams.shape[-1]
     stacked = np.vstack((beams.reshape(-1, columns), planes.reshape(-1, columns)))
     basis = np.linalg.qr(stacked)[0]
@@ -80,30 +160,25 @@ def _normalized(found: Observability) -> tuple[FloatArray, FloatArray]:
     return basis[:split].reshape(beams.shape), basis[split:].reshape(planes.shape)
 
 
-def _beam_words(part: FloatArray, basis: FloatArray) -> list[str]:
-    words = []
-    location = _directions(part[:3])
-    if location.shape[1] == 3:
-        words.append("location")
-    elif location.shape[1] == 2:
-        words.append(f"location across {_vector(np.cross(location[:, 0], location[:, 1]))}")
-    elif location.shape[1] == 1:
-        words.append(f"location along {_vector(location[:, 0])}")
-    direction = _directions(part[3:5])
-    if direction.shape[1] == 2:
-        words.append("direction")
-    elif direction.shape[1] == 1:
-        words.append(f"direction towards {_vector(basis @ direction[:, 0])}")
-    names = [name for name, row in zip(("k1", "k2"), part[5:]) if np.linalg.norm(row) > SHARE]  # noqa: B905
-    if names:
-        words.append(f"range error {' and '.join(names)}")
-    return words
+def _part_words(part: OpenPart) -> str:
+    axes, count = part.axes, part.axes.shape[1]
+    if part.quantity == "location" and count < 3:
+        across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
+        return f"location {'across' if count == 2 else 'along'} {_vector(across)}"
+    if part.quantity == "direction" and count == 1:
+        return f"direction towards {_vector(axes[:, 0])}"
+    if part.quantity == "range error":
+        open_ = np.linalg.norm(axes, axis=1) > SHARE
+        return (
+            f"range error {' and '.join(n for n, o in zip(('k1', 'k2'), open_, strict=False) if o)}"
+        )
+    return part.quantity
 
 
-def _directions(part: FloatArray) -> FloatArray:
-    """Return an orthonormal basis, as columns, of what the columns of `part` (D, K) span."""
-    U, s, _ = np.linalg.svd(part, full_matrices=False)
-    return U[:, s > SHARE]
+def _span(rows: FloatArray, share: float = SHARE) -> FloatArray:
+    """Return an orthonormal basis, as columns, of what the columns of `rows` (D, K) span."""
+    U, s, _ = np.linalg.svd(rows, full_matrices=False)
+    return U[:, s > share]
 
 
 def _vector(axis: FloatArray) -> str:

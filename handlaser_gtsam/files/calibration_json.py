@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 from ..arrays import FloatArray
@@ -49,6 +50,8 @@ def calibration_text(calibration: Calibration) -> str:
             "condition": determined.condition,
             "undetermined": list(determined.undetermined),
             "advice": list(determined.advice),
+            "weakest": determined.weakest or None,
+            "indices": None if determined.indices is None else asdict(determined.indices),
         },
         "range_error_choice": calibration.range_error_choice,
         "start": {
@@ -91,9 +94,9 @@ def _beam(beam: Beam) -> dict[str, Json]:
     if location is not None and k is not None:
         sigma = {
             "location_m": _list(location),
-            "direction_rad": beam.direction_sigma,
-            "k1": float(k[0]),
-            "k2_per_m": float(k[1]),
+            "direction_rad": _finite(beam.direction_sigma),
+            "k1": _finite(k[0]),
+            "k2_per_m": _finite(k[1]),
         }
     covariance: Json = None
     if beam.covariance is not None:
@@ -113,8 +116,11 @@ def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> dict[str, 
 
 def _plane(plane: Plane) -> dict[str, Json]:
     sigma: Json = None
-    if plane.covariance is not None:
-        sigma = {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma}
+    if plane.sigma is not None:
+        sigma = {
+            "normal_rad": _finite(plane.normal_sigma),
+            "offset_m": _finite(plane.offset_sigma),
+        }
     return {
         "name": plane.name,
         "normal": _list(plane.normal),
@@ -124,7 +130,12 @@ def _plane(plane: Plane) -> dict[str, Json]:
 
 
 def _list(values: FloatArray) -> list[Json]:
-    return [float(value) for value in values]
+    return [_finite(value) for value in values]
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a number that JSON can hold; null for the infinite sigma of what is open."""
+    return float(value) if value is not None and math.isfinite(value) else None
 
 
 def _text(record: Json) -> str:
