@@ -42,7 +42,7 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
+class Motion:
     """Stations: R (M, 3, 3), t (M, 3), plane (M,)."""
 
     R: FloatArray
@@ -117,7 +117,7 @@ def _planes(planes: int, L: float, rng: np.random.Generator) -> tuple[FloatArray
     return n, b
 
 
-def _motion(truth: Parameters, L: float, rng: np.random.Generator) -> _Motion:
+def _motion(truth: Parameters, L: float, rng: np.random.Generator) -> Motion:
     planes = len(truth.offsets)
     tilt = np.radians(rng.uniform(5.0, 50.0))
     spin = rng.choice([0.3, np.pi])
@@ -131,7 +131,7 @@ def _motion(truth: Parameters, L: float, rng: np.random.Generator) -> _Motion:
         if designed:
             turns = _repeated(turns, rng)
         parts.append(look_at(truth, p, turns, (L, roam), rng))
-    return _Motion(
+    return Motion(
         np.concatenate([m.R for m in parts]),
         np.concatenate([m.t for m in parts]),
         np.concatenate([m.plane for m in parts]),
@@ -155,7 +155,7 @@ def look_at(
     turns: tuple[FloatArray, FloatArray],
     scale: tuple[float, float],
     rng: np.random.Generator,
-) -> _Motion:
+) -> Motion:
     """Return hand poses from which the first beam meets a plane: tilts (M, 2) and spins (M,) [rad]."""
     (tilt, spin), (L, roam) = turns, scale
     count = len(spin)
@@ -175,20 +175,20 @@ def look_at(
     )
     s = L * rng.uniform(0.2, 1.0, count)
     t = spot - np.einsum("mij,mj->mi", R, r + s[:, None] * v)
-    return _Motion(R, t, np.full(count, plane))
+    return Motion(R, t, np.full(count, plane))
 
 
 def read(
     kind: str,
     truth: Parameters,
-    motion: _Motion,
+    motion: Motion,
     scale: tuple[float, float, int],
     rng: np.random.Generator,
     missing: float | None = None,
 ) -> Problem | None:
     """Return what the beams read; None where a plane or a beam is left without any reading."""
     L, sigma, terms = scale
-    count, beams = len(motion.t), len(truth.locations)
+    beams = len(truth.locations)
     n, b = truth.normals[motion.plane], truth.offsets[motion.plane]
     n_hand = np.einsum("mji,mj->mi", motion.R, n)
     cosine = n_hand @ truth.directions.T
@@ -213,7 +213,6 @@ def read(
         tuple(str(p) for p in motion.plane[rows]),
         tuple(str(i) for i in range(beams)),
     )
-    del count
     return Problem(kind, recording, truth, sigma, terms)
 
 

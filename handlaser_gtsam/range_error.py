@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .diagnosis.elsewhere import least_observed
 from .diagnosis.observability import Observability, observability
 from .graph import CalibrationGraph, build_graph, read_parameters
-from .model import plausible_range_errors
+from .model import plausible_range_errors, residuals, scene
 from .noise import Noise
 from .options import CalibrationOptions, RangeError
 from .parameters import Parameters
@@ -104,6 +105,16 @@ def solve(
     dof = max(len(readings) - before.rank, 1)
     sigma = noise.range_sigma or float(np.sqrt(result.residual @ result.residual / dof))
     found = observability(parameters, readings, terms, sigma, options.observability)
+    if not found.full:
+        other, least = least_observed(
+            found, parameters, readings, terms, sigma, options.observability
+        )
+        if least.rank < found.rank:
+            problem = build_graph(readings, other, terms, noise.range_sigma or UNIT_SIGMA)
+            e = residuals(scene(other, readings), readings.distance)
+            cost = 0.5 * float(e @ e) / problem.range_sigma**2
+            result = replace(result, values=problem.values, residual=e, cost=cost)
+            parameters, found = other, least
     return Solution(problem, result, parameters, found)
 
 

@@ -16,7 +16,7 @@ FLOORS = [
     {"graph", "simulate"},
     {"solvers", "scenes"},
     {"starts", "diagnosis.observability"},
-    {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons"},
+    {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons", "diagnosis.elsewhere"},
     {"options", "covariance", "calibration", "diagnosis.words"},
     {"diagnosis.doubts", "consensus"},
     {"range_error", "diagnosis.mirror"},

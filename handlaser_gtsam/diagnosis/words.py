@@ -143,7 +143,9 @@ def _parts(
                 parts.append(OpenPart(f"beam {name}", quantity, axes))
     normals = model.tangent_basis(parameters.normals)
     for name, p in names.planes:
-        for quantity, rows in (("normal", normals[p] @ planes[p, :2]), ("offset", planes[p, 2:])):
+        # The offset is that at the world's origin: where the normal is open, it is too.
+        offset = np.linalg.norm(planes[p], axis=0, keepdims=True)
+        for quantity, rows in (("normal", normals[p] @ planes[p, :2]), ("offset", offset)):
             axes = _span(rows, share)
             if axes.shape[1]:
                 parts.append(OpenPart(f"plane {name}", quantity, axes))
