@@ -7,7 +7,8 @@ import numpy as np
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
 from .covariance import Covariances, covariances, covariances_of_determined
-from .diagnosis.doubts import doubts, noise_advice
+from .diagnosis.doubts import doubts, misfit, noise_advice, suspicious
+from .diagnosis.hypotheses import better_ways
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
 from .diagnosis.reasons import Reasons, reasons
@@ -20,6 +21,7 @@ from .diagnosis.words import (
     undetermined,
     weakest,
 )
+from .losses import GAUSSIAN
 from .noise import Noise
 from .ordering import Order
 from .range_error import Solution
@@ -61,12 +63,16 @@ def assemble(
     used = readings.subset(np.flatnonzero(selection.used))
     fit, why = _fit(recording, readings, order, origins, noise, selection, names)
     determined = _determined(names, used.seen_from(origins), solution, fit)
-    status = _status(solution, determined)
+    wrong = misfit(used, solution.parameters, fit)
+    status = _status(solution, determined, wrong)
     beams, planes = _estimates(names, solution, fit, origins, _trusted(status, solution, fit))
     return Calibration(
         status,
-        _message(status, solution, determined),
-        _label_warnings(recording, order, names, why) + doubts(used, fit, noise),
+        _message(status, solution, determined, wrong),
+        _ways(recording, used, fit, solution)
+        + ((wrong,) if wrong else ())
+        + _label_warnings(recording, order, names, why)
+        + doubts(used, fit, noise),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -102,14 +108,14 @@ def _fit(
     chi2 = squares / (noise.range_sigma or 1.0) ** 2
     dof = len(e) - solution.observability.rank
     sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
-    sigma = noise.range_sigma or sigma0
+    sigma = noise.range_sigma or _robust_sigma(solution) or sigma0
     station, beam = order.stations[readings.station], order.beams[readings.beam]
     table = np.full(recording.ranges.shape, np.nan)
     table[station[selection.used], beam[selection.used]] = e
     worst = np.flatnonzero(selection.used)[int(np.abs(e).argmax())]
     parameters = solution.parameters.seen_from(-origins)
     fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
-    why = reasons(readings, ~selection.outliers(), parameters, fitted, names.sorted_planes())
+    why = reasons(readings, ~selection.outliers(), parameters, fitted, names)
     fit = Fit(
         readings=len(e),
         rms=float(np.sqrt(squares / len(e))),
@@ -195,21 +201,30 @@ def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
     return mirror_image_fits(solution.parameters, readings, squares, fit.range_sigma)
 
 
-def _status(solution: Solution, determined: Determined) -> Status:
+def _ways(recording: Recording, used: Readings, fit: Fit, solution: Solution) -> tuple[str, ...]:
+    """Say how else the file could be read, where it does not fit."""
+    if not suspicious(used, fit):
+        return ()
+    return better_ways(recording, solution.problem.terms)
+
+
+def _status(solution: Solution, determined: Determined, wrong: str) -> Status:
     if solution.result.status == "interrupted":
         return "not_converged"
     if determined.undetermined:
         return "unobservable"
+    if wrong:
+        return "not_converged"
     return "converged" if solution.result.status == "converged" else "not_converged"
 
 
-def _message(status: Status, solution: Solution, determined: Determined) -> str:
+def _message(status: Status, solution: Solution, determined: Determined, wrong: str) -> str:
     if status == "unobservable":
         return (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    return solution.result.message
+    return wrong if wrong and status == "not_converged" else solution.result.message
 
 
 def _estimates(
@@ -259,10 +274,19 @@ def _trusted(status: Status, solution: Solution, fit: Fit) -> bool:
     return status == "unobservable" and settled and not solution.observability.full
 
 
+def _robust_sigma(solution: Solution) -> float | None:
+    """Return the scale of a robust loss [m]: outliers would spoil the rms."""
+    return None if solution.problem.loss == GAUSSIAN else solution.problem.range_sigma
+
+
 def _covariances(solution: Solution, fit: Fit, origins: FloatArray) -> Covariances:
-    if not solution.observability.full:
+    loss, sigma = solution.problem.loss, fit.range_sigma
+    if loss != GAUSSIAN:
+        standardized = solution.result.residual / solution.problem.range_sigma
+        sigma *= np.sqrt(loss.variance_factor(standardized, solution.observability.rank))
+    if loss != GAUSSIAN or not solution.observability.full:
         return covariances_of_determined(
-            solution.observability, solution.parameters, fit.range_sigma, origins
+            solution.observability, solution.parameters, sigma, origins
         )
     factor = (fit.range_sigma / solution.problem.range_sigma) ** 2
     try:

@@ -29,11 +29,12 @@ STEPS = 20
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """The readings that agree, the parameters they agree on, and how those were found."""
+    """The readings that agree, what they agree on and within what sigma [m], and how it was found."""
 
     kept: BoolArray
     parameters: Parameters
     method: str
+    range_sigma: float | None
 
 
 def find_consensus(
@@ -65,9 +66,9 @@ def find_consensus(
         if plain is not None:
             found.append((start.method, plain))
     if not found:
-        return Consensus(np.ones(len(readings), dtype=bool), start.parameters, start.method)
+        return Consensus(np.ones(len(readings), dtype=bool), start.parameters, start.method, None)
     method, best = min(found, key=lambda entry: entry[1].evidence)
-    return Consensus(best.kept, best.parameters, method)
+    return Consensus(best.kept, best.parameters, method, best.range_sigma)
 
 
 def _convincing(

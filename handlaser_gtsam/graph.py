@@ -7,6 +7,7 @@ import numpy as np
 
 from .factors import RangeBlock, range_factor
 from .keys import BeamKeys, beam_keys, plane_key
+from .losses import GAUSSIAN, Loss
 from .parameters import Parameters
 from .recording import Readings
 
@@ -30,6 +31,8 @@ class CalibrationGraph:
         Keys in the order of the recording.
     terms : int
         Range-error terms of every beam.
+    loss : Loss
+        Of every reading.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -40,10 +43,15 @@ class CalibrationGraph:
     beams: tuple[BeamKeys, ...]
     planes: tuple[int, ...]
     terms: int
+    loss: Loss
 
 
 def build_graph(
-    readings: Readings, start: Parameters, terms: int, range_sigma: float
+    readings: Readings,
+    start: Parameters,
+    terms: int,
+    range_sigma: float,
+    loss: Loss = GAUSSIAN,
 ) -> CalibrationGraph:
     """Return the graph of all readings on exact poses, one factor a plane and beam.
 
@@ -56,13 +64,15 @@ def build_graph(
         Range-error terms of every beam: 0, 1 (k1) or 2 (k1, k2).
     range_sigma : float
         Standard deviation of a reading [m].
+    loss : Loss
+        Weighs every reading by itself.
     """
     beams = tuple(beam_keys(i, terms) for i in range(readings.beams))
     planes = tuple(plane_key(p) for p in range(readings.planes))
     blocks = _blocks(readings, beams, planes)
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
-        graph.push_back(range_factor(block, range_sigma))
+        graph.push_back(range_factor(block, _noise_model(len(block.distance), range_sigma, loss)))
     ordering = gtsam.Ordering()
     for key in planes:
         ordering.push_back(key)
@@ -71,7 +81,25 @@ def build_graph(
             if beam_key is not None:
                 ordering.push_back(beam_key)
     values = start_values(start, beams, planes, terms)
-    return CalibrationGraph(graph, values, blocks, range_sigma, ordering, beams, planes, terms)
+    return CalibrationGraph(
+        graph, values, blocks, range_sigma, ordering, beams, planes, terms, loss
+    )
+
+
+def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:
+    """Return the noise model of a block; GTSAM would weigh the block as a whole by default."""
+    isotropic = gtsam.noiseModel.Isotropic.Sigma(rows, range_sigma)
+    if loss.name == "gaussian":
+        return isotropic
+    scheme = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Scalar
+    kinds = gtsam.noiseModel.mEstimator
+    if loss.name == "huber":
+        estimator: gtsam.noiseModel.mEstimator.Base = kinds.Huber.Create(loss.tuning, scheme)
+    elif loss.name == "cauchy":
+        estimator = kinds.Cauchy.Create(loss.tuning, scheme)
+    else:
+        estimator = kinds.Tukey.Create(loss.tuning, scheme)
+    return gtsam.noiseModel.Robust.Create(estimator, isotropic)
 
 
 def start_values(

@@ -56,3 +56,31 @@ class Loss:
         if self.name == "tukey":
             return np.asarray(np.maximum(1.0 - (z / c) ** 2, 0.0) ** 2)
         return np.ones_like(z)
+
+    def slope(self, standardized: FloatArray) -> FloatArray:
+        """Return the derivative of z weight(z): how a reading still holds the estimate."""
+        z, c = np.abs(standardized), self.tuning
+        if self.name == "huber":
+            return np.where(z <= c, 1.0, 0.0)
+        if self.name == "cauchy":
+            u = (z / c) ** 2
+            return np.asarray((1.0 - u) / (1.0 + u) ** 2)
+        if self.name == "tukey":
+            u = (z / c) ** 2
+            return np.where(u < 1.0, (1.0 - u) * (1.0 - 5.0 * u), 0.0)
+        return np.ones_like(z)
+
+    def variance_factor(self, standardized: FloatArray, unknowns: int) -> float:
+        """Return what the covariance of least squares must be multiplied by (Huber, 1981, 7.6).
+
+        mean(psi^2) / mean(psi')^2 with psi = z weight(z) and the mean of psi^2 over the degrees of
+        freedom: near 1.05 for Gaussian residuals of unit variance.
+        """
+        psi = standardized * self.weight(standardized)
+        free = max(len(standardized) - unknowns, 1)
+        hold = max(float(self.slope(standardized).mean()), 1e-3)
+        return float(psi @ psi) / free / hold**2
+
+
+GAUSSIAN = Loss()
+"""Least squares."""

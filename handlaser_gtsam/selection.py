@@ -11,10 +11,11 @@ import numpy as np
 
 from . import sensor as limits
 from .arrays import BoolArray, IntArray
-from .consensus import find_consensus
-from .diagnosis.outliers import CUT, enough, test
+from .consensus import Consensus, find_consensus
+from .diagnosis.outliers import CUT, enough, residuals, test
 from .noise import Noise
 from .options import CalibrationOptions
+from .parameters import Parameters
 from .range_error import MOST_TERMS, Choice, choose_terms
 from .recording import Readings, Recording
 from .solvers.levenberg import Trial
@@ -23,6 +24,8 @@ from .starts import Start, find_start
 OUTSIDE = "outside the sensor's range"
 FLAT = "incidence above the sensor's limit"
 ROUNDS = 5
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation over the median absolute residual, if Gaussian."""
 
 Progress = Callable[[Trial], None] | None
 
@@ -72,20 +75,17 @@ def select(
     inside = np.zeros(len(readings), dtype=bool)
     inside[limits.within_range(readings, options.sensor)] = True
     limits.require_all(recording, readings.subset(np.flatnonzero(inside)))
-    terms = MOST_TERMS[options.range_error]
     rows = np.flatnonzero(inside)
-    part = readings.subset(rows)
-    start = find_start(part, noise.range_sigma, terms, thorough=options.outliers == "keep")
-    parameters, method = start.parameters, start.method
-    used = inside.copy()
-    if options.outliers == "reject":
-        consensus = find_consensus(part, start, noise.range_sigma, terms)
-        used[rows] = consensus.kept
-        parameters, method = consensus.parameters, consensus.method
-    choice = choose_terms(
-        readings.subset(np.flatnonzero(used)), parameters, noise, options, progress
-    )
-    flat = np.zeros(len(readings), dtype=bool)
+    first = _first(readings.subset(rows), noise, options)
+    used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
+    used[rows] = first.kept
+
+    def solve(start: Parameters) -> Choice:
+        chosen = readings.subset(np.flatnonzero(used))
+        limits.require_all(recording, chosen)
+        return choose_terms(chosen, start, noise, options, progress, first.scale)
+
+    choice = solve(first.parameters)
     for _ in range(ROUNDS):
         before = used.copy()
         if options.outliers == "reject":
@@ -96,12 +96,42 @@ def select(
         used &= ~flat
         if (used == before).all():
             break
-        limits.require_all(recording, readings.subset(np.flatnonzero(used)))
-        latest = choice.solution.parameters
-        choice = choose_terms(
-            readings.subset(np.flatnonzero(used)), latest, noise, options, progress
-        )
-    return Selection(used, ~inside, flat, start, method, choice)
+        choice = solve(choice.solution.parameters)
+    return Selection(used, ~inside, flat, first.start, first.method, choice)
+
+
+@dataclass(frozen=True, slots=True)
+class _First:
+    """Where the joint solution starts, and which readings it takes."""
+
+    start: Start
+    kept: BoolArray
+    parameters: Parameters
+    method: str
+    scale: float | None
+
+
+def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
+    terms = MOST_TERMS[options.range_error]
+    reject = options.outliers == "reject"
+    start = find_start(readings, noise.range_sigma, terms, thorough=not reject)
+    if reject:
+        found = find_consensus(readings, start, noise.range_sigma, terms)
+    else:
+        everything = np.ones(len(readings), dtype=bool)
+        found = Consensus(everything, start.parameters, start.method, None)
+    steep = np.isfinite(residuals(found.parameters, readings))
+    scale = found.range_sigma or _scale(readings, found.parameters)
+    return _First(start, found.kept & steep, found.parameters, found.method, scale)
+
+
+def _scale(readings: Readings, parameters: Parameters) -> float | None:
+    """Return a standard deviation of the residuals [m] that outliers do not spoil."""
+    e = np.abs(residuals(parameters, readings))
+    total = len(e)
+    unknowns = 5 * readings.beams + 3 * readings.planes
+    found = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
+    return float(found) if np.isfinite(found) and found > 0.0 else None
 
 
 def _tested(

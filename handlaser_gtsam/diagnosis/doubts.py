@@ -4,9 +4,13 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from ..calibration import Fit
+from ..model import plausible_range_errors
 from ..noise import Noise
+from ..parameters import Parameters
 from ..recording import Readings
 
+SUSPICIOUS_FIT, FAR_OFF = 0.03, 10.0
+"""An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
 POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""
 FAR_READING = 4.0
@@ -21,15 +25,33 @@ CHECKS = (
 )
 
 
-def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
-    """Return the warnings that a fit deserves, the gravest first."""
-    words = []
-    spread = float(readings.distance.std())
-    if fit.dof > 0 and fit.rms > POOR_FIT * spread:
-        words.append(
-            f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
-            f"{spread * 1e3:.3g} mm; {CHECKS}"
+def misfit(readings: Readings, parameters: Parameters, fit: Fit) -> str:
+    """Say that the readings do not fit at all, where that is so; nothing otherwise."""
+    if not plausible_range_errors(parameters, readings):
+        return (
+            "the readings fit only with a range error of more than half of a reading, which no sensor "
+            f"has; {CHECKS}"
         )
+    spread = float(readings.distance.std())
+    if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
+        return ""
+    return (
+        f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
+        f"{spread * 1e3:.3g} mm; {CHECKS}"
+    )
+
+
+def suspicious(readings: Readings, fit: Fit) -> bool:
+    """Tell whether the fit is so poor that the file may have been read the wrong way."""
+    if fit.dof <= 0:
+        return False
+    far = fit.range_sigma_given and fit.sigma0 > FAR_OFF
+    return bool(far or fit.rms > SUSPICIOUS_FIT * float(readings.distance.std()))
+
+
+def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
+    """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
+    words = []
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         words.append(f"the median reading is {median:.0f} m; is the file in millimetres?")

@@ -135,7 +135,9 @@ def test(
     estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
     sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
     found = observability(parameters, part, terms, 0.0)
-    h = leverages(parameters, readings, terms, found)
+    steep = np.flatnonzero(np.isfinite(e))
+    h = np.zeros(len(readings))
+    h[steep] = leverages(parameters, readings.subset(steep), terms, found)
     return parameters, sigma, standardized(e, h, kept, sigma)
 
 

@@ -1,6 +1,7 @@
 """Why a reading was left out as an outlier, as far as the solution can tell."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
 from .outliers import residuals
+from .words import Names
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"
@@ -50,7 +52,7 @@ def reasons(
     kept: BoolArray,
     parameters: Parameters,
     range_sigma: float,
-    plane_names: tuple[str, ...],
+    names: Names,
 ) -> Reasons:
     """Explain every reading that is not `kept`.
 
@@ -61,8 +63,9 @@ def reasons(
     parameters : Parameters
     range_sigma : float
         Standard deviation of a good reading [m].
-    plane_names : P strings
+    names : Names
     """
+    beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
     rows = np.flatnonzero(~kept)
     left = np.bincount(readings.station[kept], minlength=int(readings.station.max()) + 1)
     x = model.scene(parameters, readings)
@@ -74,11 +77,14 @@ def reasons(
             plane = _fitting_plane(readings, station, parameters, range_sigma)
             if plane is not None:
                 other[int(station)] = plane
+    swapped = _swapped(readings, rows, parameters, range_sigma)
     words = []
     for row in rows:
         station = int(readings.station[row])
         count = int((readings.station == station).sum())
-        if station in other:
+        if row in swapped:
+            words.append(f"swapped with the reading of beam {beam_names[swapped[int(row)]]}")
+        elif station in other:
             words.append(f"wrong plane label: fits plane {plane_names[other[station]]}")
         elif flat[row]:
             words.append("grazing")
@@ -110,6 +116,25 @@ def _fitting_plane(
         if (np.abs(residual) <= FITS * range_sigma).all():
             fitting.append(plane)
     return fitting[0] if len(fitting) == 1 else None
+
+
+def _swapped(
+    readings: Readings, rows: IntArray, parameters: Parameters, range_sigma: float
+) -> dict[int, int]:
+    """Return, for rows left out that fit when two of a station are exchanged, the other's beam."""
+    found: dict[int, int] = {}
+    s = residuals(parameters, readings) + model.corrected(
+        readings.distance, parameters.range_errors[readings.beam]
+    )
+    for station in np.unique(readings.station[rows]):
+        own = rows[readings.station[rows] == station]
+        for a, b in combinations(own.tolist(), 2):
+            d = readings.distance[[b, a]]
+            k = parameters.range_errors[readings.beam[[a, b]]]
+            e = s[[a, b]] - model.corrected(d, k)
+            if (np.abs(e) <= FITS * range_sigma).all():
+                found[a], found[b] = int(readings.beam[b]), int(readings.beam[a])
+    return found
 
 
 def _ranges(readings: Readings, rows: IntArray, parameters: Parameters, plane: int) -> FloatArray:

@@ -23,6 +23,10 @@ class Names:
     beams: tuple[tuple[str, int], ...]
     planes: tuple[tuple[str, int], ...]
 
+    def sorted_beams(self) -> tuple[str, ...]:
+        """Return the names of the beams in the order of their indices."""
+        return tuple(name for name, _ in sorted(self.beams, key=lambda beam: beam[1]))
+
     def sorted_planes(self) -> tuple[str, ...]:
         """Return the names of the planes in the order of their indices."""
         return tuple(name for name, _ in sorted(self.planes, key=lambda plane: plane[1]))

@@ -201,9 +201,8 @@ class _Search:
         at = self.shared.evaluate(values)
         problem = self.problem
         if problem.graph.size() == len(problem.blocks):
-            return _Point(
-                values, at, 0.5 * float(at.residual @ at.residual) / problem.range_sigma**2
-            )
+            loss = problem.loss.cost(at.residual / problem.range_sigma)
+            return _Point(values, at, float(loss.sum()))
         with self.shared.handed_out(at):
             return _Point(values, at, problem.graph.error(values))
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..losses import Loss
+from ..losses import GAUSSIAN, Loss
 from ..parameters import Parameters
 from ..recording import Readings
 from .reduction import apply_step, damped_step, normal_equations
 
-GAUSSIAN = Loss()
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
 LEVEL = 1e-9
 """A candidate whose cost falls by less than this part has arrived."""

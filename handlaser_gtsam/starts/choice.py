@@ -24,7 +24,7 @@ CLOSED_STEPS, FIRST_STEPS, LAST_STEPS = 4, 10, 40
 """Refinement steps of a closed form alone, of many starts, and of the best of those."""
 FINALISTS = 6
 """So many starts of each round are refined to the end, or a quarter of the round if that is more."""
-RANDOM_ROUNDS, RANDOM_STARTS = 8, 100
+RANDOM_ROUNDS, RANDOM_STARTS = 5, 100
 """The last resort; each start reaches the optimum of the hardest problems met in one case of 50."""
 AGREEING = 4
 """So many starts at one optimum are believed where no range sigma is given."""
