@@ -33,7 +33,9 @@ EXACT = 1e-9
 """Residuals below this part of the range are those of readings without noise."""
 RIVALS = 5
 """So many other candidates are handed on."""
-MISFIT = 10.0
+SPARE = 5
+"""So many readings more than unknowns let range errors be told from chance."""
+MISFIT = 3.0
 """Residuals beyond so many of the given sigmas are not believed however many starts agree;"""
 POOR_FIT = 0.05
 """nor, where no sigma is given, beyond this part of the spread of the readings."""
@@ -110,7 +112,8 @@ def find_start(
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    return terms if len(readings) >= 1.5 * (7 * readings.beams + 3 * readings.planes) else 0
+    spare = len(readings) - 5 * readings.beams - 3 * readings.planes - SPARE
+    return int(np.clip(spare // readings.beams, 0, terms))
 
 
 def _search(readings: Readings, range_sigma: float | None, terms: int, thorough: bool) -> Start:
@@ -170,11 +173,13 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     best = sorted(usable, key=lambda i: squares[i])[: max(FINALISTS, len(seeds) // 4)]
     parameters = [one.parameters for i in best if (one := first[i]) is not None]
     last = refine_many(parameters, readings, terms, LAST_STEPS)
-    return [
-        Candidate(seeds[i][0], one.parameters, one.squares)
-        for i, one in zip(best, last, strict=True)
-        if one is not None and plausible_range_errors(one.parameters, readings)
-    ]
+    found = []
+    for i, early, late in zip(best, (first[i] for i in best), last, strict=True):
+        plausible = late is not None and plausible_range_errors(late.parameters, readings)
+        one = late if plausible else early
+        if one is not None:
+            found.append(Candidate(seeds[i][0], one.parameters, one.squares))
+    return found
 
 
 def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
