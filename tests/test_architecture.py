@@ -16,7 +16,7 @@ FLOORS = [
     {"graph", "simulate"},
     {"solvers", "scenes"},
     {"starts", "diagnosis.observability"},
-    {"diagnosis.words"},
+    {"diagnosis.words", "diagnosis.motion"},
     {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons", "diagnosis.elsewhere"},
     {"options", "covariance", "calibration"},
     {"diagnosis.doubts", "diagnosis.hypotheses", "consensus"},

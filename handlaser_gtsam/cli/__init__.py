@@ -7,6 +7,7 @@ import typer
 from .._version import __version__
 from ..errors import HandlaserError, InputError
 from .calibrate import calibrate
+from .check import check
 from .simulate import simulate
 
 BAD_INPUT, UNDETERMINED = 2, 3
@@ -21,6 +22,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(calibrate)
+app.command()(check)
 app.command()(simulate)
 
 

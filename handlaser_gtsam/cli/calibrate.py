@@ -17,8 +17,26 @@ if TYPE_CHECKING:
 
 UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
 MM = 1e-3
+DISAGREEMENT = 0.01
+"""Solvers that differ by more standard deviations than this have not found the same optimum."""
 WIDTH = 120
 """Columns of what is printed to a file or pipe."""
+
+
+class OutliersChoice(StrEnum):
+    """Values of --outliers."""
+
+    reject = "reject"
+    keep = "keep"
+
+
+class LossChoice(StrEnum):
+    """Values of --loss."""
+
+    gaussian = "gaussian"
+    huber = "huber"
+    cauchy = "cauchy"
+    tukey = "tukey"
 
 
 class RangeErrorChoice(StrEnum):
@@ -39,6 +57,15 @@ def calibrate(
             help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: by evidence."
         ),
     ] = RangeErrorChoice.auto,
+    outliers: Annotated[
+        OutliersChoice,
+        typer.Option(
+            help="Leave out, and list, readings that the others contradict; or keep them."
+        ),
+    ] = OutliersChoice.reject,
+    loss: Annotated[
+        LossChoice, typer.Option(help="Loss of the final estimate, reading by reading.")
+    ] = LossChoice.gaussian,
     range_sigma_mm: Annotated[
         float | None,
         typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
@@ -91,7 +118,9 @@ def calibrate(
     numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)
     settings = _settings(rig, numbers, range_mm, max_incidence_deg)
     table = read_recording(recording)
-    options = CalibrationOptions(range_error.value, sensor=settings.sensor)
+    options = CalibrationOptions(
+        range_error.value, outliers.value, loss.value, sensor=settings.sensor
+    )
     result = run(table, settings.noise, options)
     text = calibration_text(result)
     if out is not None:
@@ -104,7 +133,7 @@ def calibrate(
         sys.stdout.write(text)
     elif not quiet:
         _show(result, table, check, out)
-    _finish(result, too_much, check if json_ or quiet else None)
+    _finish(result, too_much, check, aloud=json_ or quiet)
 
 
 def _settings(
@@ -147,15 +176,24 @@ def _show(
         console.print(f"wrote {out}", soft_wrap=True)
 
 
-def _finish(result: "Calibration", too_much: tuple[str, ...], check: "CrossCheck | None") -> None:
+def _finish(
+    result: "Calibration", too_much: tuple[str, ...], cross: "CrossCheck | None", *, aloud: bool
+) -> None:
     """Say on stderr what went wrong, and leave with the exit code of the contract."""
     from .tables import cross_check_line
 
-    if check is not None:
-        print(cross_check_line(check), file=sys.stderr)
+    if cross is not None and aloud:
+        print(cross_check_line(cross), file=sys.stderr)
     if result.status != "converged":
         print(f"handlaser: {result.message}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED if result.interrupted else UNDETERMINED)
+    if cross is not None and cross.largest > DISAGREEMENT:
+        print(
+            f"handlaser: SciPy disagrees by {cross.largest:.2g} standard deviations in "
+            f"{cross.parameter}; expected the same optimum: do not use this calibration",
+            file=sys.stderr,
+        )
+        raise typer.Exit(UNDETERMINED)
     if too_much:
         print(f"handlaser: outside the limits: {'; '.join(too_much)}", file=sys.stderr)
         raise typer.Exit(OUTSIDE_LIMITS)

@@ -22,7 +22,7 @@ from ..solvers.refine import refine
 from .leverage import leverages, standardized
 from .observability import observability
 
-CUT = 4.0
+CUT = 3.5
 """A reading further off than this many of its standard deviations is an outlier."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..arrays import FloatArray
 from ..calibration import Beam, Calibration, Plane
+from ..diagnosis.motion import MotionCheck
 from ..parameters import Parameters
 from ..recording import Recording
 from .writing import write_text
@@ -62,6 +63,31 @@ def calibration_text(calibration: Calibration) -> str:
             ],
         },
         "iterations": calibration.iterations,
+    }
+    return _text(record)
+
+
+def check_text(check: MotionCheck) -> str:
+    """Return the check of a motion as JSON text."""
+    record: Json = {
+        "format": "handlaser-check",
+        "version": 1,
+        "readings": check.readings,
+        "unknowns": check.unknowns,
+        "planes": [
+            {
+                "name": plane.name,
+                "stations": plane.stations,
+                "orientations": plane.orientations,
+                "translations": plane.translations,
+                "translating": list(plane.translating),
+                "axes": plane.axes,
+                "readings": list(plane.readings),
+            }
+            for plane in check.planes
+        ],
+        "undetermined": list(check.undetermined),
+        "advice": list(check.advice),
     }
     return _text(record)
 
