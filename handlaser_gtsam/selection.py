@@ -12,7 +12,7 @@ import numpy as np
 from . import sensor as limits
 from .arrays import BoolArray, IntArray
 from .consensus import Consensus, find_consensus
-from .diagnosis.outliers import CUT, enough, residuals, test
+from .diagnosis.outliers import cut, enough, residuals, test
 from .noise import Noise
 from .options import CalibrationOptions
 from .parameters import Parameters
@@ -144,8 +144,8 @@ def _tested(
     terms = solution.problem.terms
     if not solution.observability.full or not enough(part, kept, terms):
         return used
-    _, _, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
-    agreeing = np.abs(t) <= CUT
+    _, sigma, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
+    agreeing = np.abs(t) <= cut(part, kept, sigma)
     if not enough(part, agreeing, terms):
         return used
     tested = np.zeros_like(used)

@@ -9,7 +9,7 @@ from ..noise import Noise
 from ..parameters import Parameters
 from ..recording import Readings
 
-SUSPICIOUS_FIT, FAR_OFF = 0.03, 10.0
+SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
 POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""

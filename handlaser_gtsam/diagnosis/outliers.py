@@ -22,8 +22,10 @@ from ..solvers.refine import refine
 from .leverage import leverages, standardized
 from .observability import observability
 
-CUT = 3.5
-"""A reading further off than this many of its standard deviations is an outlier."""
+LEAST_CUT, MOST_CUT = 3.0, 4.0
+"""A reading further off than a cut between these, in its standard deviations, is an outlier."""
+CAUTION = 0.5
+"""By so much the cut is below even odds: garbage that stays costs more than a good reading that goes."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
 ROUNDS, STEPS = 20, 25
@@ -91,7 +93,7 @@ def screen(
             parameters, sigma, t = test(readings, kept, parameters, terms, range_sigma)
         except GrazingBeamError:
             return None
-        before, kept = kept, np.abs(t) <= CUT
+        before, kept = kept, np.abs(t) <= cut(readings, kept, sigma)
         if (kept == before).all() or kept.tobytes() in seen:
             kept = before
             break
@@ -117,6 +119,18 @@ def quick_evidence(
             sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
             best = min(best, _evidence(readings, kept, parameters, sigma))
     return float(best)
+
+
+def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
+    """Return how many standard deviations off an outlier is, by the share of those left out so far.
+
+    A residual z is as likely garbage as good where z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
+    """
+    share = (int((~kept).sum()) + 1) / (len(kept) + 2)
+    span = max(float(np.ptp(readings.distance)), range_sigma)
+    odds = span * (1.0 - share) / (np.sqrt(2.0 * np.pi) * range_sigma * share)
+    even = float(np.sqrt(2.0 * np.log(max(odds, 1.0))))
+    return min(max(even - CAUTION, LEAST_CUT), MOST_CUT)
 
 
 def test(

@@ -27,7 +27,10 @@ FINALISTS = 6
 RANDOM_ROUNDS, RANDOM_STARTS = 5, 100
 """The last resort; each start reaches the optimum of the hardest problems met in one case of 50."""
 AGREEING = 4
-"""So many starts at one optimum are believed where no range sigma is given."""
+"""So many starts at one optimum are believed where no range sigma is given, or, where the fit is poor,
+when a round of random starts has found nothing better."""
+MANY, MAJORITY = 10, 0.6
+"""Or this part of so many, however poor the fit is: outliers and wrong sigmas look like that."""
 SAME_COST = 1.01
 EXACT = 1e-9
 """Residuals below this part of the range are those of readings without noise."""
@@ -120,9 +123,12 @@ def _search(readings: Readings, range_sigma: float | None, terms: int, thorough:
     found: list[Candidate] = []
     believed = False
     for seeds in _rounds(readings, terms, thorough):
+        before = found[0].squares if found else np.inf
         found += _refined(seeds, readings, terms)
         found.sort(key=lambda candidate: candidate.squares)
         believed = bool(found) and _believed(found, readings, range_sigma, terms)
+        if seeds and seeds[0][0] == "random" and before <= SAME_COST * found[0].squares:
+            believed = believed or _agreeing(found) >= AGREEING
         if believed:
             break
     if not found:
@@ -203,5 +209,11 @@ def _believed(
         poor = squares > MISFIT**2 * range_sigma**2 * len(readings)
     else:
         poor = squares > POOR_FIT**2 * len(readings) * float(readings.distance.var())
-    agreeing = [c for c in found if c.squares <= SAME_COST * squares]
-    return len(agreeing) >= AGREEING and not poor
+    agreeing = _agreeing(found)
+    most = len(found) >= MANY and agreeing >= MAJORITY * len(found)
+    return most or (agreeing >= AGREEING and not poor)
+
+
+def _agreeing(found: Sequence[Candidate]) -> int:
+    """Return how many candidates, the best first, are at the optimum of the best."""
+    return sum(c.squares <= SAME_COST * found[0].squares for c in found)

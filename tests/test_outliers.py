@@ -1,0 +1,175 @@
+"""Readings that the others contradict: found among garbage, named with a reason, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import bench, motion, recording_of, simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam import model
+from handlaser_gtsam.diagnosis.leverage import leverages, standardized
+from handlaser_gtsam.diagnosis.observability import observability
+from handlaser_gtsam.diagnosis.outliers import screen
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.starts.directions import direction_starts
+from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.robust import robust_starts
+
+SIGMA = {"paper": 3e-5, "arm": 1e-3}
+NONE = hl.CalibrationOptions("none")
+KEEP = hl.CalibrationOptions("none", outliers="keep")
+
+
+def with_garbage(recording, share, seed):
+    rng = np.random.default_rng(seed)
+    ranges = recording.ranges.copy()
+    chosen = rng.choice(ranges.size, round(share * ranges.size), replace=False)
+    low, high = np.nanmin(ranges), np.nanmax(ranges)
+    ranges.flat[chosen] = rng.uniform(low, high, len(chosen))
+    return replace(recording, ranges=ranges)
+
+
+def distance(found, clean):
+    """Largest difference of a beam's coordinate, in standard deviations of `found`."""
+    worst = 0.0
+    for name, beam in found.beams.items():
+        difference = np.append(
+            beam.location - clean.beams[name].location,
+            beam.direction - clean.beams[name].direction,
+        )
+        worst = max(worst, np.abs(difference / beam.sigma[:6]).max())
+    return worst
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["paper", "arm"])
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_third_of_garbage_does_not_move_the_result(scene, told, seed):
+    recording, _ = simulated(scene, range_sigma=SIGMA[scene], seed=seed)
+    noise = hl.Noise(SIGMA[scene] if told else None)
+    found = hl.calibrate(with_garbage(recording, 0.3, seed), noise, NONE)
+    assert found.status == "converged"
+    assert distance(found, hl.calibrate(recording, noise, KEEP)) < 3.0
+    # Garbage that by chance lands near the truth may stay; little does.
+    assert 0.25 * recording.ranges.size < len(found.fit.rejected) < 0.32 * recording.ranges.size
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_clean_readings_stay(told):
+    rejected = readings = 0
+    for seed in range(8):
+        recording, _ = simulated("arm", Layout(2, 2, 12), SIGMA["arm"], seed)
+        found = hl.calibrate(recording, hl.Noise(SIGMA["arm"] if told else None), NONE)
+        rejected, readings = rejected + len(found.fit.rejected), readings + recording.ranges.size
+    assert rejected <= 0.01 * readings
+
+
+def test_keep_keeps_everything():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    spoilt = with_garbage(recording, 0.05, 0)
+    found = hl.calibrate(spoilt, options=KEEP)
+    assert found.fit.rejected == ()
+    assert found.fit.readings == recording.ranges.size
+
+
+def test_single_outliers_are_listed_with_their_residual():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    ranges = recording.ranges.copy()
+    ranges[5, 1] += 0.02
+    ranges[20, 3] -= 0.03
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), NONE)
+    listed = [(r.station, r.beam, r.reason) for r in found.fit.rejected]
+    assert listed == [("6", "2", "outlier"), ("21", "4", "outlier")]
+    # The residual is predicted minus read, so it has the other sign; 4 sigma of the prediction.
+    assert found.fit.rejected[0].residual == pytest.approx(-0.02, abs=4e-3)
+    assert found.fit.rejected[1].residual == pytest.approx(0.03, abs=4e-3)
+
+
+def test_a_wrong_plane_label_is_recognised_and_suggested():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    labels = list(recording.plane_labels)
+    assert labels[3] == "A"
+    labels[3] = "C"
+    found = hl.calibrate(
+        replace(recording, plane_labels=tuple(labels)), hl.Noise(SIGMA["arm"]), NONE
+    )
+    assert {r.station for r in found.fit.rejected} == {"4"}
+    assert {r.reason for r in found.fit.rejected} == {"wrong plane label: fits plane A"}
+    expected = "station 4 is labelled plane C but fits plane A: correct its label"
+    assert expected in found.warnings
+
+
+def test_swapped_readings_of_a_station_are_recognised():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    ranges = recording.ranges.copy()
+    ranges[7, [0, 2]] = ranges[7, [2, 0]]
+    assert abs(ranges[7, 0] - ranges[7, 2]) > 0.01
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), NONE)
+    listed = {(r.beam, r.reason) for r in found.fit.rejected}
+    assert listed == {
+        ("1", "swapped with the reading of beam 3"),
+        ("3", "swapped with the reading of beam 1"),
+    }
+
+
+def test_a_whole_station_that_is_off_is_called_so():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    ranges = recording.ranges.copy()
+    ranges[9] += [0.03, 0.05, 0.04, 0.06]
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), NONE)
+    assert {(r.station, r.reason) for r in found.fit.rejected} == {("10", "whole station off")}
+
+
+def test_a_repeated_pose_is_called_so():
+    recording, _ = simulated("arm", Layout(1, 2, 20), SIGMA["arm"])
+    R, t = recording.world_R_hand.copy(), recording.world_t_hand.copy()
+    R[11], t[11] = R[10], t[10]  # the log repeats a pose although the hand has moved on
+    found = hl.calibrate(
+        replace(recording, world_R_hand=R, world_t_hand=t), hl.Noise(SIGMA["arm"]), NONE
+    )
+    reasons = {r.station: r.reason for r in found.fit.rejected}
+    assert reasons["12"] == "pose of another station repeated"
+
+
+def test_leverages_are_those_of_the_dense_hat_matrix():
+    readings = recording_of(bench(2), *motion("free", 20), [0] * 10 + [1] * 10, 1e-4).readings()
+    at, found = bench(2), observability(bench(2), readings, 0, 1e-4)
+    jacobian = model.linearize(model.scene(at, readings), readings.distance)
+    v, n = model.tangent_basis(at.directions), model.tangent_basis(at.normals)
+    J = np.zeros((len(readings), 16))
+    for row, (beam, plane) in enumerate(zip(readings.beam, readings.plane, strict=True)):
+        J[row, 5 * beam : 5 * beam + 3] = jacobian.location[row]
+        J[row, 5 * beam + 3 : 5 * beam + 5] = jacobian.direction[row] @ v[beam]
+        J[row, 10 + 3 * plane : 12 + 3 * plane] = jacobian.normal[row] @ n[plane]
+        J[row, 12 + 3 * plane] = jacobian.offset[row]
+    hat = J @ np.linalg.inv(J.T @ J) @ J.T
+    h = leverages(at, readings, 0, found)
+    assert np.allclose(h, np.diagonal(hat), atol=1e-9)
+    assert h.sum() == pytest.approx(16.0)  # as many as there are unknowns
+
+
+def test_standardized_residuals_know_who_was_used():
+    e, h = np.array([1.0, 1.0, 1.0]), np.array([0.75, 0.75, 1.0])
+    used = np.array([True, False, True])
+    t = standardized(e, h, used, 1.0)
+    assert t == pytest.approx([2.0, 1.0 / np.sqrt(1.75), 0.0])
+
+
+def test_too_few_agreeing_readings_are_no_consensus():
+    readings = recording_of(bench(1, 1), *motion("free", 8), [0] * 8, 1e-4).readings()
+    assert screen(readings, bench(1, 1), 0, 1e-4) is None
+
+
+def test_robust_starts_agree_on_the_good_readings():
+    recording, truth = simulated("arm", range_sigma=SIGMA["arm"])
+    readings = with_garbage(recording, 0.3, 4).readings()
+    others = [grow(start, readings) for start in direction_starts(readings, 2)]
+
+    def evidence(parameters, scale):
+        return scale
+
+    best = robust_starts(readings, others, None, 0, evidence)[0]
+    angle = np.linalg.norm(np.cross(best.parameters.directions, truth.directions), axis=1)
+    assert np.degrees(angle.max()) < 1.0
