@@ -1,5 +1,7 @@
 """Starts: exact without noise, each lemma by itself and mixed, and planes that satisfy none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import bench, largest_error, motion, recording_of, simulated
@@ -13,10 +15,17 @@ from handlaser_gtsam.parameters import Parameters
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.scenes import Layout
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.starts.directions import direction_starts, random_starts
+from handlaser_gtsam.starts.lifted import lifted_starts
+from handlaser_gtsam.starts.part import part_of
 from handlaser_gtsam.starts.partial import PartialStart, grow
 from handlaser_gtsam.starts.sweep import half_sphere, sweep_starts
-from handlaser_gtsam.starts.translations import translation_start
+from handlaser_gtsam.starts.translations import (
+    translation_start,
+    translation_start_with_range_errors,
+)
 
 # Closed forms lose digits where translations or turns are small beside the distances: 1e-16 / 1e-4.
 EXACT = 1e-11
@@ -36,12 +45,12 @@ def closed_form(truth, R, t, plane, sigma=0.0):
     return grow(start, readings)
 
 
-def assert_exact(found: Parameters, truth: Parameters):
+def assert_exact(found: Parameters, truth: Parameters, tolerance=EXACT):
     location, direction = largest_error(found, truth)
-    assert location < EXACT
-    assert direction < EXACT
-    assert np.abs(found.normals - truth.normals).max() < EXACT
-    assert np.abs(found.offsets - truth.offsets).max() < EXACT
+    assert location < tolerance
+    assert direction < tolerance
+    assert np.abs(found.normals - truth.normals).max() < tolerance
+    assert np.abs(found.offsets - truth.offsets).max() < tolerance
 
 
 def test_lemma_2a_turns_of_the_hand():
@@ -208,3 +217,91 @@ def test_planes_known_the_wrong_way_round_are_turned():
     start = PartialStart.empty(readings)
     start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
     assert_exact(grow(start, readings), truth)
+
+
+def test_the_lifted_form_is_exact_from_21_stations():
+    truth = bench(1, 1)
+    readings = recording_of(truth, *motion("free", 24), [0] * 24, 0.0).readings()
+    starts = lifted_starts(readings, 1)
+    assert len(starts) == 1
+    assert_exact(grow(starts[0], readings), truth)
+
+
+@pytest.mark.parametrize("kind", ["translations", "one axis"])
+def test_the_lifted_form_knows_when_the_motion_is_not_general(kind):
+    readings = recording_of(bench(1, 1), *motion(kind, 40), [0] * 40, 0.0).readings()
+    assert lifted_starts(readings, 1) == []
+
+
+def test_translations_determine_range_errors_in_closed_form():
+    plain = bench(1, 2)
+    k = np.array([[0.02, 0.1], [-0.01, 0.2]])
+    truth = replace(plain, range_errors=k)
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [7, 2, 2, 2])
+    readings = recording_of(truth, R, t, [0] * 13, 0.0).readings()
+    start = translation_start_with_range_errors(readings)
+    assert start is not None
+    found = grow(start, readings)
+    assert_exact(found, truth)
+    assert np.abs(found.range_errors - k).max() < 1e-9
+
+
+def test_translations_that_do_not_determine_a_range_error_say_so():
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1]], [4, 2, 2])
+    readings = recording_of(bench(1, 1), R, t, [0] * 8, 0.0).readings()
+    assert translation_start_with_range_errors(readings) is None
+
+
+def test_random_starts_reach_what_the_sweeps_do_not_need():
+    """Beams far from the hand's origin, few stations of each plane: some random start arrives."""
+    recording, truth = simulated("arm", Layout(2, 4, 6), 0.0)
+    readings = recording.readings()
+    starts = [grow(s, readings) for s in random_starts(readings, 40, np.random.default_rng(0))]
+    refined = [one for one in refine_many(starts, readings, 0, 60) if one is not None]
+    best = min(refined, key=lambda one: one.squares)
+    assert_exact(best.parameters, truth, 1e-6)
+
+
+def test_half_the_planes_satisfying_no_lemma_spoil_nothing():
+    """Planes C and D are met in pure translations, or while turning about one axis."""
+    truth = bench(4, 2)
+    free = [motion("free", 12, seed=s) for s in (1, 2)]
+    poor = [motion("translations", 12, seed=3), motion("one axis", 12, seed=4)]
+    R = np.concatenate([m[0] for m in (*free, *poor)])
+    t = np.concatenate([m[1] for m in (*free, *poor)])
+    plane = np.repeat(np.arange(4), 12).tolist()
+    recording = recording_of(truth, R, t, plane, 1e-4)
+    for noise in (Noise(1e-4), Noise()):
+        found = calibrate(recording, noise, CalibrationOptions("none"))
+        assert found.status == "converged"
+        graph = build_graph(recording.readings(), truth, 0, 1e-4)
+        best = levenberg_marquardt(graph)
+        assert (found.fit.residuals**2).sum() / 2e-8 == pytest.approx(best.cost, rel=1e-6)
+
+
+def test_a_long_recording_is_searched_in_part():
+    recording, _ = simulated("arm", Layout(2, 120, 12), 1e-3)
+    readings = recording.readings()
+    part = part_of(readings)
+    assert len(part.readings) < 0.8 * len(readings)
+    assert set(part.readings.beam) == {0, 1}
+    start = find_start(readings, 1e-3, 0)
+    assert start.fits
+
+
+def test_many_candidates_refine_as_each_alone():
+    readings = recording_of(bench(2), *motion("free", 20), [0] * 10 + [1] * 10, 1e-4).readings()
+    starts = [grow(s, readings) for s in direction_starts(readings, 5)]
+    together = refine_many(starts, readings, 0, 12)
+    for start, one in zip(starts, together, strict=True):
+        alone = refine_many([start], readings, 0, 12)[0]
+        assert (one is None) == (alone is None)
+        if one is not None and alone is not None:
+            assert one.squares == pytest.approx(alone.squares, rel=1e-6)
+
+
+def test_a_grazing_candidate_is_dropped():
+    readings = recording_of(bench(1, 1), *motion("translations", 6), [0] * 6, 0.0).readings()
+    x, z = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    flat = replace(bench(1, 1), directions=x, normals=z)
+    assert refine_many([flat, bench(1, 1)], readings, 0, 3)[0] is None

@@ -184,12 +184,8 @@ HYPOTHESES = (
         _turned(_other_unit(1.0 / DEGREE, "xyz")),
     ),
     Hypothesis(
-        "the angles A B C of moving axes z, y, x look as if read as W P R of fixed axes x, y, z",
+        "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)",
         _turned(_other_angles("ZYX", "xyz")),
-    ),
-    Hypothesis(
-        "the angles W P R of fixed axes x, y, z look as if read as A B C of moving axes z, y, x",
-        _turned(_other_angles("xyz", "ZYX")),
     ),
     Hypothesis(
         "the angles of fixed axes x, y, z look as if read as those of moving axes",

@@ -25,7 +25,7 @@ from .observability import observability
 LEAST_CUT, MOST_CUT = 3.0, 4.0
 """A reading further off than a cut between these, in its standard deviations, is an outlier."""
 CAUTION = 0.5
-"""By so much the cut is below even odds: garbage that stays costs more than a good reading that goes."""
+"""So much below even odds is the cut: garbage that stays costs more than a good reading that goes."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
 ROUNDS, STEPS = 20, 25
@@ -124,7 +124,8 @@ def quick_evidence(
 def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     """Return how many standard deviations off an outlier is, by the share of those left out so far.
 
-    A residual z is as likely garbage as good where z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
+    A residual of z standard deviations is as likely garbage as good where
+    z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
     """
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
     span = max(float(np.ptp(readings.distance)), range_sigma)

@@ -1,0 +1,127 @@
+"""What a motion can determine before anything is solved, and what is reported when it cannot."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import DEGENERATE, GRIPPER, ROOT, bench, degenerate, motion, recording_of, simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.diagnosis.motion import check_motion, lemma_words
+from handlaser_gtsam.files.recording_csv import write_recording
+
+NONE = hl.CalibrationOptions("none")
+
+
+@pytest.mark.parametrize("case", DEGENERATE)
+def test_what_the_motion_leaves_open_is_what_the_solution_leaves_open(case):
+    recording = degenerate(case)
+    check = check_motion(recording)
+    solved = hl.calibrate(recording, options=NONE).observability
+    key = [(part.owner, part.quantity, part.axes.shape[1]) for part in check.open_parts]
+    assert key == [(part.owner, part.quantity, part.axes.shape[1]) for part in solved.open_parts]
+    assert check.advice == solved.advice
+
+
+def test_the_lemmas_name_the_stations_that_serve():
+    check = check_motion(hl.read_recording(GRIPPER / "recording.csv"))
+    assert check.undetermined == ()
+    for plane in check.planes:
+        assert (plane.stations, plane.translations) == (11, 3)
+        assert plane.axes >= 2
+        assert len(plane.translating) == 8
+    words = lemma_words(check, ("1", "2", "3", "4"))
+    assert "plane A, 11 stations: normal in closed form (Lemma 1)" in words[0]
+    assert "stations 1, 2, 3, 4" in words[0]
+
+
+def test_free_motion_satisfies_no_lemma_one_and_determines_everything():
+    check = check_motion(simulated("arm")[0])
+    assert check.undetermined == ()
+    assert all(plane.translations == 0 and plane.axes >= 2 for plane in check.planes)
+
+
+@pytest.mark.parametrize(("case", "code"), [("one plane, one axis", 3), (None, 0)])
+def test_the_command(tmp_path, case, code):
+    recording = degenerate(case) if case else simulated("arm")[0]
+    write_recording(tmp_path / "recording.csv", recording)
+    command = [
+        sys.executable,
+        "-m",
+        "handlaser_gtsam.cli",
+        "check",
+        str(tmp_path / "recording.csv"),
+    ]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert run.returncode == code
+    assert len(run.stderr.splitlines()) == (1 if code else 0)
+    assert ("location along (0.00, 0.00, 1.00)" in run.stderr) == bool(code)
+    run = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    record = json.loads(run.stdout)
+    assert record["format"] == "handlaser-check"
+    assert bool(record["undetermined"]) == bool(code)
+
+
+def test_an_open_beam_does_not_spoil_the_others():
+    """Beam 2 has four readings: beam 1 and the plane come out as if it were not there."""
+    recording = recording_of(bench(1, 2), *motion("free", 25), [0] * 25, 1e-4)
+    ranges = recording.ranges.copy()
+    ranges[4:, 1] = np.nan
+    both = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(1e-4), NONE)
+    alone = hl.calibrate(
+        replace(recording, ranges=ranges[:, :1], beam_names=("1",)), hl.Noise(1e-4), NONE
+    )
+    assert both.status == "unobservable"
+    assert all("beam 2" in words for words in both.observability.undetermined)
+    assert both.beams["2"].covariance is None
+    mine, its = both.beams["1"], alone.beams["1"]
+    # Four readings for five unknowns of beam 2 fit exactly and say nothing about the rest.
+    assert np.allclose(mine.location, its.location, atol=1e-8)
+    assert np.allclose(mine.covariance, its.covariance, rtol=1e-4, atol=1e-16)
+    assert np.allclose(both.planes["A"].covariance, alone.planes["A"].covariance, rtol=1e-4)
+
+
+def test_open_coordinates_have_no_sigma_and_the_others_do():
+    found = hl.calibrate(degenerate("one plane, one axis"), hl.Noise(1e-4), NONE)
+    sigma = found.beams["1"].sigma
+    assert np.isinf(sigma[2])
+    assert np.isfinite(sigma[[0, 1, 3, 4, 5]]).all()
+    assert found.beams["1"].covariance is None
+    plane = found.planes["A"]
+    assert np.isfinite(plane.normal_sigma)
+    assert np.isinf(plane.offset_sigma)
+
+
+def test_indices_do_not_depend_on_units_or_noise():
+    recording, _ = simulated("arm", range_sigma=1e-3)
+    scaled = replace(
+        recording, world_t_hand=0.1 * recording.world_t_hand, ranges=0.1 * recording.ranges
+    )
+    indices = [
+        hl.calibrate(r, hl.Noise(s), NONE).observability.indices
+        for r, s in ((recording, 1e-3), (scaled, 1e-4))
+    ]
+    for name in ("O1", "O2", "O3", "O4"):
+        mine, its = (getattr(i, name) for i in indices)
+        assert mine > 0.0
+        assert mine == pytest.approx(its, rel=1e-6)
+    assert pytest.approx(indices[0].O2 * indices[0].O3) == indices[0].O4
+
+
+@pytest.mark.slow
+def test_random_problems_end_at_the_optimum_or_in_a_refusal():
+    """The first of the problems whose full study stands in docs/results.md."""
+    command = (sys.executable, "-m", "benchmarks.random_problems", "--jobs", "1")
+    run = subprocess.run(
+        [*command, "--solvable", "150", "--unsolvable", "70"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert run.returncode == 0, run.stdout
+    assert "150 problems, 0 wrong" in run.stdout
+    assert "70 problems, 0 wrong" in run.stdout
