@@ -26,7 +26,7 @@ SHARES = (0.5, 0.25, 0.0)
 """Parts of the redundant readings that must be good, besides as many as there are unknowns."""
 AGREEING, SAME_EVIDENCE = 4, 0.5
 """So many candidates of the same evidence end the search,"""
-AMPLE = 4.0
+AMPLE = 5.0
 """where there are so many readings an unknown; among fewer, garbage may agree by chance."""
 KEPT = 6
 
