@@ -80,7 +80,7 @@ def _convincing(
     sigma = min(found, key=lambda entry: entry[1].evidence)[1].range_sigma
     if range_sigma is not None:
         return sigma <= CONVINCING * range_sigma
-    return sigma <= POOR_FIT * float(readings.distance.std())
+    return sigma <= POOR_FIT * readings.spread()
 
 
 def _robust(

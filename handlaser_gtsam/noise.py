@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 from .errors import InputError
 
+LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
+"""No sensor is better or worse [m]; beyond, squares overflow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -31,9 +34,10 @@ class Noise:
 
     def __post_init__(self) -> None:
         sigma = self.range_sigma
-        if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
+        if sigma is not None and not LEAST_SIGMA <= sigma <= MOST_SIGMA:
             raise InputError(
-                f"range sigma {sigma:g} m", "a positive number; leave it out if unknown"
+                f"range sigma {sigma:g} m",
+                f"{LEAST_SIGMA:g} to {MOST_SIGMA:g} m; leave it out if unknown",
             )
         for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)

@@ -14,6 +14,8 @@ from .arrays import FloatArray, IntArray, frozen, frozen_indices
 from .errors import InputError
 
 ROTATION_TOLERANCE = 1e-6
+QUARTILES = 1.349
+"""Distance of the quartiles in standard deviations, if Gaussian."""
 LARGEST = 1e6
 """Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
 
@@ -59,6 +61,11 @@ class Readings:
         have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
         """
         return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
+
+    def spread(self) -> float:
+        """Return the standard deviation of the readings [m] that their quartiles show."""
+        low, high = np.quantile(self.distance, [0.25, 0.75])
+        return float(high - low) / QUARTILES if high > low else float(self.distance.std())
 
     def copies(self, count: int) -> "Readings":
         """Return the readings `count` times, each time with beams and planes of their own."""

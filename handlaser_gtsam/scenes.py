@@ -22,6 +22,9 @@ from .parameters import Parameters
 from .sensor import Sensor
 from .simulate import Errors, Stations
 
+LARGEST_RANGE_ERROR = 1e3
+"""Of k1 [1] and k2 [1/m]: no sensor errs so."""
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -37,6 +40,13 @@ class Layout:
         for name in ("beams", "planes", "stations"):
             if getattr(self, name) < 1:
                 raise InputError(f"{getattr(self, name)} {name}", "at least 1")
+        for name in ("k1", "k2"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and abs(value) <= LARGEST_RANGE_ERROR):
+                raise InputError(
+                    f"{name} {value:g}",
+                    f"a number between -{LARGEST_RANGE_ERROR:g} and its positive",
+                )
 
 
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]

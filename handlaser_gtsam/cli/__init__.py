@@ -1,5 +1,7 @@
 """The command `handlaser`; one file a verb. Heavy imports happen inside the verbs."""
 
+import io
+import os
 import sys
 
 import typer
@@ -10,7 +12,7 @@ from .calibrate import calibrate
 from .check import check
 from .simulate import simulate
 
-BAD_INPUT, UNDETERMINED = 2, 3
+BAD_INPUT, UNDETERMINED, INTERRUPTED = 2, 3, 130
 
 app = typer.Typer(
     name="handlaser",
@@ -43,11 +45,20 @@ def _root(
 
 def main() -> None:
     """Run the command line; errors made on purpose end in one line and an exit code."""
+    if sys.stdout is None:  # closed by the caller
+        sys.stdout = io.StringIO()
     try:
         app()
+        sys.stdout.flush()
     except InputError as error:
         print(f"handlaser: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except HandlaserError as error:
         print(f"handlaser: {error}", file=sys.stderr)
         sys.exit(UNDETERMINED)
+    except KeyboardInterrupt:
+        print("handlaser: stopped by Ctrl-C", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except OSError as error:
+        print(f"handlaser: no way to write the output ({error.strerror})", file=sys.stderr)
+        os._exit(BAD_INPUT)  # a full stdout would raise again when it is flushed

@@ -32,7 +32,7 @@ def misfit(readings: Readings, parameters: Parameters, fit: Fit) -> str:
             "the readings fit only with a range error of more than half of a reading, which no sensor "
             f"has; {CHECKS}"
         )
-    spread = float(readings.distance.std())
+    spread = readings.spread()
     if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
         return ""
     return (
@@ -46,7 +46,7 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     if fit.dof <= 0:
         return False
     far = fit.range_sigma_given and fit.sigma0 > FAR_OFF
-    return bool(far or fit.rms > SUSPICIOUS_FIT * float(readings.distance.std()))
+    return bool(far or fit.rms > SUSPICIOUS_FIT * readings.spread())
 
 
 def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:

@@ -111,13 +111,20 @@ def _read_table(path: Path) -> _Table:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
     data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\n" not in data:
+        data = data.replace(b"\r", b"\n")  # line ends of an old Mac
     if not data.strip():
         raise InputError("an empty file", "a header and one row a station", path)
     header_line = data[: len(data) - len(data.lstrip())].count(b"\n") + 1
     data = data.lstrip()
     header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
     separator = max(",;\t", key=header.count)
-    names = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
+    try:
+        names = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
+    except csv.Error as error:
+        raise InputError(
+            f"a header that is no row ({error})", "names", path, header_line
+        ) from error
     try:
         frame = pl.read_csv(data, separator=separator, infer_schema=False, has_header=True)
     except pl.exceptions.PolarsError as error:
@@ -150,11 +157,15 @@ def _unreadable(
         line = data.count(b"\n", 0, fault.start) + header_line
         return InputError("bytes that are not UTF-8", "a file saved as UTF-8", path, line)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    width = len(next(reader, []))
-    for row in reader:
-        if len(row) > width:
-            line = reader.line_num + header_line - 1
-            return InputError(f"{len(row)} fields", f"{width}, as in the header", path, line)
+    try:
+        width = len(next(reader, []))
+        for row in reader:
+            if len(row) > width:
+                line = reader.line_num + header_line - 1
+                return InputError(f"{len(row)} fields", f"{width}, as in the header", path, line)
+    except csv.Error as fault:
+        line = reader.line_num + header_line - 1
+        return InputError(f"a row that cannot be read ({fault})", "plain cells", path, line)
     found = str(error).splitlines()[0]
     return InputError(found, "a table separated by commas, semicolons or tabs", path)
 

@@ -71,10 +71,11 @@ def read_rig(path: Path | str) -> Rig:
         rig = _Rig.model_validate(tomllib.loads(text))
     except OSError as error:
         raise InputError(f"no readable file ({error.strerror})", "a rig file", path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"no TOML ({error})", "a rig file in TOML", path) from error
     except ValidationError as error:
         raise _first_fault(error, path) from error
+    except (ValueError, RecursionError) as error:  # ValueError: TOML, Unicode, and endless integers
+        what = str(error).split(";")[0].splitlines()[0][:120]
+        raise InputError(f"no TOML ({what})", "a rig file in TOML", path) from error
     try:
         return _to_si(rig)
     except InputError as error:

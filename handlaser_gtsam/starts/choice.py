@@ -208,7 +208,7 @@ def _believed(
     if range_sigma is not None:
         poor = squares > MISFIT**2 * range_sigma**2 * len(readings)
     else:
-        poor = squares > POOR_FIT**2 * len(readings) * float(readings.distance.var())
+        poor = squares > len(readings) * (POOR_FIT * readings.spread()) ** 2
     agreeing = _agreeing(found)
     most = len(found) >= MANY and agreeing >= MAJORITY * len(found)
     return most or (agreeing >= AGREEING and not poor)

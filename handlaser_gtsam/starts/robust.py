@@ -29,6 +29,8 @@ AGREEING, SAME_EVIDENCE = 4, 0.5
 AMPLE = 5.0
 """where there are so many readings an unknown; among fewer, garbage may agree by chance."""
 KEPT = 6
+FAR = 5.0
+"""Readings so many times beyond three quarters of them take no part in the starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +87,23 @@ def _rounds(
     unknowns = (5 + terms) * readings.beams + 3 * readings.planes
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
-    swept = [grow(start, readings) for start in direction_starts(readings, SWEPT, TRIED)]
+    near = _without_far_readings(readings)
+    swept = [grow(start, near) for start in direction_starts(near, SWEPT, TRIED)]
     for part in parts:
         yield [*others, *swept], part
     rng = np.random.default_rng(0)
     for _ in range(RANDOM_ROUNDS):
-        drawn = [grow(start, readings) for start in random_starts(readings, RANDOM_STARTS, rng)]
+        drawn = [grow(start, near) for start in random_starts(near, RANDOM_STARTS, rng)]
         for part in parts:
             yield drawn, part
+
+
+def _without_far_readings(readings: Readings) -> Readings:
+    """Return the readings without those far beyond the bulk: one of 100 m would tilt every plane."""
+    limit = FAR * float(np.quantile(readings.distance, 0.75))
+    near = readings.subset(np.flatnonzero(readings.distance <= limit))
+    seen = np.bincount(near.plane, minlength=readings.planes)
+    return near if seen.all() else readings
 
 
 def _tightened(
