@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray
+from .arrays import BoolArray, FloatArray
 from .errors import GrazingBeamError
 from .parameters import Parameters
 from .recording import Readings
@@ -97,9 +97,14 @@ def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
 
     Near k1 = -1 all corrected readings are alike, and many a wrong beam fits them.
     """
+    return bool(plausible_corrections(parameters, readings).all())
+
+
+def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArray:
+    """Tell of every reading (N,) whether its correction is within `LARGEST_CORRECTION` of it."""
     k = parameters.range_errors[readings.beam]
     change = k[:, 0] + k[:, 1] * readings.distance
-    return bool((np.abs(change) <= LARGEST_CORRECTION).all())
+    return np.asarray(np.abs(change) <= LARGEST_CORRECTION)
 
 
 def cosines(x: Scene) -> FloatArray:

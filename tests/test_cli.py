@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from helpers import DEGENERATE, GRIPPER, degenerate, simulated
@@ -279,3 +280,65 @@ def test_the_recording_is_never_overwritten_by_its_result(handlaser, tmp_path):
     assert code == 2
     assert one_line(err)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("sigma", ["1e-200", "1e200", "0", "nan"])
+def test_impossible_sigmas_are_refused(handlaser, sigma):
+    code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--range-sigma-mm", sigma)
+    assert code == 2
+    assert one_line(err)
+
+
+@pytest.mark.parametrize("value", ["1" * 5000, "[" * 3000])
+def test_endless_toml_is_refused(handlaser, tmp_path, value):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(f"[noise]\nrange_sigma_mm = {value}\n")
+    code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--rig", rig)
+    assert code == 2
+    assert one_line(err)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--k2-per-m", "inf"), ("--k1", "nan"), ("--k1", "1e300")]
+)
+def test_simulate_refuses_impossible_range_errors_and_writes_nothing(
+    handlaser, tmp_path, option, value
+):
+    code, _, err = handlaser("simulate", tmp_path / "new", option, value)
+    assert code == 2
+    assert one_line(err)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_full_output_is_no_bug():
+    command = [sys.executable, "-m", "handlaser_gtsam.cli", "calibrate", "--json"]
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run(
+            [*command, str(GRIPPER / "recording.csv")],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert run.returncode == 2
+    assert b"no way to write" in run.stderr
+
+
+def test_robust_losses_and_kept_outliers_are_options(handlaser):
+    code, out, _ = handlaser(
+        "calibrate", GRIPPER / "recording.csv", "--loss", "huber", "--outliers", "keep", "--json"
+    )
+    assert code == 0
+    assert json.loads(out)["fit"]["rejected"] == []
+
+
+def test_a_cross_check_that_disagrees_is_no_calibration(handlaser, monkeypatch):
+    from handlaser_gtsam.diagnosis import cross_check as checking
+
+    monkeypatch.setattr(
+        checking,
+        "cross_check",
+        lambda *_: checking.CrossCheck(2.5, "beam 1 location", 0.1, "beam 1 location", 3),
+    )
+    code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--cross-check", "--quiet")
+    assert code == 3
+    assert "SciPy disagrees by 2.5 standard deviations" in err

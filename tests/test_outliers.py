@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import bench, motion, recording_of, simulated
+from helpers import GRIPPER, bench, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
@@ -170,3 +170,17 @@ def test_robust_starts_agree_on_the_good_readings():
     best = robust_starts(readings, others, None, 0, lambda _, scale: scale)[0]
     angle = np.linalg.norm(np.cross(best.parameters.directions, truth.directions), axis=1)
     assert np.degrees(angle.max()) < 1.0
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_reading_far_beyond_the_others_is_left_out(told):
+    """100 m among ranges of centimetres would decide k2, and the scale of everything."""
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    ranges = recording.ranges.copy()
+    ranges[0, 3] = 100.0
+    found = hl.calibrate(
+        replace(recording, ranges=ranges), hl.Noise(SIGMA["paper"] if told else None)
+    )
+    assert found.status == "converged"
+    assert [(r.station, r.beam) for r in found.fit.rejected] == [("1", "4")]
+    assert found.fit.rms < 2 * SIGMA["paper"]

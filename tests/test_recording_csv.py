@@ -238,3 +238,9 @@ def test_a_hundred_megabytes_are_read(tmp_path):
         file.writelines(row.format("AB"[j % 2], j) for j in range(size))
     assert path.stat().st_size > 100e6
     assert len(read_recording(path).station_names) == size
+
+
+def test_line_ends_of_an_old_mac_are_read(tmp_path):
+    text = (GRIPPER / "recording.csv").read_text()
+    (tmp_path / "mac.csv").write_bytes(text.replace("\n", "\r").encode())
+    assert len(read_recording(tmp_path / "mac.csv").plane_labels) == 44

@@ -107,13 +107,12 @@ def quick_evidence(
     readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
 ) -> float:
     """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
-    if not model.plausible_range_errors(parameters, readings):
-        return np.inf
     e = np.abs(residuals(parameters, readings))
     best = np.inf
     for cut in (FIRST_CUT * scale, 2.0 * FIRST_CUT * scale):
         kept = e <= cut
-        if enough(readings, kept, terms):
+        good = readings.subset(np.flatnonzero(kept))
+        if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
             free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
             estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
             sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
@@ -153,7 +152,10 @@ def test(
     steep = np.flatnonzero(np.isfinite(e))
     h = np.zeros(len(readings))
     h[steep] = leverages(parameters, readings.subset(steep), terms, found)
-    return parameters, sigma, standardized(e, h, kept, sigma)
+    t = standardized(e, h, kept, sigma)
+    # Far beyond the others a reading decides k2 alone, and would be consistent with any.
+    t[~model.plausible_corrections(parameters, readings)] = np.inf
+    return parameters, sigma, t
 
 
 def _unknowns(readings: Readings, terms: int) -> int:
