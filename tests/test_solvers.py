@@ -6,7 +6,8 @@ import pytest
 from helpers import GRIPPER, bench, motion, recording_of
 
 from handlaser_gtsam import model
-from handlaser_gtsam.covariance import covariances
+from handlaser_gtsam.covariance import covariances, covariances_of_determined
+from handlaser_gtsam.diagnosis.observability import observability
 from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.graph import build_graph, read_parameters, start_values
@@ -269,3 +270,18 @@ def test_what_is_open_stays_where_it_started():
     result = levenberg_marquardt(graph, LevenbergOptions(least_damping=1e-4))
     assert result.status == "converged"
     assert np.abs(read_parameters(graph, result.values).locations).max() < 0.1
+
+
+def test_covariances_of_the_reduced_information_are_the_marginals(problem):
+    """What stands in where GTSAM calls a system indeterminate: the same numbers."""
+    _, readings, _, graph = problem
+    values = levenberg_marquardt(graph).values
+    at = read_parameters(graph, values)
+    origins = np.full((len(graph.planes), 3), 0.2)
+    marginals = covariances(graph, values, 1.0, origins)
+    found = observability(at, readings, 2, SIGMA)
+    reduced = covariances_of_determined(found, at, SIGMA, origins)
+    for mine, its in zip([*reduced[0], *reduced[1]], [*marginals[0], *marginals[1]], strict=True):
+        scale = np.sqrt(np.outer(np.diagonal(its), np.diagonal(its))) + 1e-300
+        # The graph's own frame is a metre away from planes centimetres in size.
+        assert np.abs((mine - its) / scale).max() < 1e-6

@@ -122,6 +122,7 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
+        yield f"known worst: {result.observability.weakest}"
     for left_out in fit.rejected[:SHOWN_REJECTED]:
         residual = (
             "" if left_out.residual is None else f", residual {left_out.residual * MM:.3g} mm"
