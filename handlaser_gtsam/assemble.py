@@ -26,8 +26,8 @@ from .noise import Noise
 from .ordering import Order
 from .range_error import Solution
 from .recording import Readings, Recording
-from .selection import FLAT, OUTSIDE, Selection
-from .sensor import Rejected
+from .selection import Selection
+from .sensor import FLAT, OUTSIDE, Rejected
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"

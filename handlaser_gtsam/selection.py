@@ -21,8 +21,6 @@ from .recording import Readings, Recording
 from .solvers.levenberg import Trial
 from .starts import Start, find_start
 
-OUTSIDE = "outside the sensor's range"
-FLAT = "incidence above the sensor's limit"
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation over the median absolute residual, if Gaussian."""

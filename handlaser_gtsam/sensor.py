@@ -37,6 +37,12 @@ class Sensor:
             raise InputError(found, "an angle above 0 and up to 90 degrees")
 
 
+OUTSIDE = "outside the sensor's range"
+FLAT = "incidence above the sensor's limit"
+BY_LIMITS = (OUTSIDE, FLAT)
+"""Reasons that the sensor's limits give; all others mean that the readings contradict each other."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rejected:
     """A reading that was left out: names, the reason, and its residual [m] where there is one."""

@@ -8,6 +8,7 @@ from ..model import plausible_range_errors
 from ..noise import Noise
 from ..parameters import Parameters
 from ..recording import Readings
+from ..sensor import BY_LIMITS
 
 SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
@@ -15,6 +16,8 @@ POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""
 FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
+MANY_LEFT_OUT = 0.1
+"""More outliers than this part of the readings are no accident."""
 UNLIKELY = 1e-3
 """Probability below which chi2 contradicts the given range sigma."""
 LONG_RANGE = 100.0
@@ -52,6 +55,12 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
 def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
     words = []
+    left_out = sum(r.reason not in BY_LIMITS for r in fit.rejected)
+    if left_out > MANY_LEFT_OUT * (fit.readings + left_out):
+        words.append(
+            f"{left_out} of {fit.readings + left_out} readings were left out as outliers: look for "
+            "their cause before you use the result"
+        )
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         words.append(f"the median reading is {median:.0f} m; is the file in millimetres?")

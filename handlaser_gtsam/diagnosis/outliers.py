@@ -29,8 +29,8 @@ CAUTION = 0.5
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
 ROUNDS, STEPS = 20, 25
-LEAST_SHARE = 0.5
-"""At least this part of the readings must remain: a minority is no evidence."""
+LEAST_SHARE = 0.6
+"""At least this part of the readings must remain: a bare majority may agree by chance."""
 ROUNDING = 1e-12
 """Residuals below this part of the readings are rounding."""
 
