@@ -30,7 +30,9 @@ AGREEING = 4
 """So many starts at one optimum are believed where no range sigma is given, or, where the fit is poor,
 when a round of random starts has found nothing better."""
 MANY, MAJORITY = 10, 0.6
-"""Or this part of so many, however poor the fit is: outliers and wrong sigmas look like that."""
+"""Or this part of so many, though the fit is poor: outliers and wrong sigmas look like that."""
+HOPELESS = 5.0
+"""Unless residuals exceed so many of the given sigmas: then everything is tried."""
 SAME_COST = 1.01
 EXACT = 1e-9
 """Residuals below this part of the range are those of readings without noise."""
@@ -128,7 +130,8 @@ def _search(readings: Readings, range_sigma: float | None, terms: int, thorough:
         found.sort(key=lambda candidate: candidate.squares)
         believed = bool(found) and _believed(found, readings, range_sigma, terms)
         if seeds and seeds[0][0] == "random" and before <= SAME_COST * found[0].squares:
-            believed = believed or _agreeing(found) >= AGREEING
+            enough = _agreeing(found) >= AGREEING
+            believed = believed or (enough and not _hopeless(found, readings, range_sigma))
         if believed:
             break
     if not found:
@@ -211,7 +214,15 @@ def _believed(
         poor = squares > len(readings) * (POOR_FIT * readings.spread()) ** 2
     agreeing = _agreeing(found)
     most = len(found) >= MANY and agreeing >= MAJORITY * len(found)
+    most = most and not _hopeless(found, readings, range_sigma)
     return most or (agreeing >= AGREEING and not poor)
+
+
+def _hopeless(found: Sequence[Candidate], readings: Readings, range_sigma: float | None) -> bool:
+    """Tell whether the best candidate misses the given sigma so far that no agreement counts."""
+    if range_sigma is None:
+        return False
+    return found[0].squares > HOPELESS**2 * range_sigma**2 * len(readings)
 
 
 def _agreeing(found: Sequence[Candidate]) -> int:
