@@ -55,16 +55,10 @@ class _Series:
 
 def translation_start(readings: Readings) -> PartialStart | None:
     """Return what pure translations determine, or None where no plane or no beam is."""
-    series = _series(readings)
-    if series is None:
-        return None
-    start = PartialStart.empty(readings)
-    _solve_normals(start, series)
-    _solve_directions(start, series)
-    if np.isnan(start.normals).all() or np.isnan(start.directions).all():
-        return None
-    start.range_errors[:, 0] = 0.0
-    _solve_locations(start, readings)
+    start = _normals_and_directions(readings)
+    if start is not None:
+        start.range_errors[:, 0] = 0.0
+        _solve_locations(start, readings)
     return start
 
 
@@ -74,10 +68,18 @@ def translation_start_with_range_errors(readings: Readings) -> PartialStart | No
     kappa = None if series is None else _kappas(series, readings)
     if kappa is None:
         return None
-    corrected = replace(
-        readings, distance=readings.distance * (1.0 + kappa[readings.beam] * readings.distance)
-    )
-    series = _series(corrected)
+    d = readings.distance
+    corrected = replace(readings, distance=d * (1.0 + kappa[readings.beam] * d))
+    start = _normals_and_directions(corrected)
+    if start is not None:
+        _solve_locations(start, corrected)
+        start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
+    return start
+
+
+def _normals_and_directions(readings: Readings) -> PartialStart | None:
+    """Return steps 1 and 2, with k1 from the length of v; None where no plane or no beam is known."""
+    series = _series(readings)
     if series is None:
         return None
     start = PartialStart.empty(readings)
@@ -85,8 +87,6 @@ def translation_start_with_range_errors(readings: Readings) -> PartialStart | No
     _solve_directions(start, series)
     if np.isnan(start.normals).all() or np.isnan(start.directions).all():
         return None
-    _solve_locations(start, corrected)
-    start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
     return start
 
 
