@@ -24,10 +24,9 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.calibration import Calibration
-from handlaser_gtsam.graph import build_graph
 from handlaser_gtsam.options import RangeError
 from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solving import solve
 
 from .problems import Problem, solvable
 from .unsolvable import true_null_space, unsolvable
@@ -60,8 +59,8 @@ def judge_solvable(seed: int) -> Verdict:
     readings = problem.recording.readings()
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
-    graph = build_graph(readings.seen_from(origins), truth, problem.terms, problem.range_sigma)
-    best = 2.0 * levenberg_marquardt(graph).cost
+    noise = hl.Noise(problem.range_sigma)
+    best = solve(readings.seen_from(origins), truth, problem.terms, noise, options).chi2
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
     if found.fit.chi2 > best + SAME_CHI2:

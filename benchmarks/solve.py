@@ -26,7 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from handlaser_gtsam.covariance import covariances
+from handlaser_gtsam.covariance import covariance
 from handlaser_gtsam.graph import build_graph
 from handlaser_gtsam.parameters import Parameters
 from handlaser_gtsam.recording import Readings, Recording
@@ -81,7 +81,7 @@ def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
     """Go the whole way with this package; return cost and iterations."""
     graph = build_graph(readings, find_start(readings, SIGMA).parameters, TERMS, SIGMA)
     result = levenberg_marquardt(graph)
-    covariances(graph, result.values, 1.0)
+    covariance(graph, result.values).all_planes()
     return result.cost, result.iterations
 
 

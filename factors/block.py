@@ -12,51 +12,76 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handlaser_gtsam import model
-from handlaser_gtsam.arrays import FloatArray, frozen
+from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys
+from handlaser_gtsam.weighting import Whitening
 
-from .evaluation import Share
+from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""
 
 
 class RangeBlock:
-    """Readings of one beam to one plane, callable as the error function of a `CustomFactor`.
+    """Readings of beams to one plane, callable as the error function of a `CustomFactor`.
 
     Residual and Jacobians are those of `handlaser_gtsam.model`, the latter in GTSAM's tangent bases.
     It never refers to its factor: such a circle could not be collected.
 
-    Attributes
+    Parameters
     ----------
-    beam, plane, pose
-        Keys; `pose` is None where the hand poses are known.
+    beams : BeamKeys, or several
+    plane : int
+        Key.
+    distance : (N,)
+        Readings [m].
     world_R_hand : (N, 3, 3)
     world_t_hand : (N, 3)
         Known hand poses [m]; identities where `pose` is a key.
-    distance : (N,)
-        Readings [m].
+    pose : int, optional
+        Key of the hand pose; None where the hand poses are known.
+    beam_of : (N,), optional
+        Which of the `beams` each reading is of; the first where not given.
+    whitening : Whitening, optional
+        Where readings differ in weight or are correlated. Needed for several beams.
+
+    Attributes
+    ----------
     prepared
         What the next calls hand out instead of evaluating; set by `SharedEvaluation` only.
     """
 
-    __slots__ = ("beam", "distance", "plane", "pose", "prepared", "world_R_hand", "world_t_hand")
+    __slots__ = (
+        "beam_of",
+        "beams",
+        "distance",
+        "plane",
+        "pose",
+        "prepared",
+        "whitening",
+        "world_R_hand",
+        "world_t_hand",
+    )
 
     def __init__(
         self,
-        beam: BeamKeys,
+        beams: BeamKeys | Sequence[BeamKeys],
         plane: int,
         distance: ArrayLike,
         world_R_hand: ArrayLike,
         world_t_hand: ArrayLike,
         pose: int | None = None,
+        beam_of: ArrayLike | None = None,
+        whitening: Whitening | None = None,
     ) -> None:
-        if not isinstance(beam, BeamKeys):
-            raise InputError(
-                f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
-            )
-        self.beam, self.plane, self.pose = beam, plane, pose
+        self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
+        for beam in self.beams:
+            if not isinstance(beam, BeamKeys):
+                raise InputError(
+                    f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
+                )
+        self.plane, self.pose, self.whitening = plane, pose, whitening
         self.distance = frozen(distance)
         self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
         self.prepared: Share | None = None
@@ -70,12 +95,16 @@ class RangeBlock:
             raise InputError(
                 f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings"
             )
+        self.beam_of = frozen_indices(np.zeros(rows) if beam_of is None else beam_of)
+        if len(self.beams) > 1 and whitening is None:
+            raise ValueError("several beams without a whitening; expected one")
 
     def keys(self) -> list[int]:
-        """Return the keys in the order of the Jacobians: r, v, k if any, plane, pose if any."""
-        optional = (self.beam.range_error, self.plane, self.pose)
-        keys = (self.beam.location, self.beam.direction, *optional)
-        return [key for key in keys if key is not None]
+        """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
+        keys: list[int | None] = []
+        for beam in self.beams:
+            keys += [beam.location, beam.direction, beam.range_error]
+        return [key for key in (*keys, self.plane, self.pose) if key is not None]
 
     def __call__(
         self,
@@ -86,58 +115,50 @@ class RangeBlock:
         """Return the residuals [m] (N,) and fill the Jacobians where they are asked for."""
         share = self.prepared
         if share is None:
-            residual, blocks = self.evaluate(values)
-            if jacobians is not None:
-                for slot, block in enumerate(blocks):
-                    jacobians[slot] = block  # type: ignore[index]
-            return residual
+            at, columns = self.evaluate(values)
+            share = Share(at, slice(None), columns)
         if jacobians is not None:
-            rows = share.of.jacobian[share.rows]
-            for slot, columns in enumerate(share.columns):
-                jacobians[slot] = rows[:, columns]  # type: ignore[index]
-        return share.of.residual[share.rows]
+            rows = share.of.rows[share.rows]
+            for slot, of_key in enumerate(share.columns):
+                jacobians[slot] = rows[:, of_key]  # type: ignore[index]
+        return share.of.white[share.rows]
 
-    def evaluate(self, values: gtsam.Values) -> tuple[FloatArray, list[FloatArray]]:
-        """Return residuals (N,) [m] and one Jacobian (N, dim) a key at `values`.
+    def evaluate(self, values: gtsam.Values) -> tuple[Evaluation, tuple[slice, ...]]:
+        """Return the block's rows at `values`, and the columns of each of its keys.
 
         Raises
         ------
         GrazingBeamError
-            The beam is parallel to the plane.
+            A beam is parallel to the plane.
         SolverError
-            A value is not finite, or the range error has neither one nor two terms.
+            A value is not finite, or a range error has neither one nor two terms.
         """
-        rows = len(self.distance)
-        v, plane = values.atUnit3(self.beam.direction), values.atOrientedPlane3(self.plane)
-        terms, k = self._range_error(values)
+        rows, of = len(self.distance), self.beam_of
+        directions = [values.atUnit3(beam.direction) for beam in self.beams]
+        plane = values.atOrientedPlane3(self.plane)
+        errors = [range_error(values, beam.range_error) for beam in self.beams]
         R, t = self._poses(values)
         x = model.Scene(
             R,
             t,
-            np.broadcast_to(values.atPoint3(self.beam.location), (rows, 3)),
-            np.broadcast_to(v.point3(), (rows, 3)),
+            np.array([values.atPoint3(beam.location) for beam in self.beams])[of],
+            np.array([v.point3() for v in directions])[of],
             np.broadcast_to(plane.normal().point3(), (rows, 3)),
             np.full(rows, plane.distance()),
-            np.broadcast_to(k, (rows, 2)),
+            np.array([k for _, k in errors])[of],
         )
         at = model.linearize(x, self.distance, with_pose=self.pose is not None)
-        plane_block = np.column_stack((at.normal @ plane.normal().basis(), at.offset))
-        blocks = [at.location, at.direction @ v.basis()]
-        blocks += [at.range_error[:, :terms]] if terms else []
-        blocks += [plane_block] + ([at.pose] if self.pose is not None else [])
-        if not (np.isfinite(at.residual).all() and all(np.isfinite(b).all() for b in blocks)):
+        v_basis = np.array([v.basis() for v in directions])[of]
+        blocks = [at.location, np.einsum("ni,nij->nj", at.direction, v_basis), at.range_error]
+        blocks += [at.normal @ plane.normal().basis(), at.offset[:, None]]
+        jacobian = np.hstack(blocks if self.pose is None else [*blocks, at.pose])
+        if not (np.isfinite(at.residual).all() and np.isfinite(jacobian).all()):
             raise SolverError("residual of a range factor is not finite; expected finite values")
-        return at.residual, blocks
-
-    def _range_error(self, values: gtsam.Values) -> tuple[int, FloatArray]:
-        k = np.zeros(2)
-        if self.beam.range_error is None:
-            return 0, k
-        vector = values.atVector(self.beam.range_error)
-        if not 1 <= vector.size <= 2:
-            raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
-        k[: vector.size] = vector
-        return vector.size, k
+        columns = []
+        for beam, (terms, _) in enumerate(errors):
+            columns += beam_columns(beam, terms)
+        columns += other_columns(len(self.beams), with_pose=self.pose is not None)
+        return evaluation(at.residual, jacobian, self.whitening), tuple(columns)
 
     def _poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         if self.pose is None:
@@ -145,6 +166,18 @@ class RangeBlock:
         pose, rows = values.atPose3(self.pose), len(self.distance)
         R = np.broadcast_to(pose.rotation().matrix(), (rows, 3, 3))
         return R, np.broadcast_to(pose.translation(), (rows, 3))
+
+
+def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:
+    """Return the number of terms under `key`, and (k1, k2); raises SolverError for three or more."""
+    k = np.zeros(2)
+    if key is None:
+        return 0, k
+    vector = values.atVector(key)
+    if not 1 <= vector.size <= 2:
+        raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
+    k[: vector.size] = vector
+    return vector.size, k
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:

@@ -1,16 +1,21 @@
-"""The rows of many range factors, evaluated together."""
+"""The rows of range factors: of one, or of many evaluated together."""
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from handlaser_gtsam.arrays import FloatArray
+from handlaser_gtsam.weighting import Whitening
 
 LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, 5), slice(5, 7)
 NORMAL, OFFSET, PLANE, POSE = slice(7, 9), 9, slice(7, 10), slice(10, 16)
+BEAM = 7
+"""Columns of one beam."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Residuals and Jacobians of all readings at one Values.
+    """Residuals and Jacobians of readings at one Values.
 
     Attributes
     ----------
@@ -19,10 +24,17 @@ class Evaluation:
     jacobian : (N, 10) or (N, 16)
         Columns of location, direction (2), range error (2), plane (3) and, where there are pose
         variables, pose (6), in GTSAM's tangent bases. One array: a block's rows lie together.
+    white : (N,)
+        Whitened residuals [m]; `residual` itself where all readings weigh the same.
+    rows : (N, 7 K + 3) or (N, 7 K + 9)
+        Whitened derivatives: the beam columns of each of K beams, then plane and pose; `jacobian`
+        itself, with K = 1, where all readings weigh the same.
     """
 
     residual: FloatArray
     jacobian: FloatArray
+    white: FloatArray
+    rows: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,3 +44,28 @@ class Share:
     of: Evaluation
     rows: slice
     columns: tuple[slice, ...]
+
+
+def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None) -> Evaluation:
+    """Return the evaluation of rows (N,) and (N, 10 or 16), whitened where asked for."""
+    if how is None:
+        return Evaluation(residual, jacobian, residual, jacobian)
+    take, near = how.coefficients(), how.gathered(jacobian)
+    beams = take[:, :, None] * near[:, :, :BEAM]
+    others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM:])
+    rows = np.hstack((beams.reshape(len(residual), -1), others))
+    return Evaluation(residual, jacobian, how.apply(residual), rows)
+
+
+def beam_columns(beam: int, terms: int) -> list[slice]:
+    """Return the columns of location, direction and, if any, range error of a beam."""
+    first = BEAM * beam
+    columns = [slice(first, first + 3), slice(first + 3, first + 5)]
+    return columns + ([slice(first + 5, first + 5 + terms)] if terms else [])
+
+
+def other_columns(beams: int, *, with_pose: bool) -> list[slice]:
+    """Return the columns of the plane and, if any, the pose behind those of the beams."""
+    first = BEAM * beams
+    plane, pose = slice(first, first + 3), slice(first + 3, first + 9)
+    return [plane, pose] if with_pose else [plane]

@@ -5,9 +5,10 @@ hand out their rows. The sharing is scoped: it holds inside `with shared.handed_
 only for the Values of that evaluation; a factor met anywhere else evaluates its own block.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -15,8 +16,9 @@ import numpy as np
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.weighting import Whitening
 
-from .block import RangeBlock
+from .block import RangeBlock, range_error
 from .evaluation import (
     DIRECTION,
     LOCATION,
@@ -27,7 +29,12 @@ from .evaluation import (
     RANGE_ERROR,
     Evaluation,
     Share,
+    beam_columns,
+    evaluation,
+    other_columns,
 )
+
+Item = TypeVar("Item", bound=Hashable)
 
 SLAB = 4096
 """Rows evaluated at once: their intermediate arrays stay in the processor's cache."""
@@ -55,25 +62,32 @@ class SharedEvaluation:
     ----------
     blocks : sequence of RangeBlock
         The error functions of the graph's range factors; their keys may be shared in any way.
+    whitening : Whitening, optional
+        Of all their rows together, where the blocks have one.
     """
 
-    def __init__(self, blocks: Sequence[RangeBlock]) -> None:
-        self.blocks = tuple(blocks)
+    def __init__(self, blocks: Sequence[RangeBlock], whitening: Whitening | None = None) -> None:
+        self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
         ends = np.cumsum(sizes)
         self.slices = [slice(int(a), int(e)) for a, e in zip(ends - sizes, ends, strict=True)]
         self.distance = np.concatenate([block.distance for block in blocks])
         self._R = np.concatenate([block.world_R_hand for block in blocks])
         self._t = np.concatenate([block.world_t_hand for block in blocks])
-        self.locations, self.location_of = _unique([b.beam.location for b in blocks], sizes)
-        self.directions, self.direction_of = _unique([b.beam.direction for b in blocks], sizes)
-        self.planes, self.plane_of = _unique([b.plane for b in blocks], sizes)
+        beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
+        first = np.cumsum([0, *(len(block.beams) for block in blocks)])
+        own = zip(first[:-1], blocks, strict=True)
+        beam_of = beam_of[np.concatenate([a + block.beam_of for a, block in own])]
         none = -1
-        errors = [none if b.beam.range_error is None else b.beam.range_error for b in blocks]
-        self.range_errors, self.range_error_of = _unique(errors, sizes)
-        self.poses, self.pose_of = _unique(
-            [none if b.pose is None else b.pose for b in blocks], sizes
-        )
+        errors = [none if beam.range_error is None else beam.range_error for beam in beams]
+        self.locations, location = _unique([beam.location for beam in beams])
+        self.directions, direction = _unique([beam.direction for beam in beams])
+        self.range_errors, error = _unique(errors)
+        self.location_of, self.direction_of = location[beam_of], direction[beam_of]
+        self.range_error_of = error[beam_of]
+        self.planes, plane_of = _unique([block.plane for block in blocks])
+        self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
+        self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
         self._terms: dict[int, int] = {none: 0}
         self._columns: list[tuple[slice, ...]] = []
@@ -83,12 +97,12 @@ class SharedEvaluation:
         now = self._variables(values)
         rows = len(self.distance)
         jacobian = np.empty((rows, POSE.stop if self._posed.size else PLANE.stop))
-        at = Evaluation(np.empty(rows), jacobian)
+        residual = np.empty(rows)
         for first in range(0, rows, SLAB):
-            self._fill(at, slice(first, min(first + SLAB, rows)), now)
-        if not np.isfinite(at.residual).all():
+            self._fill(residual, jacobian, slice(first, min(first + SLAB, rows)), now)
+        if not np.isfinite(residual).all():
             raise SolverError("residual of a range factor is not finite; expected finite values")
-        return at
+        return evaluation(residual, jacobian, self.whitening)
 
     def _variables(self, values: gtsam.Values) -> _Variables:
         direction = [values.atUnit3(key) for key in self.directions]
@@ -107,8 +121,10 @@ class SharedEvaluation:
             b=np.array([p.distance() for p in plane]),
         )
 
-    def _fill(self, out: Evaluation, rows: slice, now: _Variables) -> None:
-        """Evaluate `rows` into `out`."""
+    def _fill(
+        self, residual: FloatArray, jacobian: FloatArray, rows: slice, now: _Variables
+    ) -> None:
+        """Evaluate `rows` into the arrays of all rows."""
         direction, plane = self.direction_of[rows], self.plane_of[rows]
         x = model.Scene(
             now.R[rows],
@@ -120,8 +136,8 @@ class SharedEvaluation:
             now.k[self.range_error_of[rows]],
         )
         at = model.linearize(x, self.distance[rows], with_pose=bool(self._posed.size))
-        out.residual[rows] = at.residual
-        J = out.jacobian[rows]
+        residual[rows] = at.residual
+        J = jacobian[rows]
         J[:, LOCATION] = at.location
         np.einsum("ni,nij->nj", at.direction, now.v_basis[direction], out=J[:, DIRECTION])
         J[:, RANGE_ERROR] = at.range_error
@@ -139,7 +155,10 @@ class SharedEvaluation:
         """Let every block hand out its rows of `at` until the context ends."""
         try:
             if not self._columns:
-                self._columns = [self._columns_of(block) for block in self.blocks]
+                self._columns = [
+                    self._columns_of(block, rows)
+                    for block, rows in zip(self.blocks, self.slices, strict=True)
+                ]
             for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
                 block.prepared = Share(at, rows, columns)
             yield
@@ -165,23 +184,24 @@ class SharedEvaluation:
             }
         return total
 
-    def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:
+    def _columns_of(self, block: RangeBlock, rows: slice) -> tuple[slice, ...]:
         """Return the columns of each key of `block` in the evaluation."""
-        key = block.beam.range_error
-        columns = [LOCATION, DIRECTION]
-        if key is not None:
-            columns.append(slice(RANGE_ERROR.start, RANGE_ERROR.start + self._terms[key]))
-        return (*columns, PLANE) if block.pose is None else (*columns, PLANE, POSE)
+        count, place = 1, {0: 0}
+        if self.whitening is not None:
+            count = self.whitening.root.shape[1]
+            slots = self.whitening.beam[rows].tolist()
+            place = dict(zip(block.beam_of.tolist(), slots, strict=True))
+        columns = []
+        for i, beam in enumerate(block.beams):
+            key = beam.range_error
+            columns += beam_columns(place[i], 0 if key is None else self._terms[key])
+        return (*columns, *other_columns(count, with_pose=block.pose is not None))
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
         k = np.zeros((len(self.range_errors), 2))
         for i, key in enumerate(self.range_errors):
             if key >= 0:
-                vector = values.atVector(key)
-                if not 1 <= vector.size <= 2:
-                    raise SolverError(f"range error of {vector.size} terms; expected one or two")
-                k[i, : vector.size] = vector
-                self._terms[key] = vector.size
+                self._terms[key], k[i] = range_error(values, key)
         return k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
@@ -195,7 +215,7 @@ class SharedEvaluation:
         return R, t
 
 
-def _unique(keys: Sequence[int], sizes: IntArray) -> tuple[list[int], IntArray]:
-    """Return the different keys and, for every row, the index of its key."""
-    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    return list(number), np.repeat(np.array([number[key] for key in keys], dtype=np.intp), sizes)
+def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:
+    """Return the different items and, for each of `items`, its index among them."""
+    number = {item: i for i, item in enumerate(dict.fromkeys(items))}
+    return list(number), np.array([number[item] for item in items], dtype=np.intp)

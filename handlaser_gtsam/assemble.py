@@ -5,15 +5,27 @@ from types import MappingProxyType
 import numpy as np
 
 from .arrays import FloatArray
-from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
-from .covariance import Covariances, covariances, covariances_of_determined
+from .calibration import (
+    Beam,
+    Calibration,
+    Determined,
+    Fit,
+    NoiseComponent,
+    Plane,
+    StartReport,
+    Status,
+)
+from .covariance import covariance, covariance_of_determined
+from .diagnosis.correlations import strong_correlations
 from .diagnosis.doubts import doubts, misfit, noise_advice, suspicious
 from .diagnosis.hypotheses import better_ways
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
-from .diagnosis.reasons import Reasons, reasons
+from .diagnosis.reasons import Reasons
 from .diagnosis.words import (
     LEAK,
+    MIRROR,
+    MIRROR_ADVICE,
     Names,
     advice,
     open_coordinates,
@@ -21,16 +33,18 @@ from .diagnosis.words import (
     undetermined,
     weakest,
 )
+from .evidence import Evidence
+from .fit import fit_of, robust_sigma
+from .joint import JointCovariance
 from .losses import GAUSSIAN
 from .noise import Noise
 from .ordering import Order
-from .range_error import Solution
 from .recording import Readings, Recording
 from .selection import Selection
-from .sensor import FLAT, OUTSIDE, Rejected
+from .solving import Solution
+from .variance_components import RANGE, Part
+from .weighting import Variances
 
-MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
-MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
@@ -61,18 +75,22 @@ def assemble(
     choice, solution = selection.choice, selection.choice.solution
     names = _names(recording, order)
     used = readings.subset(np.flatnonzero(selection.used))
-    fit, why = _fit(recording, readings, order, origins, noise, selection, names)
-    determined = _determined(names, used.seen_from(origins), solution, fit)
-    wrong = misfit(used, solution.parameters, fit)
+    fit, why = fit_of(recording, readings, order, origins, noise, selection, names)
+    local = used.seen_from(origins)
+    determined = _determined(names, local, solution, fit)
+    wrong = misfit(recording, used, solution.parameters, fit)
     status = _status(solution, determined, wrong)
-    beams, planes = _estimates(names, solution, fit, origins, _trusted(status, solution, fit))
+    joint = None
+    if _trusted(status, solution, fit):
+        joint = _covariance(solution, fit, origins).arranged(names.beams, names.planes)
+    beams, planes = _estimates(names, solution, choice.evidence, origins, joint)
     return Calibration(
         status,
         _message(status, solution, determined, wrong),
-        _ways(recording, used, fit, solution)
+        _ways(recording, used, fit, solution, wrong)
         + ((wrong,) if wrong else ())
         + _label_warnings(recording, order, names, why)
-        + doubts(used, fit, noise),
+        + doubts(used, solution.parameters, fit, noise, solution.variances),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -81,6 +99,10 @@ def assemble(
         choice.reason,
         solution.result.iterations,
         solution.result.status == "interrupted",
+        _variances(solution, order, fit),
+        _noise_estimate(solution, names),
+        joint if solution.observability.full else None,
+        () if joint is None or not solution.observability.full else strong_correlations(joint),
     )
 
 
@@ -93,67 +115,34 @@ def _names(recording: Recording, order: Order) -> Names:
     )
 
 
-def _fit(
-    recording: Recording,
-    readings: Readings,
-    order: Order,
-    origins: FloatArray,
-    noise: Noise,
-    selection: Selection,
-    names: Names,
-) -> tuple[Fit, Reasons]:
-    solution = selection.choice.solution
-    e = solution.result.residual
-    squares = float(e @ e)
-    chi2 = squares / (noise.range_sigma or 1.0) ** 2
-    dof = len(e) - solution.observability.rank
-    sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
-    sigma = noise.range_sigma or _robust_sigma(solution) or sigma0
-    station, beam = order.stations[readings.station], order.beams[readings.beam]
-    table = np.full(recording.ranges.shape, np.nan)
-    table[station[selection.used], beam[selection.used]] = e
-    worst = np.flatnonzero(selection.used)[int(np.abs(e).argmax())]
-    parameters = solution.parameters.seen_from(-origins)
-    fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
-    why = reasons(readings, ~selection.outliers(), parameters, fitted, names)
-    fit = Fit(
-        readings=len(e),
-        rms=float(np.sqrt(squares / len(e))),
-        largest=float(np.abs(e).max()),
-        largest_at=(
-            recording.station_names[station[worst]],
-            recording.beam_names[beam[worst]],
-        ),
-        chi2=chi2,
-        dof=dof,
-        sigma0=sigma0,
-        range_sigma=sigma,
-        range_sigma_given=noise.range_sigma is not None,
-        residuals=table,
-        rejected=_rejected(recording, readings, order, selection, why),
-    )
-    return fit, why
+def _variances(solution: Solution, order: Order, fit: Fit) -> Variances | None:
+    """Return what the weights follow from, in the order of the recording."""
+    found = solution.variances
+    if found is None:
+        return None
+    ranges, pose = np.empty_like(found.range_sigma), None
+    ranges[order.beams] = found.range_sigma
+    if not fit.range_sigma_given and solution.components is None:
+        ranges[:] = fit.range_sigma
+    if found.pose is not None:
+        pose = np.zeros((len(order.stations), 6, 6))
+        pose[order.stations[: len(found.pose)]] = found.pose
+    return Variances(ranges, found.incidence_sigma, pose)
 
 
-def _rejected(
-    recording: Recording, readings: Readings, order: Order, selection: Selection, why: Reasons
-) -> tuple[Rejected, ...]:
-    """Name what was left out, in the order of the recording."""
-    words = np.full(len(readings), "", dtype=object)
-    words[selection.outliers()] = why.words
-    words[selection.flat] = FLAT
-    words[selection.outside] = OUTSIDE
-    station, beam = order.stations[readings.station], order.beams[readings.beam]
-    rows = np.flatnonzero(~selection.used)
-    rows = rows[np.lexsort((beam[rows], station[rows]))]
+def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, ...]:
+    found = solution.components
+    if found is None:
+        return ()
+    at = {part: number for number, part in enumerate(found.parts)}
+    labels: dict[Part, str] = {(RANGE, i): f"{RANGE} of beam {name}" for name, i in names.beams}
+    order = [part for part in labels if part in at]
+    order += [part for part in found.parts if part not in labels]
     return tuple(
-        Rejected(
-            recording.station_names[station[row]],
-            recording.beam_names[beam[row]],
-            str(words[row]),
-            None if selection.outside[row] else why.residual_of(int(row)),
+        NoiseComponent(
+            labels.get(part, part[0]), float(found.sigmas[at[part]]), float(found.errors[at[part]])
         )
-        for row in rows
+        for part in order
     )
 
 
@@ -180,10 +169,8 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(used, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
-    elif not found.full:
-        terms = solution.problem.terms
-        if observability(parameters, used, terms, range_sigma=0.0).full:
-            help_ = (noise_advice(fit),)
+    elif not found.full and observability(parameters, used, found.terms, range_sigma=0.0).full:
+        help_ = (noise_advice(fit),)
     return Determined(
         found.rank,
         found.unknowns,
@@ -198,14 +185,17 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
 
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
     squares = float(solution.result.residual @ solution.result.residual)
-    return mirror_image_fits(solution.parameters, readings, squares, fit.range_sigma)
+    sigma = fit.range_sigma if solution.whitening is None else solution.whitening.sigma
+    return mirror_image_fits(solution.parameters, readings, squares, sigma)
 
 
-def _ways(recording: Recording, used: Readings, fit: Fit, solution: Solution) -> tuple[str, ...]:
+def _ways(
+    recording: Recording, used: Readings, fit: Fit, solution: Solution, wrong: str
+) -> tuple[str, ...]:
     """Say how else the file could be read, where it does not fit."""
-    if not suspicious(used, fit):
+    if not (wrong or suspicious(used, fit)):
         return ()
-    return better_ways(recording, solution.problem.terms)
+    return better_ways(recording, max(solution.problem.terms))
 
 
 def _status(solution: Solution, determined: Determined, wrong: str) -> Status:
@@ -228,30 +218,37 @@ def _message(status: Status, solution: Solution, determined: Determined, wrong: 
 
 
 def _estimates(
-    names: Names, solution: Solution, fit: Fit, origins: FloatArray, trusted: bool
+    names: Names,
+    solution: Solution,
+    evidence: tuple[Evidence, ...],
+    origins: FloatArray,
+    joint: JointCovariance | None,
 ) -> tuple[list[Beam], list[Plane]]:
-    parameters, problem = solution.parameters.seen_from(-origins), solution.problem
+    """Return beams and planes; `joint` is in the order of `names`."""
+    parameters = solution.parameters.seen_from(-origins)
     beam: list[Uncertainty] = [(None, None)] * len(names.beams)
     plane: list[Uncertainty] = [(None, None)] * len(names.planes)
-    if trusted:
-        found = _covariances(solution, fit, origins)
+    if joint is not None:
         reach = open_coordinates(solution.observability, solution.parameters)
-        beam = [_uncertainty(S, open_) for S, open_ in zip(found[0], reach[0], strict=True)]
-        plane = [_uncertainty(S, open_) for S, open_ in zip(found[1], reach[1], strict=True)]
+        of_beam = reach[0][[i for _, i in names.beams]]
+        of_plane = reach[1][[p for _, p in names.planes]]
+        beam = [_uncertainty(*one) for one in zip(joint.all_beams(), of_beam, strict=True)]
+        plane = [_uncertainty(*one) for one in zip(joint.all_planes(), of_plane, strict=True)]
     beams = [
         Beam(
             name,
             parameters.locations[i],
             parameters.directions[i],
             parameters.range_errors[i],
-            problem.terms,
-            *beam[i],
+            solution.problem.terms[i],
+            *beam[number],
+            evidence[i] if evidence else None,
         )
-        for name, i in names.beams
+        for number, (name, i) in enumerate(names.beams)
     ]
     planes = [
-        Plane(name, parameters.normals[p], float(parameters.offsets[p]), *plane[p])
-        for name, p in names.planes
+        Plane(name, parameters.normals[p], float(parameters.offsets[p]), *plane[number])
+        for number, (name, p) in enumerate(names.planes)
     ]
     return beams, planes
 
@@ -274,24 +271,28 @@ def _trusted(status: Status, solution: Solution, fit: Fit) -> bool:
     return status == "unobservable" and settled and not solution.observability.full
 
 
-def _robust_sigma(solution: Solution) -> float | None:
-    """Return the scale of a robust loss [m]: outliers would spoil the rms."""
-    return None if solution.problem.loss == GAUSSIAN else solution.problem.range_sigma
-
-
-def _covariances(solution: Solution, fit: Fit, origins: FloatArray) -> Covariances:
-    loss, sigma = solution.problem.loss, fit.range_sigma
+def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovariance:
+    """Return the covariance of what is determined, in the sorted order and in the world frame."""
+    problem, loss = solution.problem, solution.problem.loss
+    known = fit.range_sigma_given or solution.components is not None
+    sigma = problem.range_sigma if known else robust_sigma(solution) or fit.sigma0
     if loss != GAUSSIAN:
-        standardized = solution.result.residual / solution.problem.range_sigma
+        standardized = solution.result.white / problem.range_sigma
         sigma *= np.sqrt(loss.variance_factor(standardized, solution.observability.rank))
+    fallback = covariance_of_determined(
+        solution.observability, solution.parameters, _marginal(solution, sigma), origins
+    )
     if loss != GAUSSIAN or not solution.observability.full:
-        return covariances_of_determined(
-            solution.observability, solution.parameters, sigma, origins
-        )
-    factor = (fit.range_sigma / solution.problem.range_sigma) ** 2
+        return fallback
     try:
-        return covariances(solution.problem, solution.result.values, factor, origins)
-    except RuntimeError:
-        return covariances_of_determined(
-            solution.observability, solution.parameters, fit.range_sigma, origins
-        )
+        found = covariance(problem, solution.result.values, origins)
+    except (RuntimeError, np.linalg.LinAlgError):
+        return fallback
+    return found.scaled((sigma / problem.range_sigma) ** 2)
+
+
+def _marginal(solution: Solution, sigma: float) -> float:
+    """Return the sigma behind the diagnosis, in which poses are eliminated beforehand."""
+    if solution.whitening is None:
+        return sigma
+    return sigma * solution.whitening.sigma / solution.problem.range_sigma

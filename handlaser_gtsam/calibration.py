@@ -5,11 +5,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from .arrays import FloatArray
+from .diagnosis.correlations import Correlation
 from .diagnosis.observability import Indices
 from .diagnosis.words import OpenPart
+from .evidence import Evidence
+from .joint import JointCovariance
+from .losses import LossName
 from .sensor import Rejected
+from .weighting import Variances
 
 Status = Literal["converged", "unobservable", "not_converged"]
 
@@ -35,6 +42,8 @@ class Beam:
     sigma : (8,) or None
         Standard deviations of the same coordinates, infinite where the recording leaves one open;
         None where nothing is known: a solver that gave up, or a second solution.
+    evidence : Evidence or None
+        Why this many terms; None where they were not compared.
     """
 
     name: str
@@ -44,6 +53,7 @@ class Beam:
     terms: int
     covariance: FloatArray | None
     sigma: FloatArray | None
+    evidence: Evidence | None = None
 
     @property
     def location_sigma(self) -> FloatArray | None:
@@ -116,15 +126,27 @@ class Fit:
     largest_at : (str, str)
         Station and beam of the largest residual.
     chi2 : float
-        Sum of squared residuals over `range_sigma`^2 as given, or over 1 m^2 if not given.
+        Sum of squared residuals in units of the covariance behind the weights. If all readings weigh
+        the same and no range sigma was given: over 1 m^2.
     dof : int
         Readings less determined unknowns.
     sigma0 : float
-        sqrt(chi2 / dof): near 1 when the given sigma is right; the estimated range sigma in metres
-        when none was given.
+        sqrt(chi2 / dof): near 1 when the given sigmas are right; the estimated range sigma in metres
+        if all readings weigh the same and none was given.
     range_sigma : float
-        Standard deviation of a reading behind the covariances, given or estimated [m].
+        Standard deviation of a reading behind the covariances, given or estimated [m]; the median of
+        the beams where it was estimated by beam.
     range_sigma_given : bool
+    poses : str
+        How errors of the hand poses counted: `exact`, `marginalised` or `estimated`.
+    median_reading : float
+        [m]
+    loss : str
+        `gaussian`, or the robust loss of the estimate.
+    farthest : float
+        Largest residual in units of its own standard deviation, that of the reading and its pose.
+    farthest_at : (str, str)
+        Station and beam of it.
     residuals : (M, B)
         Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
     rejected : readings left out, each with its reason
@@ -139,8 +161,25 @@ class Fit:
     sigma0: float
     range_sigma: float
     range_sigma_given: bool
+    poses: str
+    median_reading: float
+    loss: LossName
+    farthest: float
+    farthest_at: tuple[str, str]
     residuals: FloatArray
     rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseComponent:
+    """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
+
+    The latter is infinite where the readings cannot tell the component from zero.
+    """
+
+    name: str
+    sigma: float
+    error: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +244,15 @@ class Calibration:
         Steps of the final solution.
     interrupted : bool
         Whether Ctrl-C ended the solver.
+    variances : Variances or None
+        Behind the weights of the readings, by beam and station in the order of the recording; None
+        where all weigh the same.
+    noise_estimate : tuple of NoiseComponent
+        Sigmas that were estimated beside those of the mounts.
+    covariance : JointCovariance or None
+        Of all beams and planes together; None unless everything is determined.
+    correlations : tuple of Correlation
+        Unknowns of the beams that the recording hardly tells apart.
     """
 
     status: Status
@@ -218,3 +266,22 @@ class Calibration:
     range_error_choice: str
     iterations: int
     interrupted: bool = False
+    variances: Variances | None = None
+    noise_estimate: tuple[NoiseComponent, ...] = ()
+    covariance: JointCovariance | None = None
+    correlations: tuple[Correlation, ...] = ()
+
+    def intervals(self, beam: str, level: float = 0.95) -> FloatArray | None:
+        """Return where each coordinate of a beam lies with probability `level`, (8, 2).
+
+        Student's t where the sigmas come from the residuals. None where there are no standard
+        deviations; infinite where the recording leaves a coordinate open.
+        """
+        found = self.beams[beam]
+        if found.sigma is None:
+            return None
+        known = self.fit.range_sigma_given and not self.noise_estimate
+        tail = 0.5 * (1.0 + level)
+        factor = float(norm.ppf(tail) if known else student.ppf(tail, max(self.fit.dof, 1)))
+        value = np.concatenate((found.location, found.direction, found.range_error))
+        return np.stack((value - factor * found.sigma, value + factor * found.sigma), axis=1)

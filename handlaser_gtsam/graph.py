@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from .arrays import IntArray
 from .factors import RangeBlock, range_factor
-from .keys import BeamKeys, beam_keys, plane_key
+from .keys import BeamKeys, beam_keys, plane_key, pose_key
 from .losses import GAUSSIAN, Loss
-from .parameters import Parameters
+from .parameters import Parameters, Terms, per_beam
+from .poses import PosePriors
 from .recording import Readings
+from .weighting import Whitening
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,20 +22,25 @@ class CalibrationGraph:
     Attributes
     ----------
     graph : gtsam.NonlinearFactorGraph
+        Range factors, then the priors of hand poses that are variables.
     values : gtsam.Values
         The start.
     blocks : RangeBlocks
         Error functions of the range factors, all weighted by `range_sigma`.
     range_sigma : float
-        Standard deviation of a reading [m].
+        Standard deviation of a whitened residual [m]; of a reading where all weigh the same.
     ordering : gtsam.Ordering
-        Planes before beams: Brown's reduction as an elimination order, linear in the planes.
-    beams, planes
-        Keys in the order of the recording.
-    terms : int
-        Range-error terms of every beam.
+        Poses, then planes, then beams: Brown's reduction as an elimination order, linear in stations.
+    beams, planes, poses
+        Keys in the order of the readings' indices; poses by station, none where they are known.
+    terms : tuple of int
+        Range-error terms of each beam.
     loss : Loss
-        Of every reading.
+        Of every whitened residual.
+    rows : (N,)
+        Row of the readings for each row of the blocks.
+    whitening : Whitening or None
+        In the order of the blocks' rows.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -42,48 +50,86 @@ class CalibrationGraph:
     ordering: gtsam.Ordering
     beams: tuple[BeamKeys, ...]
     planes: tuple[int, ...]
-    terms: int
+    poses: tuple[int, ...]
+    terms: tuple[int, ...]
     loss: Loss
+    rows: IntArray
+    whitening: Whitening | None
 
 
 def build_graph(
     readings: Readings,
     start: Parameters,
-    terms: int,
-    range_sigma: float,
+    terms: Terms,
+    noise: float | Whitening,
     loss: Loss = GAUSSIAN,
+    priors: PosePriors | None = None,
 ) -> CalibrationGraph:
-    """Return the graph of all readings on exact poses, one factor a plane and beam.
+    """Return the graph of all readings.
+
+    On exact poses a factor holds the readings of one plane and beam. With a whitening it holds those of
+    a plane and all beams, and where poses are variables those of one station.
 
     Parameters
     ----------
     readings : Readings
     start : Parameters
         Where the solver starts; its range errors beyond `terms` are left out.
-    terms : int
-        Range-error terms of every beam: 0, 1 (k1) or 2 (k1, k2).
-    range_sigma : float
-        Standard deviation of a reading [m].
+    terms : int, or one a beam
+    noise : float or Whitening
+        Standard deviation of every reading [m], or how to whiten them.
     loss : Loss
-        Weighs every reading by itself.
+        Weighs every whitened residual by itself.
+    priors : PosePriors, optional
+        Makes the hand pose of every station a variable; needs a whitening.
     """
-    beams = tuple(beam_keys(i, terms) for i in range(readings.beams))
+    counts = per_beam(terms, readings.beams)
+    beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     planes = tuple(plane_key(p) for p in range(readings.planes))
-    blocks = _blocks(readings, beams, planes)
+    rows = np.arange(len(readings))
+    if isinstance(noise, float):
+        whitening, sigma = None, noise
+        blocks = _blocks_by_beam(readings, beams, planes)
+    else:
+        whitening, sigma = noise, noise.sigma
+        group = readings.plane if priors is None else readings.station
+        rows = np.lexsort((readings.beam, readings.station, group))
+        blocks = _blocks_of_stations(readings, noise, rows, group, (beams, planes, priors))
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
-        graph.push_back(range_factor(block, _noise_model(len(block.distance), range_sigma, loss)))
+        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+    values = start_values(start, beams, planes, counts)
+    poses: tuple[int, ...] = ()
+    if priors is not None:
+        poses = tuple(pose_key(j) for j in priors.stations.tolist())
+        priors.join(graph, values, poses)
+    return CalibrationGraph(
+        graph,
+        values,
+        blocks,
+        sigma,
+        _ordering(poses, planes, beams),
+        beams,
+        planes,
+        poses,
+        counts,
+        loss,
+        rows,
+        None if whitening is None else whitening.reordered(rows),
+    )
+
+
+def _ordering(
+    poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...]
+) -> gtsam.Ordering:
     ordering = gtsam.Ordering()
-    for key in planes:
+    for key in (*poses, *planes):
         ordering.push_back(key)
     for beam in beams:
         for beam_key in (beam.location, beam.direction, beam.range_error):
             if beam_key is not None:
                 ordering.push_back(beam_key)
-    values = start_values(start, beams, planes, terms)
-    return CalibrationGraph(
-        graph, values, blocks, range_sigma, ordering, beams, planes, terms, loss
-    )
+    return ordering
 
 
 def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:
@@ -103,15 +149,16 @@ def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.
 
 
 def start_values(
-    start: Parameters, beams: tuple[BeamKeys, ...], planes: tuple[int, ...], terms: int
+    start: Parameters, beams: tuple[BeamKeys, ...], planes: tuple[int, ...], terms: Terms
 ) -> gtsam.Values:
     """Return `start` as GTSAM values under the given keys."""
+    counts = per_beam(terms, len(beams))
     values = gtsam.Values()
     for i, beam in enumerate(beams):
         values.insert(beam.location, start.locations[i])
         values.insert(beam.direction, gtsam.Unit3(start.directions[i]))
         if beam.range_error is not None:
-            values.insert(beam.range_error, start.range_errors[i, :terms])
+            values.insert(beam.range_error, start.range_errors[i, : counts[i]])
     for p, key in enumerate(planes):
         values.insert(key, gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p]))
     return values
@@ -122,7 +169,7 @@ def read_parameters(problem: CalibrationGraph, values: gtsam.Values) -> Paramete
     k = np.zeros((len(problem.beams), 2))
     for i, beam in enumerate(problem.beams):
         if beam.range_error is not None:
-            k[i, : problem.terms] = values.atVector(beam.range_error)
+            k[i, : problem.terms[i]] = values.atVector(beam.range_error)
     planes = [values.atOrientedPlane3(key) for key in problem.planes]
     return Parameters(
         np.array([values.atPoint3(beam.location) for beam in problem.beams]),
@@ -133,7 +180,7 @@ def read_parameters(problem: CalibrationGraph, values: gtsam.Values) -> Paramete
     )
 
 
-def _blocks(
+def _blocks_by_beam(
     readings: Readings, beams: tuple[BeamKeys, ...], planes: tuple[int, ...]
 ) -> tuple[RangeBlock, ...]:
     starts = readings.block_starts()
@@ -148,3 +195,35 @@ def _blocks(
         )
         for a, e in zip(starts.tolist(), ends.tolist(), strict=True)
     )
+
+
+def _blocks_of_stations(
+    readings: Readings,
+    whitening: Whitening,
+    rows: IntArray,
+    group: IntArray,
+    names: tuple[tuple[BeamKeys, ...], tuple[int, ...], PosePriors | None],
+) -> tuple[RangeBlock, ...]:
+    """Return a block for each run of `rows` of one `group`: a plane, or a station with its pose."""
+    beams, planes, priors = names
+    runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
+    blocks = []
+    for own in runs:
+        seen, beam_of = np.unique(readings.beam[own], return_inverse=True)
+        R, t, pose = readings.world_R_hand[own], readings.world_t_hand[own], None
+        if priors is not None:
+            R, t = np.broadcast_to(np.eye(3), R.shape), np.zeros(t.shape)
+            pose = pose_key(int(readings.station[own[0]]))
+        blocks.append(
+            RangeBlock(
+                [beams[i] for i in seen],
+                planes[readings.plane[own[0]]],
+                readings.distance[own],
+                R,
+                t,
+                pose,
+                beam_of,
+                whitening.of_rows(own),
+            )
+        )
+    return tuple(blocks)

@@ -1,36 +1,49 @@
 """What is known about the errors of sensor and robot."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from .arrays import FloatArray, IntArray, frozen
 from .errors import InputError
 
 LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
 """No sensor is better or worse [m]; beyond, squares overflow."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Noise:
     """Standard deviations; None where unknown.
 
     Attributes
     ----------
     range_sigma : float, optional
-        Standard deviation of a reading [m]. Unknown: estimated from the residuals.
+        Standard deviation of a reading at right angles [m]. Unknown: estimated from the residuals.
     pose_translation_sigma : float, optional
         Standard deviation of the hand position an axis [m].
     pose_rotation_sigma : float, optional
         Standard deviation of the hand rotation about each axis [rad].
+    incidence_sigma : float
+        What the incidence angle adds to a reading [m]: at the angle a its variance is
+        range_sigma^2 + (incidence_sigma tan a)^2, as for a spot of that half width.
+    pose_covariance : (6, 6) or (M, 6, 6), optional
+        Instead of the two pose sigmas: of the hand pose, or of every station's in the order of the
+        recording, about and along its own axes (rx, ry, rz, x, y, z) [rad, m]: the hand frame, and the
+        order of `gtsam.Pose3`.
 
     Raises
     ------
     InputError
-        A range sigma that is not positive, or a pose sigma that is negative.
+        A range sigma that is not positive, another sigma that is negative, a covariance that is none,
+        or both ways to say the same.
     """
 
     range_sigma: float | None = None
     pose_translation_sigma: float | None = None
     pose_rotation_sigma: float | None = None
+    incidence_sigma: float = 0.0
+    pose_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         sigma = self.range_sigma
@@ -39,12 +52,80 @@ class Noise:
                 f"range sigma {sigma:g} m",
                 f"{LEAST_SIGMA:g} to {MOST_SIGMA:g} m; leave it out if unknown",
             )
-        for name in ("pose_translation_sigma", "pose_rotation_sigma"):
+        for name in ("pose_translation_sigma", "pose_rotation_sigma", "incidence_sigma"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"{name} {value:g}", "zero or a positive number")
+            if value is not None and not 0.0 <= value <= MOST_SIGMA:
+                raise InputError(f"{name} {value:g}", f"zero to {MOST_SIGMA:g}")
+        if self.pose_covariance is not None:
+            if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
+                raise InputError("a pose covariance and pose sigmas", "one of the two")
+            object.__setattr__(self, "pose_covariance", _checked(self.pose_covariance))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Noise) and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in self.__dataclass_fields__
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
     @property
     def poses_uncertain(self) -> bool:
         """Whether the hand poses are stated to have errors."""
+        if self.pose_covariance is not None:
+            return bool(self.pose_covariance.any())
         return bool(self.pose_translation_sigma or self.pose_rotation_sigma)
+
+    def pose_covariances(self, stations: int) -> FloatArray:
+        """Return the covariance (M, 6, 6) of every station's pose, (rx, ry, rz, x, y, z).
+
+        Raises
+        ------
+        InputError
+            Covariances of fewer stations.
+        """
+        if self.pose_covariance is None:
+            rotation = [(self.pose_rotation_sigma or 0.0) ** 2] * 3
+            one = np.diag([*rotation, *[(self.pose_translation_sigma or 0.0) ** 2] * 3])
+        elif self.pose_covariance.ndim == 2:
+            one = self.pose_covariance
+        else:
+            if len(self.pose_covariance) < stations:
+                found = f"{len(self.pose_covariance)} pose covariances"
+                raise InputError(found, f"{stations}, one a station")
+            return self.pose_covariance
+        return np.broadcast_to(one, (stations, 6, 6))
+
+    def reordered(self, stations: IntArray) -> "Noise":
+        """Return the same for a recording whose stations come in another order.
+
+        Raises
+        ------
+        InputError
+            Covariances of another number of stations.
+        """
+        S = self.pose_covariance
+        if S is None or S.ndim == 2:
+            return self
+        if len(S) != len(stations):
+            raise InputError(f"{len(S)} pose covariances", f"{len(stations)}, one a station")
+        return replace(self, pose_covariance=S[stations])
+
+
+def _checked(covariance: FloatArray) -> FloatArray:
+    matrix = frozen(covariance)
+    if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not np.isfinite(matrix).all():
+        raise InputError(
+            f"a pose covariance of shape {matrix.shape}",
+            "finite numbers, (6, 6) or (stations, 6, 6)",
+        )
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 0.0))
+    unit = scale[..., :, None] * scale[..., None, :]
+    asymmetry = np.abs(matrix - np.swapaxes(matrix, -1, -2))
+    relative = np.divide(matrix, unit, out=np.zeros_like(matrix), where=unit > 0.0)
+    least = float(np.linalg.eigvalsh(0.5 * (relative + np.swapaxes(relative, -1, -2))).min())
+    if (asymmetry > 1e-9 * unit).any() or least < -1e-9 or (np.abs(matrix) > 0)[unit == 0].any():
+        raise InputError("a pose covariance that is none", "a symmetric, positive matrix")
+    if math.sqrt(float(np.abs(matrix).max())) > MOST_SIGMA:
+        raise InputError("a pose covariance beyond all robots", "rad^2 and m^2")
+    return matrix

@@ -6,6 +6,14 @@ import numpy as np
 
 from .arrays import FloatArray, frozen
 
+Terms = int | tuple[int, ...]
+"""Range-error terms, 0 (none), 1 (k1) or 2 (k1, k2): of every beam, or one number a beam."""
+
+
+def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
+    """Return the range-error terms of each of `beams` beams."""
+    return (terms,) * beams if isinstance(terms, int) else terms
+
 
 @dataclass(frozen=True, slots=True)
 class Parameters:

@@ -37,13 +37,17 @@ def calibrate(
     Raises
     ------
     InputError
-        The sensor's limits leave a beam or a plane without readings.
+        The sensor's limits leave a beam or a plane without readings; errors of the poses are to be
+        counted but not stated; pose covariances of another number of stations.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
+    options.require_pose_noise(noise)
     # 1. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)
     # 2. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
-    selection = select(recording, readings.seen_from(origins), noise, options, progress)
+    selection = select(
+        recording, readings.seen_from(origins), noise.reordered(order.stations), options, progress
+    )
     # 3. Covariances of what is determined, in the names and the order of the recording.
     return assemble(recording, readings, order, origins, noise, selection)

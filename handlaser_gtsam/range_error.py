@@ -1,63 +1,41 @@
-"""How many range-error terms the readings support.
+"""How many range-error terms the readings support, beam by beam.
 
-k1 and k2 are strongly coupled over a short range, so more terms are taken only on evidence: each
-number of terms is solved from the one before, and the lowest criterion wins,
+k1 and k2 are strongly coupled over a short range, so more terms are taken only on evidence
+(`evidence`): the lowest criterion wins. Terms that the readings do not determine are not considered.
 
-    chi2 + q P                              when the range sigma is given,
-    N ln(RSS / N) + q P N / (N - q - 2)     when it is not,
-
-with q unknowns, N readings and P = max(ln N, 6.63). This is the Bayesian information criterion with the
-small-sample correction of McQuarrie and Tsai where the sigma is unknown, and at least the price that
-lets a superfluous term in once in a hundred times. Terms that the readings do not determine are not
-considered.
+Solutions with the same number of terms for all beams are compared first. From the richest one that is
+determined, what leaving out terms of some beams would cost follows from their covariance; the best
+combination is solved.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .arrays import FloatArray
-from .diagnosis.elsewhere import least_observed
-from .diagnosis.observability import Observability, observability
-from .graph import CalibrationGraph, build_graph, read_parameters
-from .losses import GAUSSIAN, Loss
-from .model import plausible_range_errors, residuals, scene
+from .covariance import covariance
+from .evidence import Evidence, Wald, information_criterion
+from .losses import GAUSSIAN
+from .model import plausible_range_errors
 from .noise import Noise
 from .options import CalibrationOptions, RangeError
 from .parameters import Parameters
 from .recording import Readings
-from .solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
+from .solving import Progress, Solution, solve, wanted_variances
 
 TERMS: dict[RangeError, int] = {"none": 0, "k1": 1, "k1k2": 2}
 MOST_TERMS = TERMS | {"auto": 2}
 NAMES = ("no range error", "k1", "k1 and k2")
-LEAST_RMS = 1e-12
-"""Residuals below this [m] are rounding; they are no evidence."""
-LEAST_PRICE = 6.63
-"""Of a term: the 99 % point of chi2 with one degree of freedom."""
 FITTING = 5.0
 """chi2 may exceed its mean by so many of its standard deviations."""
-UNIT_SIGMA = 1e-3
-"""Range sigma [m] that weights the graph where none is given."""
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """One joint solution and its diagnosis."""
-
-    problem: CalibrationGraph
-    result: LevenbergResult
-    parameters: Parameters
-    observability: Observability
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The solution that was chosen, and why."""
+    """The solution that was chosen, why, and the evidence beam by beam where it was compared."""
 
     solution: Solution
     reason: str
+    evidence: tuple[Evidence, ...] = ()
 
 
 def choose_terms(
@@ -65,108 +43,138 @@ def choose_terms(
     start: Parameters,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Callable[[Trial], None] | None = None,
+    progress: Progress = None,
     scale: float | None = None,
 ) -> Choice:
-    """Solve with the range error asked for; `auto` takes the lowest BIC.
+    """Solve with the range error asked for; `auto` takes the lowest criterion.
 
     Where no range sigma is given, `scale` [m] stands for it in a robust loss.
     """
+    if options.poses == "estimated":
+        quick = replace(options, poses="marginalised")
+        choice = choose_terms(readings, start, noise, quick, progress, scale)
+        known = choice.solution
+        final = solve(
+            readings, known.parameters, known.problem.terms, noise, options, progress, scale
+        )
+        return replace(choice, solution=final)
     if options.range_error != "auto":
         solution = solve(
             readings, start, TERMS[options.range_error], noise, options, progress, scale
         )
         return Choice(solution, f"{NAMES[TERMS[options.range_error]]}, as asked for")
-    solutions = [solve(readings, start, 0, noise, options, progress, scale)]
+    estimating = wanted_variances(noise, options) is not None
+    # Variances that are estimated anew for every number of terms would swallow what the terms explain.
+    told = (Noise(), options.without_variances()) if estimating else (noise, options)
+    solutions = [solve(readings, start, 0, *told, progress, scale)]
     while len(solutions) < 3 and _determined(solutions[-1]):
         terms, latest = len(solutions), solutions[-1].parameters
-        solutions.append(solve(readings, latest, terms, noise, options, progress, scale))
+        solutions.append(solve(readings, latest, terms, *told, progress, scale))
     plausible = [s for s in solutions if plausible_range_errors(s.parameters, readings)]
     usable = [s for s in plausible if _determined(s)] or solutions[:1]
-    bic = np.array([criterion(s, len(readings), noise) for s in usable])
-    best = usable[int(np.argmin(bic))]
+    if estimating:
+        richest = usable[-1]
+        terms = richest.problem.terms[0]
+        usable = [solve(readings, richest.parameters, terms, noise, options, progress, scale)]
+        return _chosen(usable, usable[0], readings, noise, options, progress)
+    values = np.array([criterion(s, len(readings), noise) for s in usable])
+    best = usable[int(np.argmin(values))]
     only = _only_fit(plausible, best, len(readings), noise)
     if only is not None:
-        return Choice(only, f"{NAMES[only.problem.terms]}: the readings do not fit without")
-    chosen = NAMES[best.problem.terms]
-    if len(usable) == 1 or not np.isfinite(bic).all():
-        return Choice(best, f"{chosen}: the readings do not allow a comparison")
-    listed = ", ".join(
-        f"{NAMES[s.problem.terms]} {b:+.1f}" for s, b in zip(usable, bic - bic.min(), strict=True)
-    )
-    return Choice(best, f"{chosen} by BIC (lower is better: {listed})")
+        return Choice(only, f"{named(only)}: the readings do not fit without")
+    if len(usable) == 1 or not np.isfinite(values).all():
+        return Choice(best, f"{named(best)}: the readings do not allow a comparison")
+    return _chosen(usable, best, readings, noise, options, progress)
 
 
-def solve(
+def _chosen(
+    usable: list[Solution],
+    best: Solution,
     readings: Readings,
-    start: Parameters,
-    terms: int,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Callable[[Trial], None] | None = None,
-    scale: float | None = None,
-) -> Solution:
-    """Solve jointly with `terms` range-error terms and diagnose the solution."""
-    loss = Loss(options.loss)
-    weight = noise.range_sigma or (scale if loss != GAUSSIAN else None) or UNIT_SIGMA
-    problem = build_graph(readings, start, terms, weight, loss)
-    before = observability(start, readings, terms, 0.0, options.observability)
-    solver = options.solver
-    if not before.full:
-        solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
-    result = levenberg_marquardt(problem, solver, progress)
-    parameters = read_parameters(problem, result.values)
-    dof = max(len(readings) - before.rank, 1)
-    sigma = noise.range_sigma or _estimated_sigma(problem, result.residual, dof)
-    found = observability(parameters, readings, terms, sigma, options.observability)
-    if not found.full:
-        other, least = least_observed(
-            found, parameters, readings, terms, sigma, options.observability
-        )
-        if least.rank < found.rank:
-            problem = build_graph(readings, other, terms, weight, loss)
-            e = residuals(scene(other, readings), readings.distance)
-            cost = 0.5 * float(e @ e) / problem.range_sigma**2
-            result = replace(result, values=problem.values, residual=e, cost=cost)
-            parameters, found = other, least
-    return Solution(problem, result, parameters, found)
+    progress: Progress,
+) -> Choice:
+    """Choose the terms beam by beam, from the last of `usable`; `best` is the best alike for all."""
+    wald = _wald(usable[-1], len(readings), noise)
+    if wald is None:
+        return Choice(best, f"{named(best)} by BIC, for all beams alike")
+    chosen = wald.best(best.problem.terms)
+    if chosen not in [s.problem.terms for s in usable]:
+        start = usable[-1].parameters
+        usable = [*usable, solve(readings, start, chosen, noise, options, progress)]
+    compared = [s for s in usable if s.problem.terms in (chosen, best.problem.terms)]
+    if any(s.components is not None for s in compared):
+        compared = [s for s in compared if s.problem.terms == chosen]
+    final = min(compared, key=lambda s: criterion(s, len(readings), noise))
+    return Choice(final, f"{named(final)} by BIC", wald.evidence(final.problem.terms))
+
+
+def named(solution: Solution) -> str:
+    """Return the range error of a solution in words."""
+    terms = solution.problem.terms
+    if len(set(terms)) == 1:
+        return NAMES[terms[0]]
+    return "a range error that differs from beam to beam"
+
+
+def _wald(richest: Solution, readings: int, noise: Noise) -> Wald | None:
+    """Return the comparison from `richest`; None for a robust loss, and where nothing is left over."""
+    problem = richest.problem
+    if problem.loss != GAUSSIAN or min(problem.terms) == 0:
+        return None
+    try:
+        S = covariance(problem, richest.result.values).beams
+    except (RuntimeError, np.linalg.LinAlgError):
+        return None
+    most, beams = problem.terms[0], len(problem.terms)
+    at = np.arange(beams * (5 + most)).reshape(beams, -1)[:, 5:].ravel()
+    known = _known(richest, noise)
+    chi2 = richest.chi2
+    free = readings - richest.observability.unknowns
+    if free <= 0 or chi2 <= 0.0:
+        return None
+    variance = 1.0 if known else chi2 / free
+    return Wald(
+        richest.parameters.range_errors[:, :most].ravel(),
+        variance * S[np.ix_(at, at)],
+        most,
+        chi2 / variance,
+        richest.observability.unknowns,
+        readings,
+        known,
+    )
 
 
 def criterion(solution: Solution, readings: int, noise: Noise) -> float:
     """Return the criterion of `solution`; lower is better."""
-    squares = 2.0 * solution.result.cost * solution.problem.range_sigma**2
     unknowns = solution.observability.unknowns
-    price = unknowns * max(np.log(readings), LEAST_PRICE)
-    if noise.range_sigma is not None or solution.problem.loss != GAUSSIAN:
-        return float(squares / solution.problem.range_sigma**2 + price)
-    room = readings - unknowns - 2
-    if room <= 0:
-        return float("inf")
-    fit = readings * np.log(max(squares / readings, LEAST_RMS**2))
-    return float(fit + price * readings / room)
+    if _known(solution, noise):
+        return information_criterion(2.0 * solution.result.cost, unknowns, readings, known=True)
+    squares = 2.0 * solution.result.cost * solution.problem.range_sigma**2
+    return information_criterion(squares, unknowns, readings, known=False)
 
 
-def _estimated_sigma(problem: CalibrationGraph, residual: FloatArray, dof: int) -> float:
-    """Return the standard deviation of a reading [m] that the residuals show."""
-    if problem.loss != GAUSSIAN:
-        return problem.range_sigma
-    return float(np.sqrt(residual @ residual / dof))
+def _known(solution: Solution, noise: Noise) -> bool:
+    """Tell whether the weights are those of known sigmas, or of a robust loss."""
+    if solution.components is not None:
+        return False
+    return noise.range_sigma is not None or solution.problem.loss != GAUSSIAN
 
 
 def _only_fit(
     plausible: list[Solution], best: Solution, readings: int, noise: Noise
 ) -> Solution | None:
     """Return an undetermined solution that fits the given sigma where the best one does not."""
-    if noise.range_sigma is None or _fits(best, readings, noise.range_sigma):
+    if noise.range_sigma is None or _fits(best, readings):
         return None
-    fitting = [s for s in plausible if _fits(s, readings, noise.range_sigma)]
+    fitting = [s for s in plausible if _fits(s, readings)]
     return fitting[0] if fitting else None
 
 
-def _fits(solution: Solution, readings: int, range_sigma: float) -> bool:
-    e = solution.result.residual
+def _fits(solution: Solution, readings: int) -> bool:
     dof = max(readings - solution.observability.rank, 1)
-    return float(e @ e) <= range_sigma**2 * (dof + FITTING * float(np.sqrt(2.0 * dof)))
+    return solution.chi2 <= dof + FITTING * float(np.sqrt(2.0 * dof))
 
 
 def _determined(solution: Solution) -> bool:

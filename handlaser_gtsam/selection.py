@@ -12,7 +12,7 @@ import numpy as np
 from . import sensor as limits
 from .arrays import BoolArray, IntArray
 from .consensus import Consensus, find_consensus
-from .diagnosis.outliers import cut, enough, residuals, test
+from .diagnosis.outliers import cut, enough, judge, residuals, test
 from .noise import Noise
 from .options import CalibrationOptions
 from .parameters import Parameters
@@ -20,6 +20,7 @@ from .range_error import MOST_TERMS, Choice, choose_terms
 from .recording import Readings, Recording
 from .solvers.levenberg import Trial
 from .starts import Start, find_start
+from .weighting import reading_sigmas
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
@@ -112,9 +113,11 @@ class _First:
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
     terms = MOST_TERMS[options.range_error]
     reject = options.outliers == "reject"
-    start = find_start(readings, noise.range_sigma, terms, thorough=not reject)
+    equal = noise.incidence_sigma == 0.0 and not options.treats_poses(noise)
+    sigma = noise.range_sigma if equal else None
+    start = find_start(readings, sigma, terms, thorough=not reject)
     if reject:
-        found = find_consensus(readings, start, noise.range_sigma, terms)
+        found = find_consensus(readings, start, sigma, terms)
     else:
         everything = np.ones(len(readings), dtype=bool)
         found = Consensus(everything, start.parameters, start.method, None)
@@ -139,10 +142,15 @@ def _tested(
     solution = choice.solution
     rows: IntArray = np.flatnonzero(allowed)
     part, kept = readings.subset(rows), used[rows]
-    terms = solution.problem.terms
+    terms = max(solution.problem.terms)
     if not solution.observability.full or not enough(part, kept, terms):
         return used
-    _, sigma, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
+    if solution.variances is None:
+        _, sigma, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
+    else:
+        sigmas = reading_sigmas(solution.parameters, part, solution.variances)
+        known = solution.components is None
+        sigma, t = judge(part, kept, solution.parameters, terms, sigmas, known=known)
     agreeing = np.abs(t) <= cut(part, kept, sigma)
     if not enough(part, agreeing, terms):
         return used

@@ -85,7 +85,9 @@ def test_the_unknown_sigma_is_estimated(gripper):
     assert not fit.range_sigma_given
     # 136 degrees of freedom: a standard deviation to 6 %, three of them.
     assert fit.range_sigma == pytest.approx(SIGMA, rel=0.18)
-    assert fit.sigma0 == fit.range_sigma
+    assert fit.sigma0 == pytest.approx(np.sqrt(fit.chi2 / fit.dof))
+    # Of a corrected reading, which range errors of a few percent stretch.
+    assert fit.sigma0 == pytest.approx(fit.range_sigma, rel=0.06)
     factor = (fit.range_sigma / SIGMA) ** 2
     for name, beam in known.beams.items():
         assert np.allclose(unknown.beams[name].covariance, factor * beam.covariance, rtol=1e-5)
@@ -98,7 +100,10 @@ def test_the_given_sigma_scales_chi2(gripper):
     calibration = hl.calibrate(gripper, hl.Noise(2 * SIGMA), hl.CalibrationOptions("k1k2"))
     fit = calibration.fit
     assert any("only 0.5" in words for words in calibration.warnings)
-    assert fit.chi2 == pytest.approx((fit.residuals**2).sum() / (2 * SIGMA) ** 2)
+    k = np.array([beam.range_error for beam in calibration.beams.values()])
+    slope = 1.0 + k[:, 0] + 2.0 * k[:, 1] * gripper.ranges
+    # Weights are those of the iteration before the last.
+    assert fit.chi2 == pytest.approx(((fit.residuals / (2 * SIGMA * slope)) ** 2).sum(), rel=1e-6)
     assert fit.sigma0 == pytest.approx(0.5, abs=0.1)
     assert fit.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
     assert fit.dof == 176 - 40
@@ -198,8 +203,13 @@ def test_no_redundancy_and_no_sigma_is_said():
 
 
 def test_uncertain_poses_are_warned_of(gripper):
-    calibration = hl.calibrate(gripper, hl.Noise(SIGMA, pose_rotation_sigma=1e-3))
-    assert any("poses were taken as exact" in words for words in calibration.warnings)
+    noise = hl.Noise(SIGMA, pose_rotation_sigma=1e-3)
+    exact = hl.calibrate(gripper, noise, hl.CalibrationOptions(poses="exact"))
+    assert any("poses were taken as exact" in words for words in exact.warnings)
+    counted = hl.calibrate(gripper, noise)
+    assert not any("poses" in words for words in counted.warnings)
+    for name, beam in counted.beams.items():
+        assert (beam.location_sigma > exact.beams[name].location_sigma).all()
 
 
 def test_readings_outside_the_sensors_range_are_left_out(gripper):
@@ -356,7 +366,7 @@ def test_an_outlier_is_named():
 
 def test_a_given_sigma_that_is_too_small_is_contradicted(gripper):
     calibration = hl.calibrate(gripper, hl.Noise(SIGMA / 2))
-    assert any("times as large as the range sigma" in words for words in calibration.warnings)
+    assert any("times as large as the sigmas" in words for words in calibration.warnings)
 
 
 @pytest.mark.slow

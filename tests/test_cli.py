@@ -158,8 +158,11 @@ def test_options_override_the_rig_file(handlaser):
 
 
 def test_warning_of_uncertain_poses_is_printed(handlaser):
-    _, out, _ = handlaser("calibrate", RECORDING, "--pose-rotation-sigma-deg", "0.03")
+    sigma = ("--pose-rotation-sigma-deg", "0.03")
+    _, out, _ = handlaser("calibrate", RECORDING, *sigma, "--poses", "exact")
     assert "taken as exact" in out
+    _, out, _ = handlaser("calibrate", RECORDING, *sigma)
+    assert "taken as exact" not in out
 
 
 def test_simulate_writes_what_ships(handlaser, tmp_path):

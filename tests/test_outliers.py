@@ -145,7 +145,7 @@ def test_leverages_are_those_of_the_dense_hat_matrix():
         J[row, 10 + 3 * plane : 12 + 3 * plane] = jacobian.normal[row] @ n[plane]
         J[row, 12 + 3 * plane] = jacobian.offset[row]
     hat = J @ np.linalg.inv(J.T @ J) @ J.T
-    h = leverages(at, readings, 0, found)
+    h = leverages(at, readings, found)
     assert np.allclose(h, np.diagonal(hat), atol=1e-9)
     assert h.sum() == pytest.approx(16.0)  # as many as there are unknowns
 

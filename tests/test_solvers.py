@@ -6,8 +6,7 @@ import pytest
 from helpers import GRIPPER, bench, motion, recording_of
 
 from handlaser_gtsam import model
-from handlaser_gtsam.covariance import covariances, covariances_of_determined
-from handlaser_gtsam.diagnosis.observability import observability
+from handlaser_gtsam.covariance import covariance
 from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.graph import build_graph, read_parameters, start_values
@@ -37,21 +36,21 @@ def problem():
 def worst_in_sigmas(mine: Parameters, other: Parameters, beams, planes) -> float:
     """Return the largest difference of any parameter along the axes of its covariance."""
     worst = []
-    for i, covariance in enumerate(beams):
+    for i, own in enumerate(beams):
         for part, name in (
             (slice(0, 3), "locations"),
             (slice(3, 6), "directions"),
             (slice(6, 8), "range_errors"),
         ):
-            worst.append(in_sigmas(covariance[part, part], mine, other, name, i))
-    for p, covariance in enumerate(planes):
-        worst.append(in_sigmas(covariance[:3, :3], mine, other, "normals", p))
-        worst.append(abs(mine.offsets[p] - other.offsets[p]) / np.sqrt(covariance[3, 3]))
+            worst.append(in_sigmas(own[part, part], mine, other, name, i))
+    for p, own in enumerate(planes):
+        worst.append(in_sigmas(own[:3, :3], mine, other, "normals", p))
+        worst.append(abs(mine.offsets[p] - other.offsets[p]) / np.sqrt(own[3, 3]))
     return max(worst)
 
 
-def in_sigmas(covariance, mine, other, name, index):
-    variances, axes = np.linalg.eigh(covariance)
+def in_sigmas(own, mine, other, name, index):
+    variances, axes = np.linalg.eigh(own)
     seen = variances > 1e-10 * variances[-1]  # a unit vector has no variance along itself
     difference = getattr(mine, name)[index] - getattr(other, name)[index]
     return (np.abs(axes.T @ difference)[seen] / np.sqrt(variances[seen])).max()
@@ -116,37 +115,17 @@ def test_normal_equations_are_those_of_the_graph(problem):
     assert np.abs(difference).max() < 1e-9
 
 
-def test_marginals_equal_the_dense_inverse(problem):
-    graph = problem[3]
-    values = levenberg_marquardt(graph).values
-    beams, planes = covariances(graph, values, 1.0)
-    linear = linearize(graph, values)
-    inverse = np.linalg.inv(linear.hessian(graph.ordering)[0])
-    size = 3 * len(graph.planes)
-    own = inverse[size : size + 7, size : size + 7]
-    lift = np.zeros((8, 7))
-    lift[:3, :3], lift[6:, 5:] = np.eye(3), np.eye(2)
-    lift[3:6, 3:5] = values.atUnit3(graph.beams[0].direction).basis()
-    expected = lift @ own @ lift.T
-    # Both invert a matrix of condition 1e9 or so: half the digits are left.
-    assert (
-        np.abs(beams[0] / np.abs(expected).max() - expected / np.abs(expected).max()).max() < 1e-7
-    )
-    assert planes[0][3, 3] == pytest.approx(inverse[2, 2], rel=1e-7)
-    v = values.atUnit3(graph.beams[0].direction).point3()
-    assert np.abs(beams[0][3:6, 3:6] @ v).max() < 1e-12
-
-
 def test_scipy_agrees_in_value_and_covariance(problem):
     recording, _, start, graph = problem
     result = levenberg_marquardt(graph)
     mine, reference = read_parameters(graph, result.values), solve_reference(recording, start, 2)
-    beams, planes = covariances(graph, result.values, 1.0)
+    joint = covariance(graph, result.values)
+    beams, planes = joint.all_beams(), joint.all_planes()
     assert worst_in_sigmas(mine, reference.parameters, beams, planes) < 1e-6
-    for covariance, other in zip(beams, reference.beam_covariances, strict=True):
-        scale = np.abs(covariance).max()
+    for own, other in zip(beams, reference.beam_covariances, strict=True):
+        scale = np.abs(own).max()
         # Central differences give derivatives to 1e-9 or so; inverting loses some digits.
-        assert np.abs(SIGMA**2 * other - covariance).max() < 1e-5 * scale
+        assert np.abs(SIGMA**2 * other - own).max() < 1e-5 * scale
 
 
 def test_gtsams_own_optimizer_agrees(problem):
@@ -161,7 +140,8 @@ def test_gtsams_own_optimizer_agrees(problem):
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph.graph, graph.values, settings)
     theirs = read_parameters(graph, gtsam.Values(optimizer.optimize()))
     mine = read_parameters(graph, result.values)
-    beams, planes = covariances(graph, result.values, 1.0)
+    joint = covariance(graph, result.values)
+    beams, planes = joint.all_beams(), joint.all_planes()
     assert worst_in_sigmas(mine, theirs, beams, planes) < 1e-6
 
 
@@ -270,18 +250,3 @@ def test_what_is_open_stays_where_it_started():
     result = levenberg_marquardt(graph, LevenbergOptions(least_damping=1e-4))
     assert result.status == "converged"
     assert np.abs(read_parameters(graph, result.values).locations).max() < 0.1
-
-
-def test_covariances_of_the_reduced_information_are_the_marginals(problem):
-    """What stands in where GTSAM calls a system indeterminate: the same numbers."""
-    _, readings, _, graph = problem
-    values = levenberg_marquardt(graph).values
-    at = read_parameters(graph, values)
-    origins = np.full((len(graph.planes), 3), 0.2)
-    marginals = covariances(graph, values, 1.0, origins)
-    found = observability(at, readings, 2, SIGMA)
-    reduced = covariances_of_determined(found, at, SIGMA, origins)
-    for mine, its in zip([*reduced[0], *reduced[1]], [*marginals[0], *marginals[1]], strict=True):
-        scale = np.sqrt(np.outer(np.diagonal(its), np.diagonal(its))) + 1e-300
-        # The graph's own frame is a metre away from planes centimetres in size.
-        assert np.abs((mine - its) / scale).max() < 1e-6

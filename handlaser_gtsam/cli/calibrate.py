@@ -3,11 +3,12 @@
 import math
 import sys
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from .choices import LossChoice, OutliersChoice, PosesChoice, RangeErrorChoice
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
@@ -21,31 +22,6 @@ DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
 WIDTH = 120
 """Columns of what is printed to a file or pipe."""
-
-
-class OutliersChoice(StrEnum):
-    """Values of --outliers."""
-
-    reject = "reject"
-    keep = "keep"
-
-
-class LossChoice(StrEnum):
-    """Values of --loss."""
-
-    gaussian = "gaussian"
-    huber = "huber"
-    cauchy = "cauchy"
-    tukey = "tukey"
-
-
-class RangeErrorChoice(StrEnum):
-    """Values of --range-error."""
-
-    auto = "auto"
-    none = "none"
-    k1 = "k1"
-    k1k2 = "k1k2"
 
 
 def calibrate(
@@ -72,15 +48,35 @@ def calibrate(
     ] = None,
     pose_translation_sigma_mm: Annotated[
         float | None,
-        typer.Option(
-            help="Sigma of the hand position, mm. Poses count as exact: above 0 adds a warning."
-        ),
+        typer.Option(help="Sigma of the hand position an axis, mm."),
     ] = None,
     pose_rotation_sigma_deg: Annotated[
         float | None,
+        typer.Option(help="Sigma of the hand rotation about each axis, deg."),
+    ] = None,
+    incidence_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Added to a reading's sigma times the tangent of the incidence, mm."),
+    ] = None,
+    poses: Annotated[
+        PosesChoice,
         typer.Option(
-            help="Sigma of the hand rotation, deg. Poses count as exact: above 0 adds a warning."
+            help="How errors of the hand poses count; auto: marginalised where a sigma is given."
         ),
+    ] = PosesChoice.auto,
+    estimate_noise: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-noise", help="Estimate the sigmas of ranges and poses from the residuals."
+        ),
+    ] = False,
+    range_sigma_by_beam: Annotated[
+        bool,
+        typer.Option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
+    ] = False,
+    at_range_mm: Annotated[
+        float | None,
+        typer.Option(help="Reading at which the error of the laser spot is told; default: median."),
     ] = None,
     range_mm: Annotated[
         tuple[float, float] | None,
@@ -115,14 +111,26 @@ def calibrate(
     for source in (recording, rig):
         if out is not None and source is not None and out.resolve() == source.resolve():
             raise InputError("the input itself as --out", "another file to write to", out)
-    numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg)
+    numbers = (
+        range_sigma_mm,
+        pose_translation_sigma_mm,
+        pose_rotation_sigma_deg,
+        incidence_sigma_mm,
+    )
     settings = _settings(rig, numbers, range_mm, max_incidence_deg)
     table = read_recording(recording)
     options = CalibrationOptions(
-        range_error.value, outliers.value, loss.value, sensor=settings.sensor
+        range_error.value,
+        outliers.value,
+        loss.value,
+        poses.value,
+        range_sigma_by_beam,
+        estimate_noise,
+        sensor=settings.sensor,
     )
     result = run(table, settings.noise, options)
-    text = calibration_text(result)
+    reading = None if at_range_mm is None else at_range_mm * MM
+    text = calibration_text(result, reading)
     if out is not None:
         write_text(out, text)
     check = None
@@ -132,22 +140,26 @@ def calibrate(
     if json_:
         sys.stdout.write(text)
     elif not quiet:
-        _show(result, table, check, out)
+        _show(result, table, check, out, reading)
     _finish(result, too_much, check, aloud=json_ or quiet)
 
 
 def _settings(
     rig: Path | None,
-    sigmas: tuple[float | None, float | None, float | None],
+    sigmas: tuple[float | None, float | None, float | None, float | None],
     range_mm: tuple[float, float] | None,
     max_incidence_deg: float | None,
 ) -> "Rig":
-    """Return the rig file with what the command line says instead; `sigmas` in mm, mm and deg."""
+    """Return the rig file with what the command line says instead; `sigmas` in mm, mm, deg and mm."""
     from ..files.rig_toml import Rig, read_rig
 
     known = Rig() if rig is None else read_rig(rig)
     noise, sensor = known.noise, known.sensor
-    range_sigma, translation, rotation = sigmas
+    range_sigma, translation, rotation, incidence = sigmas
+    if translation is not None or rotation is not None:
+        noise = replace(noise, pose_covariance=None)
+    if incidence is not None:
+        noise = replace(noise, incidence_sigma=incidence * MM)
     if range_sigma is not None:
         noise = replace(noise, range_sigma=range_sigma * MM)
     if translation is not None:
@@ -162,13 +174,17 @@ def _settings(
 
 
 def _show(
-    result: "Calibration", recording: "Recording", check: "CrossCheck | None", out: Path | None
+    result: "Calibration",
+    recording: "Recording",
+    check: "CrossCheck | None",
+    out: Path | None,
+    reading: float | None,
 ) -> None:
     from .tables import TableConsole, calibration_tables, cross_check_line
 
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
-    for part in calibration_tables(result, recording):
+    for part in calibration_tables(result, recording, reading):
         console.print(part, soft_wrap=True)
     if check is not None:
         console.print(cross_check_line(check), soft_wrap=True)
@@ -184,6 +200,9 @@ def _finish(
 
     if cross is not None and aloud:
         print(cross_check_line(cross), file=sys.stderr)
+    for warning in result.warnings if aloud else ():
+        if warning != result.message:
+            print(f"WARNING: {warning}", file=sys.stderr)
     if result.status != "converged":
         print(f"handlaser: {result.message}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED if result.interrupted else UNDETERMINED)

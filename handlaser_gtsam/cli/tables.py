@@ -10,13 +10,25 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.table import Table
 
-from ..calibration import Beam, Calibration, Plane
+from ..calibration import Beam, Calibration, NoiseComponent, Plane
 from ..diagnosis.cross_check import CrossCheck
+from ..propagation import spot
 from ..recording import Recording
 
 MM = 1e3
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
+SHOWN_CORRELATIONS = 5
+ROWS = (
+    ("location x", ".4f", "mm"),
+    ("location y", ".4f", "mm"),
+    ("location z", ".4f", "mm"),
+    ("direction x", ".6f", "1"),
+    ("direction y", ".6f", "1"),
+    ("direction z", ".6f", "1"),
+    ("k1", ".6f", "1"),
+    ("k2", ".6f", "1/m"),
+)
 OPEN = "open"
 """Stands for a number that the recording does not determine."""
 
@@ -30,13 +42,19 @@ class TableConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def calibration_tables(result: Calibration, recording: Recording) -> Iterator[RenderableType]:
-    """Yield the parts of the printed result, in reading order; no numbers that mean nothing."""
+def calibration_tables(
+    result: Calibration, recording: Recording, reading: float | None = None
+) -> Iterator[RenderableType]:
+    """Yield the parts of the printed result, in reading order; no numbers that mean nothing.
+
+    The error of the laser spots is told at `reading` [m], or at the median.
+    """
     yield _head(result, recording)
     if any(beam.sigma is not None for beam in result.beams.values()):
         for beam in result.beams.values():
-            yield _beam_table(beam)
+            yield _beam_table(beam, result)
         yield _plane_table(list(result.planes.values()))
+        yield from _spot_lines(result, result.fit.median_reading if reading is None else reading)
     yield from _fit_lines(result)
     for warning in result.warnings:
         yield f"WARNING: {warning}"
@@ -76,20 +94,46 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
-def _beam_table(beam: Beam) -> Table:
+def _beam_table(beam: Beam, result: Calibration) -> Table:
     table = Table(title=f"beam {beam.name}, hand frame", title_justify="left", box=SIMPLE_HEAD)
-    for name in ("parameter", "value", "std dev", "unit"):
+    for name in ("parameter", "value", "std dev", "95 % from", "to", "unit"):
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
-    for i, axis in enumerate("xyz"):
-        table.add_row(f"location {axis}", *_pair(beam.location[i] * MM, sigma[i] * MM, ".4f"), "mm")
-    for i, axis in enumerate("xyz"):
-        table.add_row(f"direction {axis}", *_pair(beam.direction[i], sigma[3 + i], ".6f"), "1")
+    interval = result.intervals(beam.name)
+    interval = np.zeros((8, 2)) if interval is None else interval
+    value = np.concatenate((beam.location, beam.direction, beam.range_error))
+    for i, (name, spec, unit) in enumerate(ROWS[: 6 + beam.terms]):
+        scale = MM if unit == "mm" else 1.0
+        numbers = [x * scale for x in (value[i], sigma[i], *interval[i])]
+        shown = [format(x, spec) if math.isfinite(sigma[i]) else OPEN for x in numbers]
+        table.add_row(name, *shown, unit)
     turn = math.inf if beam.direction_sigma is None else math.degrees(beam.direction_sigma)
-    table.add_row("direction, largest", "", _pair(0.0, turn, ".4f")[1], "deg")
-    for i, (name, unit) in enumerate((("k1", "1"), ("k2", "1/m"))[: beam.terms]):
-        table.add_row(name, *_pair(beam.range_error[i], sigma[6 + i], ".6f"), unit)
+    table.add_row("direction, largest", "", _pair(0.0, turn, ".4f")[1], "", "", "deg")
+    if beam.evidence is not None:
+        listed = ", ".join(
+            f"{name} {value:+.1f}"
+            for name, value in zip(
+                ("none", "k1", "k1 and k2"), beam.evidence.criterion, strict=True
+            )
+            if math.isfinite(value)
+        )
+        table.caption = f"range error by BIC, lower is better: {listed}"
+        table.caption_justify = "left"
     return table
+
+
+def _spot_lines(result: Calibration, reading: float) -> Iterator[str]:
+    """Yield what the calibration leaves unsure of each laser spot at a reading [m]."""
+    if result.covariance is None:
+        return
+    for name in result.beams:
+        found = spot(result, name, reading)
+        yield (
+            f"laser spot of beam {name} at a reading of {reading * MM:.4g} mm: +- "
+            f"{found.along * MM:.3g} mm along the beam, to which a reading adds "
+            f"{found.reading_sigma * MM:.3g}, +- {found.across * MM:.3g} mm across, "
+            f"+- {math.degrees(found.direction_sigma):.3g} deg"
+        )
 
 
 def _plane_table(planes: list[Plane]) -> Table:
@@ -119,6 +163,17 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 if the sigma is right)"
     else:
         yield f"range sigma estimated from {fit.dof} degrees of freedom: {fit.range_sigma * MM:.4g} mm"
+    if fit.poses != "exact":
+        yield f"hand poses: {fit.poses}"
+    for one in result.noise_estimate:
+        yield _noise_line(one)
+    for pair in result.correlations[:SHOWN_CORRELATIONS]:
+        yield (
+            f"hardly told apart: {pair.first} and {pair.second} (correlation {pair.coefficient:+.3f}): "
+            f"{pair.advice}"
+        )
+    if len(result.correlations) > SHOWN_CORRELATIONS:
+        yield f"hardly told apart: {len(result.correlations) - SHOWN_CORRELATIONS} more; --json has all"
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
@@ -130,6 +185,17 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"left out: station {left_out.station}, beam {left_out.beam}: {left_out.reason}{residual}"
     if len(fit.rejected) > SHOWN_REJECTED:
         yield f"left out: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
+
+
+def _noise_line(one: NoiseComponent) -> str:
+    """Return an estimated sigma with its own standard deviation."""
+    turning = one.name.startswith("pose rotation")
+    scale, unit = (180.0 / math.pi, "deg") if turning else (MM, "mm")
+    if not math.isfinite(one.error):
+        return f"estimated sigma of {one.name}: not told from zero by this recording"
+    return (
+        f"estimated sigma of {one.name}: {one.sigma * scale:.3g} +- {one.error * scale:.2g} {unit}"
+    )
 
 
 def _pair(value: float, sigma: float, spec: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from ..arrays import FloatArray
 from ..calibration import Calibration
 from ..errors import InputError
 from ..recording import Recording
-from ..solvers.reference import solve_reference
+from ..solvers.reference import ReferenceNoise, solve_reference
 from ..starts import find_start
 
 
@@ -38,22 +38,28 @@ class CrossCheck:
 
 
 def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
-    """Solve the readings of `calibration` again with SciPy, from the same closed-form start.
+    """Solve the readings of `calibration` again with SciPy, from a start found anew.
 
     Raises
     ------
     InputError
-        The calibration did not converge, so there is nothing to check.
+        The calibration did not converge, or its loss is robust: SciPy solves least squares.
     """
     if calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    if calibration.fit.loss != "gaussian":
+        raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
     used = replace(
         recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
     )
     start = find_start(used.readings()).parameters
-    terms = next(iter(calibration.beams.values())).terms
-    reference = solve_reference(used, start, terms)
-    found, variance = reference.parameters, calibration.fit.range_sigma**2
+    terms = tuple(beam.terms for beam in calibration.beams.values())
+    variances, noise = calibration.variances, None
+    if variances is not None:
+        noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
+    reference = solve_reference(used, start, terms, noise=noise)
+    found = reference.parameters
+    variance = calibration.fit.range_sigma**2 if variances is None else 1.0
     rows: list[tuple[str, float, float]] = []
     for i, beam in enumerate(calibration.beams.values()):
         mine = np.concatenate((beam.location, beam.direction, beam.range_error))
@@ -62,7 +68,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         for label, part in (
             ("location", slice(0, 3)),
             ("direction", slice(3, 6)),
-            ("range error", slice(6, 6 + terms)),
+            ("range error", slice(6, 6 + beam.terms)),
         ):
             rows += _compare(
                 f"beam {beam.name} {label}", mine - other, beam.covariance, covariance, part

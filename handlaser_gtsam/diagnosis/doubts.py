@@ -1,5 +1,7 @@
 """Signs that a result should not be believed, each in a sentence with what to look at."""
 
+from collections import Counter
+
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
@@ -7,8 +9,9 @@ from ..calibration import Fit
 from ..model import plausible_range_errors
 from ..noise import Noise
 from ..parameters import Parameters
-from ..recording import Readings
+from ..recording import Readings, Recording
 from ..sensor import BY_LIMITS
+from ..weighting import Variances
 
 SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
@@ -20,6 +23,8 @@ MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
 UNLIKELY = 1e-3
 """Probability below which chi2 contradicts the given range sigma."""
+FAR_BEAM = 3.0
+"""A beam further from the hand's origin than this [m] is no robot's."""
 LONG_RANGE = 100.0
 """A median reading above this [m] is probably in millimetres."""
 CHECKS = (
@@ -28,8 +33,25 @@ CHECKS = (
 )
 
 
-def misfit(readings: Readings, parameters: Parameters, fit: Fit) -> str:
-    """Say that the readings do not fit at all, where that is so; nothing otherwise."""
+def misfit(recording: Recording, readings: Readings, parameters: Parameters, fit: Fit) -> str:
+    """Say that the readings do not fit at all, where that is so; nothing otherwise.
+
+    Parameters
+    ----------
+    recording : Recording
+    readings : Readings
+        Those that were used.
+    parameters : Parameters
+    fit : Fit
+    """
+    lost = _lost_beam(recording, fit)
+    if lost:
+        return lost
+    if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > FAR_OFF:
+        return (
+            f"the readings do not fit: residuals are {fit.sigma0:.3g} times as large as the sigmas "
+            f"say; {CHECKS}, and for a sigma in the wrong unit"
+        )
     if not plausible_range_errors(parameters, readings):
         return (
             "the readings fit only with a range error of more than half of a reading, which no sensor "
@@ -44,6 +66,20 @@ def misfit(readings: Readings, parameters: Parameters, fit: Fit) -> str:
     )
 
 
+def _lost_beam(recording: Recording, fit: Fit) -> str:
+    """Name a beam most of whose readings contradict the rest; nothing where there is none."""
+    out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
+    kept = (~np.isnan(fit.residuals)).sum(axis=0)
+    for name, count in zip(recording.beam_names, kept, strict=True):
+        if out[name] > count:
+            return (
+                f"{out[name]} of the {out[name] + int(count)} readings of beam {name} contradict the "
+                f"others: look for another unit, a swapped column or a loose sensor, or leave beam "
+                f"{name} out; {CHECKS}"
+            )
+    return ""
+
+
 def suspicious(readings: Readings, fit: Fit) -> bool:
     """Tell whether the fit is so poor that the file may have been read the wrong way."""
     if fit.dof <= 0:
@@ -52,7 +88,13 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     return bool(far or fit.rms > SUSPICIOUS_FIT * readings.spread())
 
 
-def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
+def doubts(
+    readings: Readings,
+    parameters: Parameters,
+    fit: Fit,
+    noise: Noise,
+    variances: Variances | None,
+) -> tuple[str, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
     words = []
     left_out = sum(r.reason not in BY_LIMITS for r in fit.rejected)
@@ -64,11 +106,16 @@ def doubts(readings: Readings, fit: Fit, noise: Noise) -> tuple[str, ...]:
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         words.append(f"the median reading is {median:.0f} m; is the file in millimetres?")
-    words += _doubts_of_noise(fit, noise)
-    if fit.dof > 0 and fit.largest > FAR_READING * fit.range_sigma:
-        station, beam = fit.largest_at
+    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+    if far > FAR_BEAM:
         words.append(
-            f"the reading of beam {beam} at station {station} is {fit.largest / fit.range_sigma:.1f} "
+            f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
+        )
+    words += _doubts_of_noise(fit, noise, variances)
+    if fit.dof > 0 and fit.farthest > FAR_READING:
+        station, beam = fit.farthest_at
+        words.append(
+            f"the reading of beam {beam} at station {station} is {fit.farthest:.1f} "
             "sigmas off; leave it out if it is an outlier"
         )
     return tuple(words)
@@ -82,19 +129,26 @@ def noise_advice(fit: Fit) -> str:
     )
 
 
-def _doubts_of_noise(fit: Fit, noise: Noise) -> list[str]:
+def _doubts_of_noise(fit: Fit, noise: Noise, variances: Variances | None) -> list[str]:
     words = []
+    treated = variances is not None and variances.pose is not None
     if fit.range_sigma_given and fit.dof > 0:
         if chi2_distribution.sf(fit.chi2, fit.dof) < UNLIKELY:
             words.append(
-                f"residuals are {fit.sigma0:.2f} times as large as the range sigma says: the sigma is "
-                "too small or the model does not hold, and the standard deviations are too small"
+                f"residuals are {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a sigma "
+                "is too small or the model does not hold, and the standard deviations are too small; "
+                + (
+                    "estimate the noise"
+                    if treated
+                    else "state the robot's sigmas or estimate the noise"
+                )
             )
         elif chi2_distribution.cdf(fit.chi2, fit.dof) < UNLIKELY:
             words.append(
-                f"residuals are only {fit.sigma0:.2f} times as large as the range sigma says"
+                f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
+                "sigma is too large, and so are the standard deviations"
             )
-    if noise.poses_uncertain:
+    if noise.poses_uncertain and not treated:
         words.append(
             "hand poses were taken as exact although their sigma is not zero: the standard deviations "
             "are too small"

@@ -18,15 +18,13 @@ LEAST_FREEDOM = 1e-6
 """A reading with less than this part of its variance left checks nothing."""
 
 
-def leverages(
-    parameters: Parameters, readings: Readings, terms: int, found: Observability
-) -> FloatArray:
+def leverages(parameters: Parameters, readings: Readings, found: Observability) -> FloatArray:
     """Return h (N,) of all readings for the information behind `found` (of those that were used)."""
     reduced = found.reduced
     if len(readings) * len(reduced.beam_unit) > LARGEST_WORK:
         return np.zeros(len(readings))
-    columns, _ = jacobian_columns(parameters, readings, terms, reduced.centres)
-    width = 5 + terms
+    width = len(reduced.beam_unit) // readings.beams
+    columns, _ = jacobian_columns(parameters, readings, width - 5, reduced.centres)
     own = columns[:width].T * reduced.beam_unit[:width]
     plane = columns[width : width + 3].T * reduced.plane_unit
     rows = -np.einsum("ni,nij->nj", plane, reduced.plane_response[readings.plane])

@@ -19,10 +19,20 @@ from ..ordering import sorted_readings
 from ..parameters import Parameters
 from ..recording import Readings, Recording
 from .observability import observability
-from .words import Names, OpenPart, advice, open_parts, undetermined
+from .words import (
+    MIRROR,
+    MIRROR_ADVICE,
+    Names,
+    OpenPart,
+    advice,
+    open_parts,
+    undetermined,
+)
 
 SAME_ROTATION = 2e-3
 """Orientations within this angle [rad] count as one."""
+LEAST_MOVE = 1e-3
+"""Hands that move less than this part of the typical range before a plane stand still."""
 LEAST_TURN = np.radians(1.0)
 """Turns that spread less than this about an axis [rad] do not count."""
 LEAST_SPREAD = 1e-2
@@ -92,7 +102,11 @@ def check_motion(recording: Recording) -> MotionCheck:
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     parts = _open_in_general(readings, names)
     unknowns = 5 * readings.beams + 3 * readings.planes
-    return MotionCheck(planes, unknowns, len(readings), parts, undetermined(parts), advice(parts))
+    words, help_ = undetermined(parts), advice(parts)
+    moved = float(np.abs(readings.world_t_hand).max())
+    if not parts and moved < LEAST_MOVE * float(np.median(readings.distance)):
+        words, help_ = (MIRROR,), (MIRROR_ADVICE,)
+    return MotionCheck(planes, unknowns, len(readings), parts, words, help_)
 
 
 def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:

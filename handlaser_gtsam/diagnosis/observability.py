@@ -12,9 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..parameters import Parameters
+from ..parameters import Parameters, Terms, per_beam
 from ..recording import Readings
-from ..solvers.reduction import NormalEquations, normal_equations
+from ..solvers.reduction import (
+    NormalEquations,
+    normal_equations,
+    whitened_normal_equations,
+)
+from ..weighting import Whitening
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +45,9 @@ class NullSpace:
 
     Attributes
     ----------
-    beams : (B, 5 + terms, K)
-        Beam part: location (3), direction (2, in the basis of `model.tangent_basis`), range error.
+    beams : (B, W, K)
+        Beam part: location (3), direction (2, in the basis of `model.tangent_basis`), range error; W is
+        5 plus the most range-error terms of a beam.
     planes : (P, 3, K)
         Plane part: normal (2, same basis), offset.
     """
@@ -56,19 +62,21 @@ class Reduced:
 
     Attributes
     ----------
-    information : (nb,)
+    information : (m,)
         Eigenvalues, ascending.
-    axes : (nb, nb)
-        Eigenvectors, one a column.
-    determined : (nb,)
+    axes : (B W, m)
+        Eigenvectors, one a column; zero in the rows of range-error terms that a beam does not have.
+    determined : (m,)
         Which of them the readings determine.
     plane_inverse : (P, 3, 3)
         Pseudo-inverses of the planes' own information.
-    plane_response : (P, 3, nb)
+    plane_response : (P, 3, B W)
         How planes follow the beams, with the sign of `-plane_response @ beams`.
-    beam_unit : (nb,)
+    beam_unit : (B W,)
     plane_unit : (3,)
         Natural units.
+    active : (B W,) of bool
+        Rows of unknowns; the others are range-error terms that a beam does not have.
     centres : (P, 3)
         Where the offset of each plane is taken [m].
     """
@@ -80,6 +88,7 @@ class Reduced:
     plane_response: FloatArray
     beam_unit: FloatArray
     plane_unit: FloatArray
+    active: BoolArray
     centres: FloatArray
 
 
@@ -108,6 +117,8 @@ class Observability:
     length : float
         The typical range L [m] behind the natural units.
     readings : int
+    terms : tuple of int
+        Range-error terms of each beam.
     reduced : Reduced
     """
 
@@ -117,6 +128,7 @@ class Observability:
     null_space: NullSpace
     length: float
     readings: int
+    terms: tuple[int, ...]
     reduced: Reduced
 
     def indices(self) -> Indices | None:
@@ -142,11 +154,23 @@ class Observability:
 def observability(
     parameters: Parameters,
     readings: Readings,
-    terms: int,
+    terms: Terms,
     range_sigma: float,
     options: ObservabilityOptions | None = None,
+    whitening: Whitening | None = None,
 ) -> Observability:
     """Diagnose `parameters` for readings with standard deviation `range_sigma` [m].
+
+    Parameters
+    ----------
+    parameters : Parameters
+    readings : Readings
+    terms : int, or one a beam
+    range_sigma : float
+        Of a whitened residual.
+    options : ObservabilityOptions, optional
+    whitening : Whitening, optional
+        Where readings differ in weight or are correlated.
 
     Raises
     ------
@@ -154,15 +178,24 @@ def observability(
         A beam grazes its plane at `parameters`.
     """
     options = options or ObservabilityOptions()
+    counts = per_beam(terms, readings.beams)
+    most = max(counts)
     length = float(np.median(readings.distance))
-    beam_unit = np.tile([length] * 3 + [1.0] * 2 + [1.0, 1.0 / length][:terms], readings.beams)
+    beam_unit = np.tile([length] * 3 + [1.0] * 2 + [1.0, 1.0 / length][:most], readings.beams)
     plane_unit = np.array([1.0, 1.0, length])
-    normal = _scaled(normal_equations(parameters, readings, terms), beam_unit, plane_unit)
+    if whitening is None:
+        normal = normal_equations(parameters, readings, most)
+    else:
+        normal = whitened_normal_equations(parameters, readings, most, whitening)
+    normal = _scaled(normal, beam_unit, plane_unit)
+    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
     plane_null, eliminate = _eliminate_planes(normal.plane, range_sigma, options)
     E = np.swapaxes(normal.border, 0, 1).reshape(len(beam_unit), -1)
     W = eliminate @ np.swapaxes(normal.border, 1, 2)
     S = normal.beam - E @ W.reshape(-1, len(beam_unit))
-    information, axes = np.linalg.eigh(0.5 * (S + S.T))
+    information, inner = np.linalg.eigh(0.5 * (S + S.T)[np.ix_(active, active)])
+    axes = np.zeros((len(active), len(inner)))
+    axes[active] = inner
     floor = _least_information(float(np.diagonal(normal.beam).max()), range_sigma, options)
     determined = information >= floor
     open_beams = axes[:, ~determined]
@@ -171,12 +204,13 @@ def observability(
     lost = beams.shape[1]
     ratio = information[-1] / information[0] if lost == 0 else np.inf
     return Observability(
-        rank=len(beam_unit) + 3 * readings.planes - lost,
-        unknowns=len(beam_unit) + 3 * readings.planes,
+        rank=len(inner) + 3 * readings.planes - lost,
+        unknowns=len(inner) + 3 * readings.planes,
         condition=float(np.sqrt(ratio)),
-        null_space=NullSpace(beams.reshape(readings.beams, 5 + terms, lost), planes),
+        null_space=NullSpace(beams.reshape(readings.beams, 5 + most, lost), planes),
         length=length,
         readings=len(readings),
+        terms=counts,
         reduced=Reduced(
             information,
             axes,
@@ -185,6 +219,7 @@ def observability(
             W,
             beam_unit,
             plane_unit,
+            active,
             normal.centres,
         ),
     )

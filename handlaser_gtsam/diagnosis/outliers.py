@@ -144,18 +144,50 @@ def test(
     part = readings.subset(np.flatnonzero(kept))
     refined = refine(start, part, terms, STEPS)
     parameters = start if refined is None else refined.parameters
+    sigma, t = judge(readings, kept, parameters, terms, np.full(len(readings), range_sigma or 0.0))
+    return parameters, sigma, t
+
+
+def judge(
+    readings: Readings,
+    kept: BoolArray,
+    parameters: Parameters,
+    terms: int,
+    sigmas: FloatArray,
+    *,
+    known: bool = True,
+) -> tuple[float, FloatArray]:
+    """Return a typical sigma [m], and the residuals (N,) in their own sigmas.
+
+    Parameters
+    ----------
+    readings : Readings
+    kept : (N,) of bool
+        Those that `parameters` were fitted to.
+    parameters : Parameters
+    terms : int
+    sigmas : (N,)
+        Standard deviation of each reading [m]; zero where it is unknown. Larger residuals than
+        these explain scale them.
+    known : bool
+        Whether smaller residuals do not scale them.
+    """
     e = residuals(parameters, readings)
+    unit = np.where(sigmas > 0.0, sigmas, 1.0)
     free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
-    estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
-    sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
-    found = observability(parameters, part, terms, 0.0)
+    z = e[kept] / unit[kept]
+    estimated = float(np.sqrt((z @ z) / free))
+    typical = float(np.median(unit[kept]))
+    least = 1.0 if known and (sigmas > 0.0).all() else 0.0
+    scale = max(least, estimated, ROUNDING * float(readings.distance.max()) / typical)
+    found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
     steep = np.flatnonzero(np.isfinite(e))
     h = np.zeros(len(readings))
-    h[steep] = leverages(parameters, readings.subset(steep), terms, found)
-    t = standardized(e, h, kept, sigma)
+    h[steep] = leverages(parameters, readings.subset(steep), found)
+    t = standardized(e / unit, h, kept, scale)
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf
-    return parameters, sigma, t
+    return scale * typical, t
 
 
 def _unknowns(readings: Readings, terms: int) -> int:

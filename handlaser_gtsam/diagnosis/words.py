@@ -16,6 +16,10 @@ LEAK = 1e-6
 """A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
 
 
+MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
+MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
+
+
 @dataclass(frozen=True, slots=True)
 class Names:
     """Names of beams and planes, each with its index, in the order in which they are listed."""

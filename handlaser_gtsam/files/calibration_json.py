@@ -9,14 +9,15 @@ from ..arrays import FloatArray
 from ..calibration import Beam, Calibration, Plane
 from ..diagnosis.motion import MotionCheck
 from ..parameters import Parameters
+from ..propagation import spot
 from ..recording import Recording
 from .writing import write_text
 
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
 
 
-def calibration_text(calibration: Calibration) -> str:
-    """Return the calibration as JSON text.
+def calibration_text(calibration: Calibration, reading: float | None = None) -> str:
+    """Return the calibration as JSON text; laser spots at `reading` [m], or at the median.
 
     Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
     `covariance` are null: the numbers beside them are one of many solutions.
@@ -28,7 +29,7 @@ def calibration_text(calibration: Calibration) -> str:
         "status": calibration.status,
         "message": calibration.message,
         "warnings": list(calibration.warnings),
-        "beams": [_beam(beam) for beam in calibration.beams.values()],
+        "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         "planes": [_plane(plane) for plane in calibration.planes.values()],
         "fit": {
             "readings": fit.readings,
@@ -40,6 +41,11 @@ def calibration_text(calibration: Calibration) -> str:
             "sigma0": fit.sigma0,
             "range_sigma_m": fit.range_sigma,
             "range_sigma_given": fit.range_sigma_given,
+            "poses": fit.poses,
+            "noise_estimate": [
+                {"name": one.name, "sigma": one.sigma, "error": _finite(one.error)}
+                for one in calibration.noise_estimate
+            ],
             "rejected": [
                 {"station": r.station, "beam": r.beam, "reason": r.reason, "residual_m": r.residual}
                 for r in fit.rejected
@@ -54,6 +60,10 @@ def calibration_text(calibration: Calibration) -> str:
             "weakest": determined.weakest or None,
             "indices": None if determined.indices is None else asdict(determined.indices),
         },
+        "correlations": [
+            {"first": c.first, "second": c.second, "coefficient": c.coefficient, "advice": c.advice}
+            for c in calibration.correlations
+        ],
         "range_error_choice": calibration.range_error_choice,
         "start": {
             "method": calibration.start.method,
@@ -114,7 +124,7 @@ def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> No
     write_text(Path(path), _text(record))
 
 
-def _beam(beam: Beam) -> dict[str, Json]:
+def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> dict[str, Json]:
     location, k = beam.location_sigma, beam.range_error_sigma
     sigma: Json = None
     if location is not None and k is not None:
@@ -127,8 +137,44 @@ def _beam(beam: Beam) -> dict[str, Json]:
     covariance: Json = None
     if beam.covariance is not None:
         covariance = [_list(row) for row in beam.covariance]
+    evidence: Json = None
+    if beam.evidence is not None:
+        evidence = {
+            "bic": _list(beam.evidence.criterion),
+            "likelihood_ratio": _list(beam.evidence.likelihood_ratio),
+        }
     mount = _mount(beam.name, beam.location, beam.direction, beam.range_error)
-    return mount | {"range_error_terms": beam.terms, "sigma": sigma, "covariance": covariance}
+    return mount | {
+        "range_error_terms": beam.terms,
+        "range_error_evidence": evidence,
+        "sigma": sigma,
+        "interval_95": _intervals(calibration, beam.name),
+        "covariance": covariance,
+        "spot": _spot(calibration, beam.name, reading),
+    }
+
+
+def _intervals(calibration: Calibration, name: str) -> Json:
+    found = calibration.intervals(name)
+    if found is None:
+        return None
+    rows: list[Json] = [_list(row) for row in found]
+    return {"location_m": rows[:3], "direction": rows[3:6], "k1": rows[6], "k2_per_m": rows[7]}
+
+
+def _spot(calibration: Calibration, name: str, reading: float | None) -> Json:
+    if calibration.covariance is None:
+        return None
+    d = calibration.fit.median_reading if reading is None else reading
+    found = spot(calibration, name, d)
+    return {
+        "reading_m": d,
+        "position_m": _list(found.position),
+        "along_sigma_m": found.along,
+        "across_sigma_m": found.across,
+        "direction_sigma_rad": found.direction_sigma,
+        "reading_sigma_m": found.reading_sigma,
+    }
 
 
 def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> dict[str, Json]:

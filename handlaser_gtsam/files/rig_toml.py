@@ -1,6 +1,7 @@
 """Rig files: what is known about sensors and robot, in the units people use.
 
-    [noise]   range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg
+    [noise]   range_sigma_mm, incidence_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg,
+              or instead of the latter two pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units
     [sensor]  range_mm = [min, max], max_incidence_deg
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
 
@@ -12,8 +13,10 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from ..arrays import FloatArray
 from ..errors import InputError
 from ..limits import Limits
 from ..noise import Noise
@@ -27,8 +30,10 @@ class _Table(BaseModel):
 
 class _Noise(_Table):
     range_sigma_mm: float | None = None
+    incidence_sigma_mm: float | None = None
     pose_translation_sigma_mm: float | None = None
     pose_rotation_sigma_deg: float | None = None
+    pose_covariance: list[list[float]] | None = None
 
 
 class _Sensor(_Table):
@@ -94,6 +99,8 @@ def _to_si(rig: _Rig) -> Rig:
             _scaled(rig.noise.range_sigma_mm, mm),
             _scaled(rig.noise.pose_translation_sigma_mm, mm),
             _scaled(rig.noise.pose_rotation_sigma_deg, deg),
+            (rig.noise.incidence_sigma_mm or 0.0) * mm,
+            _matrix(rig.noise.pose_covariance),
         ),
         Sensor(span[0] * mm, span[1] * mm, math.radians(90.0 if incidence is None else incidence)),
         Limits(
@@ -104,6 +111,18 @@ def _to_si(rig: _Rig) -> Rig:
     )
 
 
+def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
+    """Return the rows as a 6 x 6 matrix."""
+    if rows is None:
+        return None
+    if [len(row) for row in rows] != [6] * 6:
+        raise InputError(
+            f"noise.pose_covariance of {len(rows)} rows of {sorted({len(row) for row in rows})}",
+            "6 rows of 6 numbers",
+        )
+    return np.array(rows)
+
+
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
     """Write the noise and the sensor's range; unknown values are left out."""
     lines = ["[noise]"]
@@ -111,9 +130,12 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
         ("range_sigma_mm", noise.range_sigma, 1e3),
         ("pose_translation_sigma_mm", noise.pose_translation_sigma, 1e3),
         ("pose_rotation_sigma_deg", noise.pose_rotation_sigma, 180.0 / math.pi),
+        ("incidence_sigma_mm", noise.incidence_sigma or None, 1e3),
     ):
         if value is not None:
             lines.append(f"{name} = {value * unit:.12g}")
+    if noise.pose_covariance is not None and noise.pose_covariance.ndim == 2:
+        lines.append(f"pose_covariance = {noise.pose_covariance.tolist()}")
     if math.isfinite(sensor.range_max):
         least, most = sensor.range_min * 1e3, sensor.range_max * 1e3
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]

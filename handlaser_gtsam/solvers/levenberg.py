@@ -82,7 +82,9 @@ class LevenbergResult:
     history : Trials
         Every trial step.
     residual : (N,)
-        Residuals [m] at `values`, in the order of the blocks.
+        Residuals [m] at `values`, in the order of the readings.
+    white : (N,)
+        The same whitened, in units of the problem's range sigma [m].
     """
 
     values: gtsam.Values
@@ -92,6 +94,7 @@ class LevenbergResult:
     iterations: int
     history: tuple[Trial, ...]
     residual: FloatArray
+    white: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,15 +144,23 @@ def levenberg_marquardt(
         point.cost,
         search.accepted,
         tuple(search.history),
-        point.at.residual,
+        _of_readings(problem, point.at.residual),
+        _of_readings(problem, point.at.white),
     )
 
 
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
     """Return the linear graph at `values`, all readings evaluated together."""
-    shared = SharedEvaluation(problem.blocks)
+    shared = SharedEvaluation(problem.blocks, problem.whitening)
     with shared.handed_out(shared.evaluate(values)):
         return problem.graph.linearize(values)
+
+
+def _of_readings(problem: CalibrationGraph, rows: FloatArray) -> FloatArray:
+    """Return rows of the blocks in the order of the readings."""
+    sorted_rows = np.empty_like(rows)
+    sorted_rows[problem.rows] = rows
+    return sorted_rows
 
 
 class _Search:
@@ -162,7 +173,7 @@ class _Search:
         progress: Callable[[Trial], None] | None,
     ) -> None:
         self.problem, self.options, self.progress = problem, options, progress
-        self.shared = SharedEvaluation(problem.blocks)
+        self.shared = SharedEvaluation(problem.blocks, problem.whitening)
         self.history: list[Trial] = []
         self.accepted = 0
         self.damping = options.least_damping
@@ -173,7 +184,7 @@ class _Search:
             options.step_tolerance,
             options.least_damping,
             rows * float(rounding) ** 2,
-            max(rows - problem.values.dim(), 1),
+            max(rows + 6 * len(problem.poses) - problem.values.dim(), 1),
         )
 
     def run(self) -> tuple[Status, str]:
@@ -201,7 +212,7 @@ class _Search:
         at = self.shared.evaluate(values)
         problem = self.problem
         if problem.graph.size() == len(problem.blocks):
-            loss = problem.loss.cost(at.residual / problem.range_sigma)
+            loss = problem.loss.cost(at.white / problem.range_sigma)
             return _Point(values, at, float(loss.sum()))
         with self.shared.handed_out(at):
             return _Point(values, at, problem.graph.error(values))

@@ -23,6 +23,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
+from ..weighting import Whitening
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,32 @@ def normal_equations(
         beam_blocks[..., width].reshape(copies, -1),
         plane_blocks[..., 3],
         centres.reshape(copies, planes, 3),
+    )
+
+
+def whitened_normal_equations(
+    parameters: Parameters, readings: Readings, terms: int, whitening: Whitening
+) -> NormalEquations:
+    """Return the normal equations of whitened readings; raises GrazingBeamError like the model."""
+    columns, centres = jacobian_columns(parameters, readings, terms)
+    width, blocks = 5 + terms, readings.beams
+    take, near = whitening.coefficients(), whitening.gathered(columns.T)
+    beam = (take[:, :, None] * near[:, :, :width]).reshape(len(readings), -1)
+    rest = np.einsum("nk,nkd->nd", take, near[:, :, width:])
+    plane, residual = rest[:, :3], rest[:, 3]
+    starts = np.searchsorted(readings.plane, np.arange(readings.planes))
+    border = np.empty((1, readings.planes, blocks * width, 3))
+    for column in range(3):
+        products = beam * plane[:, column, None]
+        border[0, :, :, column] = np.add.reduceat(products, starts)
+    squares = np.add.reduceat(plane[:, :, None] * plane[:, None, :], starts)
+    return NormalEquations(
+        (beam.T @ beam)[None],
+        border,
+        squares[None],
+        (beam.T @ residual)[None],
+        np.add.reduceat(plane * residual[:, None], starts)[None],
+        centres[None],
     )
 
 

@@ -8,6 +8,9 @@ beam starts at o = R r + t and runs along w = R v; the range to the plane is
 and, as in Wei and Hirzinger, a unit vector is two of its components: the one of largest magnitude at
 the start is replaced by +-sqrt(1 - the squares of the others). Derivatives are SciPy's differences.
 Covariances follow from Gauss-Markov, sigma^2 inv(J'J).
+
+Weights, where readings differ in them or share the errors of a pose, are held while SciPy runs and then
+taken anew at its solution. How a pose moves a range is found by moving the pose.
 """
 
 from dataclasses import dataclass
@@ -15,7 +18,8 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csr_array
+from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..parameters import Parameters
@@ -26,6 +30,11 @@ DENSE_UNKNOWNS = 200
 TOLERANCE = 1e-15
 INNER_TOLERANCE = 1e-10
 """Of the iterative solution of a sparse step; SciPy's own default stalls far from the optimum."""
+
+ROUNDS = 4
+"""Of new weights; each leaves about a thousandth of what the one before left."""
+POSE_STEP = 1e-6
+"""By which poses are moved [rad], [m]."""
 
 Differences = Literal["2-point", "3-point"]
 
@@ -38,11 +47,11 @@ class ReferenceSolution:
     ----------
     parameters : Parameters
     beam_covariances : (B, 8, 8)
-        Over (x, y, z, vx, vy, vz, k1, k2), for a range sigma of 1 m.
+        Over (x, y, z, vx, vy, vz, k1, k2), for a range sigma of 1 m or the noise given.
     plane_covariances : (P, 4, 4)
-        Over (nx, ny, nz, b), for a range sigma of 1 m.
+        Over (nx, ny, nz, b), likewise.
     squares : float
-        Sum of squared residuals [m^2].
+        Sum of squared residuals [m^2], or in units of the noise given.
     iterations : int
         Jacobian evaluations.
     message : str
@@ -92,6 +101,25 @@ class _UnitVectors:
         return D
 
 
+@dataclass(frozen=True, slots=True)
+class ReferenceNoise:
+    """What the readings err by, by beam and station of the recording.
+
+    Attributes
+    ----------
+    range_sigma : (B,)
+        [m]
+    incidence_sigma : float
+        [m]
+    pose : (M, 6, 6) or None
+        Covariance of the hand poses (rx, ry, rz, x, y, z), hand frame.
+    """
+
+    range_sigma: FloatArray
+    incidence_sigma: float = 0.0
+    pose: FloatArray | None = None
+
+
 class ReferenceProblem:
     """Residuals of a recording over the paper's parameters.
 
@@ -100,89 +128,128 @@ class ReferenceProblem:
     recording : Recording
     start : Parameters
         Also chooses which component of each unit vector follows from the others.
-    terms : int
-        Range-error terms of every beam.
+    terms : int, or one a beam
+        Range-error terms.
     """
 
-    def __init__(self, recording: Recording, start: Parameters, terms: int) -> None:
-        self.terms = terms
+    def __init__(
+        self, recording: Recording, start: Parameters, terms: int | tuple[int, ...]
+    ) -> None:
+        self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
+        self.terms = (terms,) * self.beams if isinstance(terms, int) else terms
         self.station, self.beam = np.nonzero(~np.isnan(recording.ranges))
         self.plane = recording.plane_of_station[self.station]
         self.d = recording.ranges[self.station, self.beam]
         self.R = recording.world_R_hand[self.station]
         self.t = recording.world_t_hand[self.station]
-        self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
         self.directions = _UnitVectors.of(start.directions)
         self.normals = _UnitVectors.of(start.normals)
-        beams = (start.locations, self.directions.pack(start.directions))
-        beam_part = np.hstack((*beams, start.range_errors[:, :terms]))
+        self.active = np.array([[True] * 5 + [n > 0, n > 1] for n in self.terms])
+        beam = (start.locations, self.directions.pack(start.directions), start.range_errors)
         plane_part = np.column_stack((self.normals.pack(start.normals), start.offsets))
-        self.x0 = np.concatenate((beam_part.ravel(), plane_part.ravel()))
+        self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel()))
+        self.split = int(self.active.sum())
+        self.whiten: csr_array | None = None
+
+    def _beams(self, x: FloatArray) -> FloatArray:
+        full = np.zeros((self.beams, 7))
+        full[self.active] = x[: self.split]
+        return full
 
     def unpack(self, x: FloatArray) -> Parameters:
         """Return the parameter vector as beams and planes."""
-        split = self.beams * (5 + self.terms)
-        beam, plane = x[:split].reshape(self.beams, -1), x[split:].reshape(self.planes, 3)
-        k = np.zeros((self.beams, 2))
-        k[:, : self.terms] = beam[:, 5:]
+        beam, plane = self._beams(x), x[self.split :].reshape(self.planes, 3)
         directions = self.directions.unpack(beam[:, 3:5])
         return Parameters(
-            beam[:, :3], directions, k, self.normals.unpack(plane[:, :2]), plane[:, 2]
+            beam[:, :3],
+            directions,
+            beam[:, 5:],
+            self.normals.unpack(plane[:, :2]),
+            plane[:, 2],
         )
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return predicted less corrected ranges [m] (N,)."""
-        split = self.beams * (5 + self.terms)
-        beam = x[:split].reshape(self.beams, -1)
-        plane = x[split:].reshape(self.planes, 3)[self.plane]
-        n = self.normals.unpack(x[split:].reshape(self.planes, 3)[:, :2])[self.plane]
+        """Return predicted less corrected ranges (N,): [m], or in sigmas once there are weights."""
+        beam = self._beams(x)[self.beam]
+        residual = self._ranges(x, self.R, self.t)[0] - self.d * (
+            1.0 + beam[:, 5] + beam[:, 6] * self.d
+        )
+        return residual if self.whiten is None else np.asarray(self.whiten @ residual)
+
+    def _ranges(self, x: FloatArray, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ranges [m] and cosines of incidence from given hand poses."""
+        beam = self._beams(x)
+        plane = x[self.split :].reshape(self.planes, 3)
+        n = self.normals.unpack(plane[:, :2])[self.plane]
         v = self.directions.unpack(beam[:, 3:5])[self.beam]
-        row = beam[self.beam]
-        origin = np.matmul(self.R, row[:, :3, None])[..., 0] + self.t
-        along = np.matmul(self.R, v[:, :, None])[..., 0]
-        s = -((n * origin).sum(axis=1) + plane[:, 2]) / (n * along).sum(axis=1)
-        true = self.d.copy()
-        for power in range(self.terms):
-            true += row[:, 5 + power] * self.d ** (power + 1)
-        residual: FloatArray = s - true
-        return residual
+        origin = np.matmul(R, beam[self.beam, :3, None])[..., 0] + t
+        cosine = (n * np.matmul(R, v[:, :, None])[..., 0]).sum(axis=1)
+        s: FloatArray = -((n * origin).sum(axis=1) + plane[self.plane, 2]) / cosine
+        return s, cosine
+
+    def weigh(self, x: FloatArray, noise: ReferenceNoise) -> None:
+        """Weigh the readings of each station together, at `x`."""
+        beam = self._beams(x)[self.beam]
+        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
+        tangent = np.sqrt(np.maximum(self._ranges(x, self.R, self.t)[1] ** -2 - 1.0, 0.0))
+        own = (slope * noise.range_sigma[self.beam]) ** 2 + (noise.incidence_sigma * tangent) ** 2
+        J = np.zeros((len(self.d), 6))
+        for axis in range(6 if noise.pose is not None else 0):
+            step = np.eye(6)[axis] * POSE_STEP
+            sides = []
+            for sign in (1.0, -1.0):
+                turn = Rotation.from_rotvec(sign * step[:3]).as_matrix()
+                moved = self.t + sign * np.matmul(self.R, step[3:])
+                sides.append(self._ranges(x, self.R @ turn, moved)[0])
+            J[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
+        blocks, order = [], []
+        for station in np.unique(self.station):
+            rows = np.flatnonzero(self.station == station)
+            C = np.diag(own[rows])
+            if noise.pose is not None:
+                C += J[rows] @ noise.pose[station] @ J[rows].T
+            blocks.append(np.linalg.inv(np.linalg.cholesky(C)))
+            order.append(rows)
+        at = np.concatenate(order)
+        inverse = np.argsort(at)
+        self.whiten = csr_array(block_diag(blocks, format="csr")[:, inverse])
 
     def sparsity(self) -> csr_array:
         """Return which unknowns each residual depends on."""
-        width = 5 + self.terms
-        first_plane = self.beams * width
-        columns = np.hstack(
-            (
-                self.beam[:, None] * width + np.arange(width),
-                first_plane + self.plane[:, None] * 3 + np.arange(3),
-            )
-        )
+        number = np.full((self.beams, 7), -1)
+        number[self.active] = np.arange(self.split)
+        own = number[self.beam]
+        columns = np.hstack((own, self.split + self.plane[:, None] * 3 + np.arange(3)))
         rows = np.repeat(np.arange(len(self.d)), columns.shape[1])
+        seen = columns.ravel() >= 0
         shape = (len(self.d), len(self.x0))
-        return csr_array((np.ones(rows.size), (rows, columns.ravel())), shape=shape)
+        depends = csr_array((np.ones(seen.sum()), (rows[seen], columns.ravel()[seen])), shape=shape)
+        return depends if self.whiten is None else csr_array(abs(self.whiten) @ depends)
 
     def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray]:
-        """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4) for sigma = 1 m."""
+        """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4).
+
+        For a sigma of 1 m, or of the weights where there are any.
+        """
         J = np.asarray(solution.jac @ np.eye(len(solution.x)))  # sparse or not
         scale = np.linalg.norm(J, axis=0)
         inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True, rcond=1e-15)
         inverse /= np.outer(scale, scale)
-        found, width = self.unpack(solution.x), 5 + self.terms
+        found = self.unpack(solution.x)
         beams, planes = np.zeros((self.beams, 8, 8)), np.zeros((self.planes, 4, 4))
-        Dv, Dn = (
-            self.directions.derivative(found.directions),
-            self.normals.derivative(found.normals),
-        )
+        Dv = self.directions.derivative(found.directions)
+        Dn = self.normals.derivative(found.normals)
+        first = np.cumsum([0, *self.active.sum(axis=1)])
         for i in range(self.beams):
-            lift = np.zeros((8, width))
-            lift[:3, :3], lift[3:6, 3:5] = np.eye(3), Dv[i]
-            lift[6 : 6 + self.terms, 5:] = np.eye(self.terms)
-            own = slice(i * width, (i + 1) * width)
+            lift = np.zeros((8, 7))
+            lift[:3, :3], lift[3:6, 3:5], lift[6:, 5:] = np.eye(3), Dv[i], np.eye(2)
+            lift = lift[:, self.active[i]]
+            own = slice(first[i], first[i + 1])
             beams[i] = lift @ inverse[own, own] @ lift.T
         for p in range(self.planes):
             lift = np.zeros((4, 3))
             lift[:3, :2], lift[3, 2] = Dn[p], 1.0
-            own = slice(self.beams * width + 3 * p, self.beams * width + 3 * p + 3)
+            own = slice(self.split + 3 * p, self.split + 3 * p + 3)
             planes[p] = lift @ inverse[own, own] @ lift.T
         return beams, planes
 
@@ -205,18 +272,32 @@ def minimize(problem: ReferenceProblem, differences: Differences = "2-point") ->
 
 
 def solve_reference(
-    recording: Recording, start: Parameters, terms: int, differences: Differences = "3-point"
+    recording: Recording,
+    start: Parameters,
+    terms: int | tuple[int, ...],
+    differences: Differences = "3-point",
+    noise: ReferenceNoise | None = None,
 ) -> ReferenceSolution:
     """Solve `recording` from `start` with `terms` range-error terms, and its covariances.
 
     Central differences cost twice as much as forward ones and agree with exact derivatives to a
-    millionth of a standard deviation and better.
+    millionth of a standard deviation and better. With `noise`, covariances and squares are in its
+    units, without it for a range sigma of 1 m.
     """
     problem = ReferenceProblem(recording, start, terms)
     solution = minimize(problem, differences)
+    for _ in range(ROUNDS if noise is not None else 0):
+        if noise is not None:
+            problem.weigh(solution.x, noise)
+        problem.x0 = solution.x
+        solution = minimize(problem, differences)
     beams, planes = problem.covariances(solution)
+    J = np.asarray(solution.jac @ np.eye(len(solution.x)))
+    scale = np.linalg.norm(J, axis=0)
+    # SciPy stops where the cost shows no change: a last Gauss-Newton step goes beyond its digits.
+    last = np.linalg.lstsq(J / scale, solution.fun, rcond=1e-12)[0] / scale
     return ReferenceSolution(
-        problem.unpack(solution.x),
+        problem.unpack(solution.x - last),
         beams,
         planes,
         2.0 * float(solution.cost),

@@ -55,8 +55,8 @@ class Start:
     parameters : Parameters
         With range errors where there were enough readings to refine them.
     method : str
-        How it was found: `translations`, `sweep` (of normals), `directions`, or `least norm` where
-        nothing else applies.
+        How it was found: `translations`, `translations with range error`, `lifted`, `sweep` (of
+        normals), `directions`, `random`, or `least norm` where nothing else applies.
     tried : tuples (method, rms [m])
         Every method that applied, with the lowest rms residual it reached; the lowest first.
     fits : bool
@@ -175,6 +175,8 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
     starts = [grow(partial, readings) for _, partial in seeds]
     if len(starts) == 1:
         one = refine_many(starts, readings, terms, CLOSED_STEPS)[0]
+        if one is not None and not plausible_range_errors(one.parameters, readings):
+            one = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
         return [] if one is None else [Candidate(seeds[0][0], one.parameters, one.squares)]
     first = refine_many(starts, readings, 0, FIRST_STEPS)
     usable = [i for i, one in enumerate(first) if one is not None]

@@ -1,0 +1,56 @@
+"""Which unknowns of the beams the recording cannot tell apart, and which motion would."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..joint import BEAM_COORDINATES, JointCovariance
+
+STRONG = 0.95
+"""Correlations above this are worth a word."""
+NAMES = ("location x", "location y", "location z", "direction x", "direction y", "direction z")
+LABELS = dict(zip(BEAM_COORDINATES, (*NAMES, "k1", "k2"), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """Two unknowns and their correlation coefficient, each as "beam NAME QUANTITY"."""
+
+    first: str
+    second: str
+    coefficient: float
+
+    @property
+    def advice(self) -> str:
+        """What would tell the two apart."""
+        both = self.first + " " + self.second
+        if " k1" in both or " k2" in both:
+            return "measure over a wider span of ranges, or estimate fewer range-error terms"
+        if self.first.split(" ")[1] != self.second.split(" ")[1]:
+            return "add planes with other normals"
+        return "turn the hand further, and vary the range"
+
+
+def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[Correlation, ...]:
+    """Return the pairs of beam unknowns whose correlation exceeds `limit`, strongest first.
+
+    Of the three components of a direction, the largest follows from the others and is left out.
+    """
+    S = joint.matrix(planes=[])
+    labels = joint.labels(planes=[])
+    variance = np.diagonal(S)
+    keep = variance > 0.0
+    for beam, basis in enumerate(joint.beam_bases):
+        # The component along which the tangent plane reaches least belongs to the largest one.
+        keep[8 * beam + 3 + int(np.linalg.norm(basis, axis=1).argmin())] = False
+    rows = np.flatnonzero(keep)
+    sigma = np.sqrt(variance[rows])
+    C = S[np.ix_(rows, rows)] / np.outer(sigma, sigma)
+    first, second = np.triu_indices(len(rows), 1)
+    strong = np.flatnonzero(np.abs(C[first, second]) > limit)
+    strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]
+    names = [f"{labels[row][0]} {LABELS[labels[row][1]]}" for row in rows]
+    return tuple(
+        Correlation(names[first[i]], names[second[i]], float(C[first[i], second[i]]))
+        for i in strong
+    )

@@ -1,0 +1,54 @@
+"""Files that would give a wrong calibration are refused or flagged, and the reason is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.diagnosis.motion import check_motion
+from handlaser_gtsam.scenes import Layout
+
+SIGMA = 3e-5
+NONE = hl.CalibrationOptions("none")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulated("paper", Layout(3, 4, 11))[0]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_beam_in_another_unit_is_named(told, recording):
+    """Most of its readings would be left out, and the rest fitted by chance."""
+    ranges = recording.ranges.copy()
+    ranges[:, 1] *= 10.0
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA if told else None), NONE)
+    assert found.status != "converged"
+    if told:
+        assert "readings of beam 2 contradict the others" in found.message
+
+
+def test_a_sigma_that_is_ten_times_too_small_is_no_calibration(recording):
+    found = hl.calibrate(recording, hl.Noise(SIGMA / 20.0), NONE)
+    assert found.status == "not_converged"
+    assert "times as large as the sigmas say" in found.message
+    assert all(beam.covariance is None for beam in found.beams.values())
+
+
+def test_millimetres_taken_for_metres_are_asked_about(recording):
+    moved = replace(
+        recording, world_t_hand=1e3 * recording.world_t_hand, ranges=1e3 * recording.ranges
+    )
+    found = hl.calibrate(moved, options=NONE)
+    assert any("from the hand's origin; are positions in millimetres" in w for w in found.warnings)
+    assert not any("millimetres" in w for w in hl.calibrate(recording, options=NONE).warnings)
+
+
+def test_a_hand_that_only_turns_leaves_its_mirror_image_open(recording):
+    turning = replace(recording, world_t_hand=np.zeros_like(recording.world_t_hand))
+    found = check_motion(turning)
+    assert "mirror image" in found.undetermined[0]
+    assert "move the hand" in found.advice[0]
+    assert check_motion(recording).undetermined == ()
