@@ -4,6 +4,8 @@
 Hirzinger, who do not publish their stations). For every plane the hand makes pure translations at a
 first orientation, a translation at each of two further ones, and turns freely for the rest.
 
+`unplanned`: the same, but every station has an orientation of its own.
+
 `arm`: time-of-flight beams on an arm before large planes, ranges 0.15 to 0.45 m, every station
 with an orientation of its own: no pure translations at all.
 """
@@ -73,18 +75,25 @@ def paper(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Station
     return _scene(layout, _PAPER, _designed_turns, rng)
 
 
+def unplanned(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
+    """Return the beams and planes of the paper's simulation before stations that nobody planned."""
+    return _scene(layout, _PAPER, _free_turns, rng)
+
+
 def arm(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
     """Return a scene of time-of-flight sensors on an arm in any motion."""
     return _scene(layout, _ARM, _free_turns, rng)
 
 
-SCENES: dict[str, Scene] = {"paper": paper, "arm": arm}
+SCENES: dict[str, Scene] = {"paper": paper, "unplanned": unplanned, "arm": arm}
+_PAPER_ERRORS = Errors(3e-5, 5e-5, math.radians(0.03), (1,))
 ERRORS = {
-    "paper": Errors(3e-5, 5e-5, math.radians(0.03), (1,)),
+    "paper": _PAPER_ERRORS,
+    "unplanned": _PAPER_ERRORS,
     "arm": Errors(1e-3, 1e-4, math.radians(0.02), (0, 1, 2)),
 }
 """What each scene errs by where nothing else is said; the first as in the paper."""
-SENSORS = {"paper": Sensor(0.0, 0.030), "arm": Sensor(0.05, 0.60)}
+SENSORS = {"paper": Sensor(0.0, 0.030), "unplanned": Sensor(0.0, 0.030), "arm": Sensor(0.05, 0.60)}
 
 
 def _scene(

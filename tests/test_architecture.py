@@ -27,7 +27,9 @@ FLOORS = [
     {"selection"},
     {"fit"},
     {"assemble"},
-    {"pipeline", "limits", "diagnosis.cross_check", "propagation"},
+    {"pipeline", "limits", "diagnosis.cross_check", "propagation", "mounts"},
+    {"diagnosis.hold_out"},
+    {"diagnosis.validation"},
     {"files"},
     {"cli"},
 ]

@@ -11,6 +11,7 @@ from ..errors import HandlaserError, InputError
 from .calibrate import calibrate
 from .check import check
 from .simulate import simulate
+from .validate import validate
 
 BAD_INPUT, UNDETERMINED, INTERRUPTED = 2, 3, 130
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 app.command()(calibrate)
 app.command()(check)
 app.command()(simulate)
+app.command()(validate)
 
 
 def _print_version(wanted: bool) -> None:

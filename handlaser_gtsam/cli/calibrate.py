@@ -1,8 +1,6 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
-import math
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +11,6 @@ from .choices import LossChoice, OutliersChoice, PosesChoice, RangeErrorChoice
 if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..diagnosis.cross_check import CrossCheck
-    from ..files.rig_toml import Rig
     from ..recording import Recording
 
 UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
@@ -107,6 +104,7 @@ def calibrate(
     from ..files.writing import write_text
     from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
+    from .settings import settings_of
 
     for source in (recording, rig):
         if out is not None and source is not None and out.resolve() == source.resolve():
@@ -117,7 +115,7 @@ def calibrate(
         pose_rotation_sigma_deg,
         incidence_sigma_mm,
     )
-    settings = _settings(rig, numbers, range_mm, max_incidence_deg)
+    settings = settings_of(rig, numbers, range_mm, max_incidence_deg)
     table = read_recording(recording)
     options = CalibrationOptions(
         range_error.value,
@@ -142,35 +140,6 @@ def calibrate(
     elif not quiet:
         _show(result, table, check, out, reading)
     _finish(result, too_much, check, aloud=json_ or quiet)
-
-
-def _settings(
-    rig: Path | None,
-    sigmas: tuple[float | None, float | None, float | None, float | None],
-    range_mm: tuple[float, float] | None,
-    max_incidence_deg: float | None,
-) -> "Rig":
-    """Return the rig file with what the command line says instead; `sigmas` in mm, mm, deg and mm."""
-    from ..files.rig_toml import Rig, read_rig
-
-    known = Rig() if rig is None else read_rig(rig)
-    noise, sensor = known.noise, known.sensor
-    range_sigma, translation, rotation, incidence = sigmas
-    if translation is not None or rotation is not None:
-        noise = replace(noise, pose_covariance=None)
-    if incidence is not None:
-        noise = replace(noise, incidence_sigma=incidence * MM)
-    if range_sigma is not None:
-        noise = replace(noise, range_sigma=range_sigma * MM)
-    if translation is not None:
-        noise = replace(noise, pose_translation_sigma=translation * MM)
-    if rotation is not None:
-        noise = replace(noise, pose_rotation_sigma=math.radians(rotation))
-    if range_mm is not None:
-        sensor = replace(sensor, range_min=range_mm[0] * MM, range_max=range_mm[1] * MM)
-    if max_incidence_deg is not None:
-        sensor = replace(sensor, max_incidence=math.radians(max_incidence_deg))
-    return replace(known, noise=noise, sensor=sensor)
 
 
 def _show(

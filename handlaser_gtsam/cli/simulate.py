@@ -17,6 +17,7 @@ class SceneName(StrEnum):
     """Values of --scene."""
 
     paper = "paper"
+    unplanned = "unplanned"
     arm = "arm"
 
 
@@ -32,7 +33,8 @@ class PoseAxes(StrEnum):
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
     scene: Annotated[
-        SceneName, typer.Option(help="paper: ranges to 30 mm; arm: to 0.6 m, any motion.")
+        SceneName,
+        typer.Option(help="paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m."),
     ] = SceneName.paper,
     beams: Annotated[int, typer.Option(min=1)] = 4,
     planes: Annotated[int, typer.Option(min=1)] = 4,

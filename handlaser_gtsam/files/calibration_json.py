@@ -30,6 +30,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         "message": calibration.message,
         "warnings": list(calibration.warnings),
         "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
+        "beam_covariance": _beam_covariance(calibration),
         "planes": [_plane(plane) for plane in calibration.planes.values()],
         "fit": {
             "readings": fit.readings,
@@ -152,6 +153,13 @@ def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> dict[s
         "covariance": covariance,
         "spot": _spot(calibration, beam.name, reading),
     }
+
+
+def _beam_covariance(calibration: Calibration) -> Json:
+    """Return the covariance of all beams together, 8 rows a beam; null where it is not known."""
+    if calibration.covariance is None:
+        return None
+    return [_list(row) for row in calibration.covariance.matrix(planes=[])]
 
 
 def _intervals(calibration: Calibration, name: str) -> Json:

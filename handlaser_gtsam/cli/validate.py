@@ -1,0 +1,152 @@
+"""handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .choices import PosesChoice, RangeErrorChoice
+
+if TYPE_CHECKING:
+    from ..diagnosis.hold_out import HoldOut
+    from ..diagnosis.validation import Validation
+    from ..files.rig_toml import Rig
+    from ..options import CalibrationOptions
+    from ..recording import Recording
+
+MOVED = 4
+UNLIKELY = 1e-3
+"""A p-value below this means that the calibration does not hold."""
+
+
+def validate(
+    recording: Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)],
+    rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise and sensor.")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Test this old calibration, JSON, on RECORDING: does it still hold?"),
+    ] = None,
+    hold_out: Annotated[
+        Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
+    ] = None,
+    range_error: Annotated[
+        RangeErrorChoice, typer.Option(help="Range-error terms.")
+    ] = RangeErrorChoice.auto,
+    poses: Annotated[
+        PosesChoice, typer.Option(help="How errors of the hand poses count.")
+    ] = PosesChoice.auto,
+    range_sigma_mm: Annotated[
+        float | None, typer.Option(help="Standard deviation of a reading, mm.")
+    ] = None,
+    pose_translation_sigma_mm: Annotated[
+        float | None, typer.Option(help="Sigma of the hand position an axis, mm.")
+    ] = None,
+    pose_rotation_sigma_deg: Annotated[
+        float | None, typer.Option(help="Sigma of the hand rotation about each axis, deg.")
+    ] = None,
+    splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+    ] = False,
+) -> None:
+    """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
+
+    Exit codes: 0 good; 2 bad input; 3 no calibration; 4 the calibration does not hold (p below 0.001).
+    """
+    from ..errors import InputError
+    from ..files.recording_csv import read_recording
+    from ..options import CalibrationOptions
+    from .settings import settings_of
+
+    if calibration is not None and hold_out is not None:
+        raise InputError("--calibration and --hold-out", "one of the two")
+    numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg, None)
+    settings = settings_of(rig, numbers)
+    options = CalibrationOptions(range_error.value, poses=poses.value, sensor=settings.sensor)
+    table = read_recording(recording)
+    if calibration is None and hold_out is None:
+        _validate(table, settings, options, (splits, seed), json_)
+        return
+    _test(table, settings, options, (calibration, hold_out), json_)
+
+
+def _validate(
+    recording: "Recording",
+    settings: "Rig",
+    options: "CalibrationOptions",
+    splits: tuple[int, int],
+    json_: bool,
+) -> None:
+    import numpy as np
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from ..diagnosis.validation import validate as run
+    from ..files.validation_json import validation_text
+
+    planes = len(recording.plane_names)
+    total = 2 + splits[0] + (planes if planes > 1 else 0)
+    with Progress(console=Console(stderr=True), transient=True, disable=json_) as bar:
+        task = bar.add_task("calibrating", total=total)
+        result = run(
+            recording,
+            settings.noise,
+            options,
+            splits=splits[0],
+            rng=np.random.default_rng(splits[1]),
+            step=lambda name: bar.update(task, description=name, advance=1),
+        )
+    if json_:
+        sys.stdout.write(validation_text(result))
+    else:
+        _show(result)
+
+
+def _show(result: "Validation") -> None:
+    from .validation_tables import validation_lines
+
+    for line in validation_lines(result):
+        print(line)
+
+
+def _test(
+    recording: "Recording",
+    settings: "Rig",
+    options: "CalibrationOptions",
+    files: tuple[Path | None, Path | None],
+    json_: bool,
+) -> None:
+    """Test an old calibration on `recording`, or its own calibration on another one."""
+    from ..diagnosis.hold_out import hold_out
+    from ..files.mounts_json import read_mounts
+    from ..files.recording_csv import read_recording
+    from ..files.validation_json import hold_out_text
+    from ..mounts import Mounts
+    from ..pipeline import calibrate
+    from .validation_tables import hold_out_lines
+
+    old, other = files
+    if old is not None:
+        mounts, tested = read_mounts(old), recording
+    else:
+        found = calibrate(recording, settings.noise, options)
+        if found.status != "converged":
+            print(f"handlaser: {found.message}", file=sys.stderr)
+            raise typer.Exit(3)
+        mounts, tested = Mounts.of(found), read_recording(other or Path())
+    result: HoldOut = hold_out(mounts, tested, settings.noise)
+    if json_:
+        sys.stdout.write(hold_out_text(result))
+    else:
+        for line in hold_out_lines(result):
+            print(line)
+    if result.p_value < UNLIKELY:
+        moved = [beam.name for beam in result.beams if beam.p_value < UNLIKELY]
+        print(
+            f"handlaser: the calibration does not hold (p {result.p_value:.1e}); moved alone would "
+            f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again",
+            file=sys.stderr,
+        )
+        raise typer.Exit(MOVED)

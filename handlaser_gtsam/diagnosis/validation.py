@@ -1,0 +1,285 @@
+"""How well a calibration predicts readings that it has not seen.
+
+Every reading that was left out as an outlier of the whole recording stays out. Predictions carry their
+own standard deviation, from the reading, the pose, and the beams and planes behind it.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray
+from ..calibration import Calibration
+from ..errors import InputError
+from ..mounts import Mounts
+from ..noise import Noise
+from ..options import CalibrationOptions
+from ..parameters import Parameters
+from ..pipeline import calibrate
+from ..recording import Recording
+from ..weighting import Variances, reading_sigmas
+from .hold_out import HoldOut, hold_out
+
+TRAINING = 0.7
+"""Part of the stations of every plane that a split calibrates with."""
+LEAST_SPREAD = 1e-6
+"""Spots nearer to a line than this part of their extent span no plane."""
+
+Step = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Errors of predicted ranges.
+
+    Attributes
+    ----------
+    tests : int
+    rms, largest : float
+        [m]
+    standardized : float
+        Root mean square in units of the predictions' own standard deviations: near 1 if these are
+        right; NaN where they are not known.
+    """
+
+    tests: int
+    rms: float
+    largest: float
+    standardized: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneLeftOut:
+    """A calibration without one plane, and how its beams fit that plane; None where it failed."""
+
+    plane: str
+    result: HoldOut | None
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """What a recording says about its own calibration.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        From everything.
+    planes : tuple of PlaneLeftOut
+        Empty where there is one plane only.
+    splits : tuple of Prediction
+        30 % of the stations of every plane, predicted from the others.
+    reconstruction, without_range_error : Prediction or None
+        The plane reconstructed from all beams at one station predicts the ranges at the others
+        (section 3.2 of Wei and Hirzinger), with the range errors chosen and with none; None where no
+        station has three beams that span a plane.
+    """
+
+    calibration: Calibration
+    planes: tuple[PlaneLeftOut, ...]
+    splits: tuple[Prediction, ...]
+    reconstruction: Prediction | None
+    without_range_error: Prediction | None
+
+
+def validate(
+    recording: Recording,
+    noise: Noise | None = None,
+    options: CalibrationOptions | None = None,
+    *,
+    splits: int = 5,
+    rng: np.random.Generator | None = None,
+    step: Step | None = None,
+) -> Validation:
+    """Validate the calibration of a recording by leaving parts of it out.
+
+    Parameters
+    ----------
+    recording : Recording
+    noise : Noise, optional
+    options : CalibrationOptions, optional
+    splits : int
+        Random 70/30 splits.
+    rng : numpy.random.Generator, optional
+        Chooses the splits; the same ones each time where not given.
+    step : callable, optional
+        Told the name of every calibration before it is made.
+
+    Raises
+    ------
+    InputError
+        The whole recording gives no calibration.
+    """
+    noise, options = noise or Noise(), options or CalibrationOptions()
+    step = step or (lambda _: None)
+    step("everything")
+    whole = calibrate(recording, noise, options)
+    if whole.status != "converged":
+        raise InputError(f"no calibration to validate ({whole.message})", "one that converges")
+    kept = replace(
+        recording, ranges=np.where(np.isnan(whole.fit.residuals), np.nan, recording.ranges)
+    )
+    keep = replace(options, outliers="keep")
+    planes = []
+    for plane in recording.plane_names if len(recording.plane_names) > 1 else ():
+        step(f"without plane {plane}")
+        planes.append(_without(kept, plane, noise, keep))
+    predictions = []
+    rng = rng or np.random.default_rng(0)
+    for number in range(splits):
+        step(f"split {number + 1}")
+        one = _split(kept, noise, keep, rng)
+        predictions += [one] if one is not None else []
+    step("without range error")
+    bare = calibrate(kept, noise, replace(keep, range_error="none"))
+    return Validation(
+        whole,
+        tuple(planes),
+        tuple(predictions),
+        reconstruction(whole, kept),
+        reconstruction(bare, kept),
+    )
+
+
+def _without(
+    recording: Recording, plane: str, noise: Noise, options: CalibrationOptions
+) -> PlaneLeftOut:
+    mine = np.array([label == plane for label in recording.plane_labels])
+    try:
+        rest, seen = _part(recording, noise, ~mine)
+        found = calibrate(rest, seen, options)
+        if found.status != "converged":
+            return PlaneLeftOut(plane, None, found.message)
+        own, seen = _part(recording, noise, mine)
+        return PlaneLeftOut(plane, hold_out(Mounts.of(found), own, seen), "")
+    except InputError as error:
+        return PlaneLeftOut(plane, None, str(error))
+
+
+def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
+    """Return some stations, with their beams that read anything, and their noise."""
+    rows = np.flatnonzero(stations & ~np.isnan(recording.ranges).all(axis=1))
+    if not rows.size:
+        raise InputError("no readings in this part", "at least one")
+    beams = np.flatnonzero(~np.isnan(recording.ranges[rows]).all(axis=0))
+    part = Recording(
+        recording.world_R_hand[rows],
+        recording.world_t_hand[rows],
+        recording.ranges[np.ix_(rows, beams)],
+        tuple(recording.plane_labels[j] for j in rows),
+        tuple(recording.beam_names[i] for i in beams),
+        tuple(recording.station_names[j] for j in rows),
+    )
+    S = noise.pose_covariance
+    return part, noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
+
+
+def _split(
+    recording: Recording, noise: Noise, options: CalibrationOptions, rng: np.random.Generator
+) -> Prediction | None:
+    """Return how the rest of the stations of every plane is predicted; None without a calibration."""
+    training = np.zeros(len(recording.plane_labels), dtype=bool)
+    for plane in range(len(recording.plane_names)):
+        rows = np.flatnonzero(recording.plane_of_station == plane)
+        training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
+    try:
+        part, seen = _part(recording, noise, training)
+        found = calibrate(part, seen, options)
+        test, seen = _part(recording, noise, ~training)
+    except InputError:
+        return None
+    same = set(test.plane_names) <= set(found.planes) and set(test.beam_names) <= set(found.beams)
+    return predict(found, test, seen) if found.status == "converged" and same else None
+
+
+def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
+    """Return the errors with which a calibration predicts another recording of its planes and beams.
+
+    Raises
+    ------
+    InputError
+        The calibration has no covariance.
+    """
+    joint = calibration.covariance
+    if joint is None:
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    readings = recording.readings()
+    beams = [calibration.beams[name] for name in recording.beam_names]
+    planes = [calibration.planes[name] for name in recording.plane_names]
+    at = Parameters(
+        np.array([beam.location for beam in beams]),
+        np.array([beam.direction for beam in beams]),
+        np.array([beam.range_error for beam in beams]),
+        np.array([plane.normal for plane in planes]),
+        np.array([plane.offset for plane in planes]),
+    )
+    x = model.scene(at, readings)
+    lin = model.linearize(x, readings.distance)
+    J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
+    S = joint.matrix(recording.beam_names, recording.plane_names)
+    first = 8 * len(beams)
+    columns = np.hstack(
+        (
+            8 * readings.beam[:, None] + np.arange(8),
+            first + 4 * readings.plane[:, None] + np.arange(4),
+        )
+    )
+    own = S[columns[:, :, None], columns[:, None, :]]
+    variance = np.einsum("ni,nij,nj->n", J, own, J)
+    ranges = np.full(len(beams), calibration.fit.range_sigma)
+    pose = noise.pose_covariances(len(recording.plane_labels)) if noise.poses_uncertain else None
+    if calibration.fit.poses == "exact":
+        pose = None
+    sigmas = reading_sigmas(at, readings, Variances(ranges, noise.incidence_sigma, pose))
+    return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
+
+
+def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
+    """Predict all stations of a plane from the plane that the beams span at each one of them."""
+    errors = [
+        one
+        for p in range(len(recording.plane_names))
+        for one in _of_plane(calibration, recording, p)
+    ]
+    if not errors:
+        return None
+    e = np.concatenate(errors)
+    return _prediction(e, np.full(len(e), np.nan))
+
+
+def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Iterator[FloatArray]:
+    """Yield the errors of the other stations, from each station where three beams span the plane."""
+    rows = np.flatnonzero(recording.plane_of_station == plane)
+    beams = [calibration.beams[name] for name in recording.beam_names]
+    r, v = (np.array([getattr(b, name) for b in beams]) for name in ("location", "direction"))
+    k = np.array([b.range_error for b in beams])
+    d = recording.ranges[rows]
+    g = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
+    spots = np.einsum("mij,mbj->mbi", R, r + g[:, :, None] * v) + t[:, None, :]
+    read = ~np.isnan(d)
+    for station in range(len(rows)):
+        X = spots[station, read[station]]
+        if len(X) < 3:
+            continue
+        middle = X.mean(axis=0)
+        _, size, axes = np.linalg.svd(X - middle)
+        if size[1] <= LEAST_SPREAD * size[0]:
+            continue
+        n = axes[2]
+        others = read & (np.arange(len(rows)) != station)[:, None]
+        m, b = np.nonzero(others)
+        n_hand = np.einsum("mji,j->mi", R[m], n)
+        height = np.einsum("mi,mi->m", n_hand, r[b]) + (t[m] - middle) @ n
+        yield -height / np.einsum("mi,mi->m", n_hand, v[b]) - g[m, b]
+
+
+def _prediction(e: FloatArray, sigmas: FloatArray) -> Prediction:
+    return Prediction(
+        len(e),
+        float(np.sqrt(np.mean(e**2))),
+        float(np.abs(e).max()),
+        float(np.sqrt(np.mean((e / sigmas) ** 2))),
+    )
