@@ -1,4 +1,4 @@
-"""Do the standard deviations tell the truth when the robot errs? Monte Carlo over the paper's scene.
+"""Whether standard deviations tell the truth when the robot errs: Monte Carlo over the paper's scene.
 
     python -m benchmarks.uncertainty [--runs N] [--jobs J] [--scene paper|unplanned]
 

@@ -12,29 +12,40 @@ from ._version import __version__
 if TYPE_CHECKING:
     from . import factors, model, scenes, simulate, starts
     from .calibration import Beam, Calibration, Fit, Plane
+    from .diagnosis.bootstrap import Bootstrap, bootstrap
     from .diagnosis.cross_check import CrossCheck, cross_check
+    from .diagnosis.hold_out import HoldOut, hold_out
+    from .diagnosis.validation import Validation, validate
     from .errors import GrazingBeamError, HandlaserError, InputError, SolverError
     from .files.calibration_json import write_calibration
+    from .files.mounts_json import read_mounts
     from .files.recording_csv import read_recording, write_recording
     from .files.rig_toml import Rig, read_rig
+    from .joint import JointCovariance
     from .keys import BeamKeys
+    from .mounts import Mounts
     from .noise import Noise
     from .options import CalibrationOptions
     from .parameters import Parameters
     from .pipeline import calibrate
+    from .propagation import measured_plane, spot
     from .recording import Readings, Recording
     from .sensor import Sensor
 
 __all__ = [
     "Beam",
     "BeamKeys",
+    "Bootstrap",
     "Calibration",
     "CalibrationOptions",
     "CrossCheck",
     "Fit",
     "GrazingBeamError",
     "HandlaserError",
+    "HoldOut",
     "InputError",
+    "JointCovariance",
+    "Mounts",
     "Noise",
     "Parameters",
     "Plane",
@@ -43,16 +54,23 @@ __all__ = [
     "Rig",
     "Sensor",
     "SolverError",
+    "Validation",
     "__version__",
+    "bootstrap",
     "calibrate",
     "cross_check",
     "factors",
+    "hold_out",
+    "measured_plane",
     "model",
+    "read_mounts",
     "read_recording",
     "read_rig",
     "scenes",
     "simulate",
+    "spot",
     "starts",
+    "validate",
     "write_calibration",
     "write_recording",
 ]
@@ -60,13 +78,17 @@ __all__ = [
 _HOME = {
     "Beam": "calibration",
     "BeamKeys": "keys",
+    "Bootstrap": "diagnosis.bootstrap",
     "Calibration": "calibration",
     "CalibrationOptions": "options",
     "CrossCheck": "diagnosis.cross_check",
     "Fit": "calibration",
     "GrazingBeamError": "errors",
     "HandlaserError": "errors",
+    "HoldOut": "diagnosis.hold_out",
     "InputError": "errors",
+    "JointCovariance": "joint",
+    "Mounts": "mounts",
     "Noise": "noise",
     "Parameters": "parameters",
     "Plane": "calibration",
@@ -75,10 +97,17 @@ _HOME = {
     "Rig": "files.rig_toml",
     "Sensor": "sensor",
     "SolverError": "errors",
+    "Validation": "diagnosis.validation",
+    "bootstrap": "diagnosis.bootstrap",
     "calibrate": "pipeline",
     "cross_check": "diagnosis.cross_check",
+    "hold_out": "diagnosis.hold_out",
+    "measured_plane": "propagation",
+    "read_mounts": "files.mounts_json",
     "read_recording": "files.recording_csv",
     "read_rig": "files.rig_toml",
+    "spot": "propagation",
+    "validate": "diagnosis.validation",
     "write_calibration": "files.calibration_json",
     "write_recording": "files.recording_csv",
 }

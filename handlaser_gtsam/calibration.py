@@ -161,7 +161,7 @@ class Fit:
     sigma0: float
     range_sigma: float
     range_sigma_given: bool
-    poses: str
+    poses: Literal["exact", "marginalised", "estimated"]
     median_reading: float
     loss: LossName
     farthest: float

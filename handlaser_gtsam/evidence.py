@@ -7,13 +7,13 @@ The lowest criterion wins,
 
 with q unknowns, N readings and P = max(ln N, 6.63). This is the Bayesian information criterion with the
 small-sample correction of McQuarrie and Tsai where the sigma is unknown, and at least the price that
-lets a superfluous term in once in a hundred times.
+lets a superfluous term in once in a hundred times. k1 and k2 of opposite signs may cancel so that k1
+alone explains nothing: then both together are compared with none at max(2 ln N, 9.21).
 
 Leaving out terms k with covariance S lets chi2 grow by k' inv(S) k (Wald).
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -23,8 +23,9 @@ LEAST_RMS = 1e-12
 """Residuals below this [m] are rounding; they are no evidence."""
 LEAST_PRICE = 6.63
 """Of a term: the 99 % point of chi2 with one degree of freedom."""
-MANY = 5
-"""Beams beyond which combinations are searched one beam at a time."""
+LEAST_PAIR = 9.21
+"""Of both terms against none: the 99 % point with two degrees of freedom."""
+ROUNDS = 10
 
 Combination = tuple[int, ...]
 
@@ -95,33 +96,38 @@ class Wald:
         scale = np.sqrt(np.diagonal(S))
         return float((k / scale) @ np.linalg.lstsq(S / np.outer(scale, scale), k / scale)[0])
 
-    def criterion(self, terms: Combination) -> float:
-        """Return the criterion of a combination of terms."""
-        unknowns = self.unknowns - sum(self.most - count for count in terms)
-        return information_criterion(
-            self.squares + self.cost(terms), unknowns, self.readings, known=self.known
-        )
+    def beam(self, terms: Combination, beam: int) -> tuple[FloatArray, FloatArray]:
+        """Return criterion (3,) and growth of chi2 (3,) for each number of terms of one beam.
+
+        The others are as in `terms`. Infinite and NaN where the readings do not determine them.
+        """
+        choices = [(*terms[:beam], n, *terms[beam + 1 :]) for n in range(self.most + 1)]
+        cost = np.full(3, np.nan)
+        cost[: len(choices)] = [self.cost(one) for one in choices]
+        room = self.readings - self.unknowns - 2
+        fit, price = cost, max(np.log(self.readings), LEAST_PRICE)
+        pair = max(2.0 * np.log(self.readings), LEAST_PAIR)
+        if not self.known and room > 0:
+            fit = self.readings * np.log((self.squares + cost) / self.readings)
+            price, pair = (one * self.readings / room for one in (price, pair))
+        # Where k1 alone explains nothing, both terms together compete with none.
+        both = pair if fit[0] - fit[1] < price else 2.0 * price
+        value = fit + np.array([0.0, price, both])
+        return np.where(np.isnan(value), np.inf, value), cost
 
     def best(self, start: Combination) -> Combination:
-        """Return the combination with the lowest criterion; beam by beam where there are many."""
-        beams, choices = len(start), range(self.most + 1)
-        if beams <= MANY:
-            return min(product(choices, repeat=beams), key=self.criterion)
-        here, before = start, None
-        while here != before:
+        """Return the combination in which every beam has its lowest criterion."""
+        here = start
+        for _ in range(ROUNDS):
             before = here
-            for beam in range(beams):
-                others = [(*here[:beam], count, *here[beam + 1 :]) for count in choices]
-                here = min(others, key=self.criterion)
+            for beam in range(len(here)):
+                chosen = int(np.argmin(self.beam(here, beam)[0]))
+                here = (*here[:beam], chosen, *here[beam + 1 :])
+            if here == before:
+                break
         return here
 
     def evidence(self, terms: Combination) -> tuple[Evidence, ...]:
         """Return the evidence for each beam, the others as in `terms`."""
-        found = []
-        for beam in range(len(terms)):
-            options = [(*terms[:beam], n, *terms[beam + 1 :]) for n in range(self.most + 1)]
-            values, cost = np.full(3, np.inf), np.full(3, np.nan)
-            values[: len(options)] = [self.criterion(one) for one in options]
-            cost[: len(options)] = [self.cost(one) for one in options]
-            found.append(Evidence(values - values.min(), -np.diff(cost)))
-        return tuple(found)
+        both = [self.beam(terms, beam) for beam in range(len(terms))]
+        return tuple(Evidence(value - value.min(), -np.diff(cost)) for value, cost in both)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .covariance import covariance
+from .diagnosis.observability import observability
 from .evidence import Evidence, Wald, information_criterion
 from .losses import GAUSSIAN
 from .model import plausible_range_errors
@@ -67,7 +68,7 @@ def choose_terms(
     # Variances that are estimated anew for every number of terms would swallow what the terms explain.
     told = (Noise(), options.without_variances()) if estimating else (noise, options)
     solutions = [solve(readings, start, 0, *told, progress, scale)]
-    while len(solutions) < 3 and _determined(solutions[-1]):
+    while len(solutions) < 3 and _worth_more_terms(solutions[-1], readings):
         terms, latest = len(solutions), solutions[-1].parameters
         solutions.append(solve(readings, latest, terms, *told, progress, scale))
     plausible = [s for s in solutions if plausible_range_errors(s.parameters, readings)]
@@ -100,14 +101,12 @@ def _chosen(
     if wald is None:
         return Choice(best, f"{named(best)} by BIC, for all beams alike")
     chosen = wald.best(best.problem.terms)
-    if chosen not in [s.problem.terms for s in usable]:
-        start = usable[-1].parameters
-        usable = [*usable, solve(readings, start, chosen, noise, options, progress)]
-    compared = [s for s in usable if s.problem.terms in (chosen, best.problem.terms)]
-    if any(s.components is not None for s in compared):
-        compared = [s for s in compared if s.problem.terms == chosen]
-    final = min(compared, key=lambda s: criterion(s, len(readings), noise))
-    return Choice(final, f"{named(final)} by BIC", wald.evidence(final.problem.terms))
+    known = [s for s in usable if s.problem.terms == chosen]
+    start = usable[-1].parameters
+    final = known[0] if known else solve(readings, start, chosen, noise, options, progress)
+    if not (_determined(final) and plausible_range_errors(final.parameters, readings)):
+        return Choice(best, f"{named(best)} by BIC, for all beams alike")
+    return Choice(final, f"{named(final)} by BIC", wald.evidence(chosen))
 
 
 def named(solution: Solution) -> str:
@@ -175,6 +174,14 @@ def _only_fit(
 def _fits(solution: Solution, readings: int) -> bool:
     dof = max(readings - solution.observability.rank, 1)
     return solution.chi2 <= dof + FITTING * float(np.sqrt(2.0 * dof))
+
+
+def _worth_more_terms(solution: Solution, readings: Readings) -> bool:
+    """Tell whether a solution is determined, but for residuals that further terms may explain."""
+    if solution.result.status == "interrupted":
+        return False
+    terms, at = solution.problem.terms, solution.parameters
+    return solution.observability.full or observability(at, readings, terms, 0.0).full
 
 
 def _determined(solution: Solution) -> bool:

@@ -8,6 +8,7 @@ were eliminated beforehand.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class Solution:
     components: Components | None = None
 
     @property
-    def poses(self) -> str:
+    def poses(self) -> Literal["exact", "marginalised", "estimated"]:
         """How errors of the hand poses counted."""
         if self.variances is None or self.variances.pose is None:
             return "exact"

@@ -28,7 +28,7 @@ FLOORS = [
     {"fit"},
     {"assemble"},
     {"pipeline", "limits", "diagnosis.cross_check", "propagation", "mounts"},
-    {"diagnosis.hold_out"},
+    {"diagnosis.hold_out", "diagnosis.bootstrap"},
     {"diagnosis.validation"},
     {"files"},
     {"cli"},

@@ -1,0 +1,156 @@
+"""Does an old calibration hold: for beams that stayed, and for one that was knocked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.scenes import SCENES, Layout
+from handlaser_gtsam.simulate import Errors, simulate
+
+SIGMA = 3e-5
+NOISE = hl.Noise(SIGMA)
+
+
+def two_days(seed, turned=0.0, planes=2):
+    """Return recordings of one rig before and after, its second beam turned in between [rad]."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["unplanned"](Layout(3, 3, 12, 0.01, 0.1), rng)
+    other, later = SCENES["unplanned"](Layout(3, planes, 12), np.random.default_rng(1000 + seed))
+    v = truth.directions.copy()
+    v[1] += [turned, 0.0, 0.0]
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    moved = Parameters(truth.locations, v, truth.range_errors, other.normals, other.offsets)
+    sensor = hl.Sensor(0.0, 0.1)
+    first = simulate(truth, stations, Errors(SIGMA), rng)
+    return first, simulate(moved, later, Errors(SIGMA), rng, sensor)
+
+
+def mounts(recording):
+    return hl.Mounts.of(hl.calibrate(recording, NOISE, hl.CalibrationOptions("k1k2")))
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    return [(mounts(a), b) for a, b in (two_days(seed) for seed in range(30))]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_p_values_are_uniform_where_nothing_moved(undisturbed, told):
+    found = [hl.hold_out(m, b, NOISE if told else None) for m, b in undisturbed]
+    # Thirty draws: a test at a hundredth would be wrong once in a hundred seeds.
+    assert kstest([one.p_value for one in found], "uniform").pvalue > 0.01
+    assert kstest([b.p_value for one in found for b in one.beams], "uniform").pvalue > 0.01
+    if told:
+        assert kstest([one.noise_p_value for one in found], "uniform").pvalue > 0.01
+    else:
+        assert all(np.isnan(one.noise_p_value) for one in found)
+
+
+def test_a_turned_beam_is_named():
+    first, second = two_days(3, turned=0.03)
+    found = hl.hold_out(mounts(first), second, NOISE)
+    assert found.p_value < 1e-6
+    assert min(found.beams, key=lambda beam: beam.p_value).name == "2"
+    assert found.beams[1].turn == pytest.approx(0.03, rel=0.3)
+    assert found.noise_p_value > 1e-3
+
+
+def test_the_drift_is_the_difference_of_two_fits():
+    """The quadratic of hold_out against solving again: both recordings apart, and together."""
+    first, second = two_days(5)
+    options = hl.CalibrationOptions("none", outliers="keep")
+    bare = [
+        replace(r, plane_labels=tuple(n + p for p in r.plane_labels))
+        for r, n in ((first, "a"), (second, "b"))
+    ]
+    both = hl.Recording(
+        *(
+            np.concatenate([getattr(r, name) for r in bare])
+            for name in ("world_R_hand", "world_t_hand", "ranges")
+        ),
+        bare[0].plane_labels + bare[1].plane_labels,
+        first.beam_names,
+    )
+    apart = [hl.calibrate(r, NOISE, options) for r in bare]
+    together = hl.calibrate(both, NOISE, options)
+    expected = together.fit.chi2 - sum(one.fit.chi2 for one in apart)
+    found = hl.hold_out(hl.Mounts.of(apart[0]), second, NOISE)
+    assert found.drift_dof == 15
+    # Linearised at the beams of the first recording, tenths of a sigma from the joint ones.
+    assert found.drift == pytest.approx(expected, rel=0.05)
+    assert found.chi2 == pytest.approx(apart[1].fit.chi2, rel=0.05)
+
+
+def test_robot_errors_count(undisturbed):
+    m, b = undisturbed[0]
+    exact = hl.hold_out(m, b, NOISE)
+    loose = hl.hold_out(m, b, hl.Noise(SIGMA, 1e-3, 0.0))
+    assert loose.drift < exact.drift
+    assert loose.chi2 < 0.7 * exact.chi2
+
+
+def test_a_recording_of_few_stations_tests_what_it_can(undisturbed):
+    m, b = undisturbed[1]
+    few = hl.Recording(
+        b.world_R_hand[:2], b.world_t_hand[:2], b.ranges[:2], b.plane_labels[:2], b.beam_names
+    )
+    found = hl.hold_out(m, few, NOISE)
+    assert found.readings == np.isfinite(few.ranges).sum()
+    assert 0 <= found.drift_dof < 21
+    assert np.isnan(found.p_value) or 1e-4 < found.p_value <= 1.0
+
+
+def test_beams_that_were_not_calibrated_are_refused(undisturbed):
+    m, b = undisturbed[0]
+    with pytest.raises(hl.InputError, match="beam 'x'"):
+        hl.hold_out(m, replace(b, beam_names=("1", "2", "x")), NOISE)
+
+
+def test_mounts_come_back_from_their_file(tmp_path, undisturbed):
+    first, second = two_days(0)
+    calibration = hl.calibrate(first, NOISE, hl.CalibrationOptions("k1k2"))
+    path = tmp_path / "mounts.json"
+    hl.write_calibration(path, calibration)
+    back = hl.read_mounts(path)
+    assert back.names == ("1", "2", "3")
+    assert np.array_equal(back.covariance, hl.Mounts.of(calibration).covariance)
+    assert hl.hold_out(back, second, NOISE).p_value == pytest.approx(
+        hl.hold_out(undisturbed[0][0], second, NOISE).p_value
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "no JSON"),
+        ("[]", "calibration of handlaser"),
+        ('{"format": "handlaser-truth"}', "format"),
+        ("[" * 100000, "no JSON"),
+    ],
+)
+def test_files_that_are_no_calibration_are_refused(tmp_path, text, words):
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    with pytest.raises(hl.InputError, match=words):
+        hl.read_mounts(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.replace('"converged"', '"not_converged"', 1), "that is not_converged"),
+        (lambda t: t.replace('"version": 1', '"version": 2', 1), "version"),
+        (lambda t: t.replace('"direction": [', '"direction": [7, ', 1), "direction"),
+    ],
+)
+def test_calibrations_that_were_changed_by_hand_are_refused(tmp_path, change, words):
+    first, _ = two_days(0)
+    path = tmp_path / "mounts.json"
+    hl.write_calibration(path, hl.calibrate(first, NOISE, hl.CalibrationOptions("none")))
+    path.write_text(change(path.read_text()))
+    with pytest.raises(hl.InputError, match=words):
+        hl.read_mounts(path)

@@ -1,0 +1,198 @@
+"""Errors of the robot: in the weights of a station's readings, or as a variable a station."""
+
+import math
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_factors import assert_jacobians_match
+
+import handlaser_gtsam as hl
+from benchmarks.uncertainty import MODES, run_once, summarized
+from handlaser_gtsam import model
+from handlaser_gtsam.factors import range_factor
+from handlaser_gtsam.graph import build_graph, read_parameters
+from handlaser_gtsam.poses import pose_priors
+from handlaser_gtsam.scenes import SCENES, Layout
+from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.weighting import Variances, whitening
+
+RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
+NOISE = hl.Noise(RANGE, TRANSLATION, ROTATION)
+NONE = hl.CalibrationOptions("none")
+
+
+def robot(seed=2, layout=None, missing=0):
+    """Return a recording by a robot that errs, some readings missing, and its truth."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["paper"](layout or Layout(), rng)
+    recording = simulate(truth, stations, Errors(RANGE, TRANSLATION, ROTATION), rng)
+    ranges = recording.ranges.copy()
+    ranges.flat[rng.permutation(ranges.size)[:missing]] = np.nan
+    return replace(recording, ranges=ranges), truth
+
+
+def variances(recording, poses=True):
+    pose = NOISE.pose_covariances(len(recording.plane_labels))
+    return Variances(np.full(len(recording.beam_names), RANGE), 1e-5, pose if poses else None)
+
+
+def test_whitening_is_the_root_of_the_covariance_of_a_station():
+    """The covariance by moving the poses and taking differences, for stations with gaps too."""
+    recording, truth = robot(missing=30)
+    truth = replace(truth, range_errors=np.full((4, 2), [0.02, 0.3]))
+    readings = recording.readings()
+    how = whitening(truth, readings, variances(recording))
+    x = model.scene(truth, readings)
+    J = np.zeros((len(readings), 6))
+    for axis, step in enumerate(np.eye(6) * 1e-6):
+        sides = []
+        for sign in (1.0, -1.0):
+            R = x.R @ Rotation.from_rotvec(sign * step[:3]).as_matrix()
+            t = x.t + sign * np.einsum("nij,j->ni", x.R, step[3:])
+            moved = model.Scene(R, t, x.r, x.v, x.n, x.b, x.k)
+            sides.append(model.predicted_ranges(moved))
+        J[:, axis] = (sides[0] - sides[1]) / 2e-6
+    S = np.diag([ROTATION**2] * 3 + [TRANSLATION**2] * 3)
+    slope = 1.0 + 0.02 + 2 * 0.3 * readings.distance
+    tangent = np.tan(np.arccos(np.abs(model.cosines(x))))
+    own = (slope * RANGE) ** 2 + (1e-5 * tangent) ** 2
+    same = readings.station[:, None] == readings.station
+    C = np.where(same, J @ S @ J.T, 0.0) + np.diag(own)
+    W = np.array([how.apply(column) for column in np.eye(len(readings))]).T
+    # Differences are good to 1e-9 of the derivatives.
+    assert np.abs(W @ C @ W.T / how.sigma**2 - np.eye(len(C))).max() < 1e-6
+    assert np.allclose(W, W.T)
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_jacobians_of_blocks_with_several_beams(posed):
+    recording, truth = robot(missing=20)
+    readings = recording.readings()
+    readings = readings.seen_from(origins := readings.plane_means(readings.world_t_hand))
+    truth = truth.seen_from(origins)
+    how = whitening(truth, readings, variances(recording, poses=not posed))
+    S = NOISE.pose_covariances(len(recording.plane_labels))
+    priors = pose_priors(readings, S) if posed else None
+    problem = build_graph(readings, truth, (0, 1, 2, 0), how, priors=priors)
+    for index in (0, len(problem.blocks) - 1):
+        assert_jacobians_match(range_factor(problem.blocks[index], 1.0), problem.values)
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_whitened_graphs_are_complete_in_themselves(posed):
+    """GTSAM's own optimizer, which evaluates block by block, finds the same optimum."""
+    recording, truth = robot(layout=Layout(3, 2, 12))
+    readings = recording.readings()
+    readings = readings.seen_from(origins := readings.plane_means(readings.world_t_hand))
+    how = whitening(at := truth.seen_from(origins), readings, variances(recording, not posed))
+    S = NOISE.pose_covariances(len(recording.plane_labels))
+    priors = pose_priors(readings, S) if posed else None
+    problem = build_graph(readings, at, 0, how, priors=priors)
+    result = levenberg_marquardt(problem)
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setDiagonalDamping(True)
+    settings.setlambdaInitial(1e-9)
+    settings.setlambdaUpperBound(1e20)
+    settings.setRelativeErrorTol(1e-15)
+    settings.setAbsoluteErrorTol(1e-15)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(problem.graph, problem.values, settings)
+    values = gtsam.Values(optimizer.optimize())
+    mine, theirs = read_parameters(problem, result.values), read_parameters(problem, values)
+    assert problem.graph.error(values) == pytest.approx(result.cost, rel=1e-9)
+    assert np.abs(mine.locations - theirs.locations).max() < 1e-9
+    assert np.abs(mine.directions - theirs.directions).max() < 1e-7
+
+
+@pytest.mark.parametrize("range_error", ["none", "k1k2"])
+def test_marginalised_and_estimated_poses_agree_to_a_tenth_of_a_sigma(range_error):
+    recording, _ = robot(missing=10)
+    both = [
+        hl.calibrate(recording, NOISE, hl.CalibrationOptions(range_error, poses=poses))
+        for poses in ("marginalised", "estimated")
+    ]
+    first, second = both
+    assert [one.fit.poses for one in both] == ["marginalised", "estimated"]
+    for a, b in zip(first.beams.values(), second.beams.values(), strict=True):
+        for name in ("location", "direction", "range_error"):
+            part = {"location": slice(3), "direction": slice(3, 6), "range_error": slice(6, 8)}
+            sigma = np.maximum(a.sigma[part[name]], 1e-300)
+            assert (np.abs(getattr(a, name) - getattr(b, name)) < 0.1 * sigma + 1e-15).all()
+        assert np.allclose(a.sigma, b.sigma, rtol=0.02)
+    for a, b in zip(first.planes.values(), second.planes.values(), strict=True):
+        assert (np.abs(a.normal - b.normal) < 0.1 * a.sigma[:3]).all()
+        assert abs(a.offset - b.offset) < 0.1 * a.offset_sigma
+    # The priors' share is in chi2: each leaves as many degrees of freedom as it brings unknowns.
+    assert second.fit.chi2 == pytest.approx(first.fit.chi2, rel=0.01)
+    assert second.fit.dof == first.fit.dof
+
+
+def test_scipy_agrees_with_marginalised_poses():
+    recording, _ = robot(missing=10)
+    found = hl.calibrate(recording, NOISE, NONE)
+    check = hl.cross_check(found, recording)
+    assert check.largest < 1e-6
+    assert check.largest_sigma < 1e-5
+
+
+def test_covariances_a_station_come_in_the_order_of_the_recording():
+    recording, _ = robot()
+    rng = np.random.default_rng(0)
+    count = len(recording.plane_labels)
+    S = NOISE.pose_covariances(count) * rng.uniform(0.2, 5.0, count)[:, None, None]
+    found = hl.calibrate(recording, hl.Noise(RANGE, pose_covariance=S), NONE)
+    assert np.allclose(found.variances.pose, S)
+    assert hl.cross_check(found, recording).largest < 1e-6
+    order = rng.permutation(count)
+    shuffled = hl.Recording(
+        recording.world_R_hand[order],
+        recording.world_t_hand[order],
+        recording.ranges[order],
+        tuple(recording.plane_labels[j] for j in order),
+        recording.beam_names,
+    )
+    again = hl.calibrate(shuffled, hl.Noise(RANGE, pose_covariance=S[order]), NONE)
+    assert np.array_equal(again.beams["1"].location, found.beams["1"].location)
+    assert np.array_equal(again.beams["1"].covariance, found.beams["1"].covariance)
+    with pytest.raises(hl.InputError, match="5 pose covariances; expected 44"):
+        hl.calibrate(recording, hl.Noise(RANGE, pose_covariance=S[:5]), NONE)
+
+
+@pytest.mark.parametrize("poses", ["marginalised", "estimated"])
+def test_counting_errors_that_nobody_stated_is_refused(poses):
+    recording, _ = robot()
+    with pytest.raises(hl.InputError, match=f"poses {poses} without a pose sigma"):
+        hl.calibrate(recording, hl.Noise(RANGE), hl.CalibrationOptions(poses=poses))
+
+
+def test_outliers_are_found_beside_robot_errors():
+    """A millimetre off is far beyond the 0.1 mm that robot and sensor explain."""
+    recording, _ = robot()
+    ranges = recording.ranges.copy()
+    bad = [(3, 1), (17, 0), (40, 2)]
+    for station, beam in bad:
+        ranges[station, beam] += 1e-3
+    found = hl.calibrate(replace(recording, ranges=ranges), NOISE, NONE)
+    rejected = {(int(r.station) - 1, int(r.beam) - 1) for r in found.fit.rejected}
+    assert set(bad) <= rejected
+    assert len(rejected) <= len(bad) + 2
+    clean = hl.calibrate(recording, NOISE, NONE)
+    shift = np.abs(found.beams["2"].location - clean.beams["2"].location)
+    assert (shift < 3.0 * clean.beams["2"].location_sigma).all()
+
+
+@pytest.mark.parametrize("axes", [(1,), (0, 1, 2)])
+def test_covariances_tell_the_truth_when_the_robot_errs(axes):
+    """A small run of benchmarks.uncertainty; over 60 runs the mean NEES errs by 0.04."""
+    runs = [run_once(seed, "paper", axes) for seed in range(60)]
+    assert all(runs)
+    found = {mode: summarized([one[mode] for one in runs]) for mode in MODES}
+    for mode in ("marginalised", "estimated"):
+        assert 0.85 < found[mode].nees < 1.15
+        assert 0.93 < found[mode].coverage < 0.97
+    assert found["exact"].nees > (1.15 if len(axes) == 1 else 3.0)
+    if len(axes) == 3:
+        assert found["marginalised"].direction < 0.75 * found["exact"].direction
