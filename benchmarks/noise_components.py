@@ -2,7 +2,9 @@
 
     python -m benchmarks.noise_components [--runs N] [--jobs J]
 
-Four beams, 13 planes and 20 stations a plane in the paper's scene; nothing about the noise is told.
+Four beams, 13 planes and 20 stations a plane; nothing about the noise is told. In the paper's scene the
+spots are 2 cm from the origin of the hand: there 0.03 deg move them by a third of the noise. In the
+scene `arm` they are 30 cm away.
 """
 
 import argparse
@@ -18,20 +20,30 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
 
-TRUE = np.array([3e-5, 5e-5, math.radians(0.03)])
+TRUE = {
+    "paper": np.array([3e-5, 5e-5, math.radians(0.03)]),
+    "arm": np.array([1e-4, 1e-4, math.radians(0.03)]),
+}
 NAMES = ("range", "pose translation", "pose rotation")
 
 
 def run_once(seed: int, scene: str = "paper") -> FloatArray:
-    """Return the estimated sigmas over the true ones; NaN where there is no calibration."""
+    """Return the estimated sigmas over the true ones, then what is said of their own errors.
+
+    NaN where there is no calibration.
+    """
     rng = np.random.default_rng(seed)
     truth, stations = SCENES[scene](Layout(4, 13, 20), rng)
-    recording = simulate(truth, stations, Errors(*TRUE), rng)
+    recording = simulate(truth, stations, Errors(*TRUE[scene]), rng)
     options = hl.CalibrationOptions("none", estimate_noise=True)
     found = hl.calibrate(recording, options=options)
     if found.status != "converged":
-        return np.full(3, np.nan)
-    ratio: FloatArray = np.array([one.sigma for one in found.noise_estimate]) / TRUE
+        return np.full(6, np.nan)
+    rows = [
+        [one.sigma for one in found.noise_estimate],
+        [one.error for one in found.noise_estimate],
+    ]
+    ratio: FloatArray = (np.array(rows) / TRUE[scene]).ravel()
     return ratio
 
 
@@ -41,20 +53,22 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
-    found = []
-    with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
-        task = bar.add_task("recordings", total=arguments.runs)
-        for one in pool.map(run_once, range(arguments.runs)):
-            found.append(one)
-            bar.advance(task)
-    ratio = np.array(found)
-    for name, values in zip(NAMES, ratio.T, strict=True):
-        off = np.abs(values - 1.0)
-        print(
-            f"{name}: estimated / true {np.nanmean(values):.3f} +- {np.nanstd(values):.3f}, furthest "
-            f"{np.nanmax(off):.3f} off, within 20 % in {100 * np.mean(off <= 0.2):.0f} %"
-        )
-    print(f"{np.isnan(ratio[:, 0]).sum()} of {len(ratio)} not converged")
+    for scene in TRUE:
+        found = []
+        with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
+            task = bar.add_task(scene, total=arguments.runs)
+            for one in pool.map(run_once, range(arguments.runs), [scene] * arguments.runs):
+                found.append(one)
+                bar.advance(task)
+        ratio = np.array(found)
+        for name, values, said in zip(NAMES, ratio.T[:3], ratio.T[3:], strict=True):
+            off = np.abs(values - 1.0)
+            print(
+                f"{scene}, {name}: estimated / true {np.nanmean(values):.3f} +- "
+                f"{np.nanstd(values):.3f} (said: {np.nanmedian(said):.3f}), furthest "
+                f"{np.nanmax(off):.3f} off, within 20 % in {100 * np.mean(off <= 0.2):.0f} %"
+            )
+        print(f"{scene}: {np.isnan(ratio[:, 0]).sum()} of {len(ratio)} not converged")
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ def test_what_leaving_out_terms_costs_is_what_solving_without_them_costs(mixed):
     wald = _wald(richest, len(readings), noise)
     for terms in ((0, 2, 2), (1, 2, 2), (2, 1, 2), (0, 1, 2), (1, 1, 2)):
         actual = solve(readings, at, terms, noise, options).chi2 - richest.chi2
-        assert wald.cost(terms) == pytest.approx(actual, rel=0.1)
+        assert wald.cost(terms) == pytest.approx(actual, rel=0.1, abs=0.05)
     assert covariance(richest.problem, richest.result.values).beams.shape == (21, 21)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from benchmarks.noise_components import NAMES, TRUE, run_once
+from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
@@ -62,14 +62,16 @@ def test_the_estimate_is_the_fixed_point_of_the_textbook_formula():
     assert np.allclose(dense_score(readings, truth, found.variances), 1.0, atol=1e-4)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_sigmas_are_estimated_from_thirteen_planes(seed):
-    """benchmarks.noise_components: the spread of a run is 3, 6 and 15 %."""
-    ratio = run_once(seed)
-    assert len(ratio) == len(NAMES) == len(TRUE)
-    assert np.abs(ratio[0] - 1.0) < 0.09
-    assert np.abs(ratio[1] - 1.0) < 0.18
-    assert np.abs(ratio[2] - 1.0) < 0.45
+@pytest.mark.parametrize(
+    ("scene", "spread"), [("arm", (0.03, 0.07, 0.07)), ("paper", (0.04, 0.05, 0.4))]
+)
+def test_sigmas_are_estimated_from_thirteen_planes(scene, spread):
+    """A small run of benchmarks.noise_components, which found these spreads of single runs."""
+    ratio, said = run_once(0, scene)[:3], run_once(0, scene)[3:]
+    assert len(ratio) == len(NAMES)
+    assert (np.abs(ratio - 1.0) < 3.0 * np.array(spread)).all()
+    # What is said of the errors is of the size of the spread; at a sigma of zero it is infinite.
+    assert (said < 3.0 * np.array(spread))[ratio > 0.3].all()
 
 
 def test_a_perfect_robot_gets_small_sigmas_and_says_how_sure_it_is():
