@@ -10,25 +10,10 @@ from helpers import DEGENERATE, GRIPPER, degenerate, simulated
 from typer.testing import CliRunner
 
 from handlaser_gtsam import __version__
-from handlaser_gtsam.cli import main
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.scenes import Layout
 
 RECORDING, RIG = str(GRIPPER / "recording.csv"), str(GRIPPER / "rig.toml")
-
-
-@pytest.fixture
-def handlaser(monkeypatch, capsys):
-    """Run the command in this process; return exit code, stdout and stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["handlaser", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        captured = capsys.readouterr()
-        return caught.value.code or 0, captured.out, captured.err
-
-    return run
 
 
 def one_line(text):

@@ -89,7 +89,7 @@ def test_one_plane_and_one_beam_leave_less_to_validate():
 
 def test_what_is_no_calibration_is_not_validated():
     recording, _ = simulated("paper", Layout(1, 1, 5))
-    with pytest.raises(hl.InputError, match="no calibration to validate"):
+    with pytest.raises(hl.SolverError, match="no calibration to validate"):
         hl.validate(recording, NOISE)
 
 

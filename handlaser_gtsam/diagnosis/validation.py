@@ -12,7 +12,7 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..calibration import Calibration
-from ..errors import InputError
+from ..errors import InputError, SolverError
 from ..mounts import Mounts
 from ..noise import Noise
 from ..options import CalibrationOptions
@@ -109,7 +109,7 @@ def validate(
 
     Raises
     ------
-    InputError
+    SolverError
         The whole recording gives no calibration.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
@@ -117,7 +117,7 @@ def validate(
     step("everything")
     whole = calibrate(recording, noise, options)
     if whole.status != "converged":
-        raise InputError(f"no calibration to validate ({whole.message})", "one that converges")
+        raise SolverError(f"no calibration to validate: {whole.message}")
     kept = replace(
         recording, ranges=np.where(np.isnan(whole.fit.residuals), np.nan, recording.ranges)
     )

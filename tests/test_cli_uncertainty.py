@@ -1,0 +1,141 @@
+"""The command line: robot errors, noise and validation."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from helpers import GRIPPER, degenerate
+
+import handlaser_gtsam as hl
+
+RECORDING, RIG = str(GRIPPER / "recording.csv"), str(GRIPPER / "rig.toml")
+POSES = ("--pose-translation-sigma-mm", "0.02", "--pose-rotation-sigma-deg", "0.01")
+
+
+@pytest.mark.parametrize("poses", ["auto", "marginalised", "estimated"])
+def test_robot_errors_widen_the_result(handlaser, poses):
+    code, out, _ = handlaser("calibrate", RECORDING, "--rig", RIG, "--json")
+    exact = json.loads(out)
+    arguments = ("calibrate", RECORDING, "--rig", RIG, *POSES, "--poses", poses, "--json")
+    code, out, _ = handlaser(*arguments)
+    found = json.loads(out)
+    assert code == 0
+    assert found["fit"]["poses"] == ("marginalised" if poses == "auto" else poses)
+    for mine, other in zip(found["beams"], exact["beams"], strict=True):
+        assert mine["sigma"]["location_m"][0] > other["sigma"]["location_m"][0]
+
+
+def test_poses_without_sigma_are_refused(handlaser):
+    code, _, err = handlaser("calibrate", RECORDING, "--poses", "estimated")
+    assert code == 2
+    assert "without a pose sigma above zero" in err
+
+
+def test_the_result_says_what_the_tables_say(handlaser):
+    arguments = ("calibrate", RECORDING, "--rig", RIG, *POSES, "--at-range-mm", "20")
+    code, out, _ = handlaser(*arguments, "--json")
+    found = json.loads(out)
+    beam = found["beams"][0]
+    low, high = beam["interval_95"]["location_m"][0]
+    assert low < beam["location_m"][0] < high
+    assert beam["spot"]["reading_m"] == pytest.approx(0.02)
+    assert len(beam["range_error_evidence"]["bic"]) == 3
+    assert np.array(found["beam_covariance"]).shape == (32, 32)
+    assert np.allclose(np.array(found["beam_covariance"])[:8, :8], beam["covariance"])
+    code, out, _ = handlaser(*arguments)
+    assert code == 0
+    assert f"{1e3 * low:.4f}" in out
+    assert "laser spot of beam 1 at a reading of 20 mm" in out
+    assert "hand poses: marginalised" in out
+    assert "hardly told apart: beam 1 k1 and beam 1 k2" in out
+    assert "range error by BIC" in out
+
+
+def test_estimated_noise_is_printed_with_its_error(handlaser):
+    code, out, _ = handlaser("calibrate", RECORDING, "--estimate-noise", "--range-sigma-by-beam")
+    assert code == 0
+    for name in ("range of beam 1", "range of beam 4", "pose translation", "pose rotation"):
+        assert f"estimated sigma of {name}: " in out
+
+
+def test_a_rig_may_hold_a_pose_covariance(handlaser, tmp_path):
+    S = np.diag([math.radians(0.01) ** 2] * 3 + [2e-5**2] * 3)
+    rig = tmp_path / "rig.toml"
+    sigmas = "range_sigma_mm = 0.03\nincidence_sigma_mm = 0.01"
+    rig.write_text(f"[noise]\n{sigmas}\npose_covariance = {S.tolist()}\n")
+    assert hl.read_rig(rig).noise == hl.Noise(3e-5, incidence_sigma=1e-5, pose_covariance=S)
+    _, out, _ = handlaser("calibrate", RECORDING, "--rig", rig, "--json")
+    told = ("--range-sigma-mm", "0.03", "--incidence-sigma-mm", "0.01", *POSES)
+    _, other, _ = handlaser("calibrate", RECORDING, *told, "--json")
+    mine, its = json.loads(out)["beams"][1], json.loads(other)["beams"][1]
+    assert np.allclose(mine["location_m"], its["location_m"], atol=1e-12)
+    rig.write_text("[noise]\npose_covariance = [[1.0, 2.0]]\n")
+    code, _, err = handlaser("calibrate", RECORDING, "--rig", rig)
+    assert code == 2
+    assert "6 rows of 6 numbers" in err
+
+
+def test_a_recording_validates_itself(handlaser):
+    code, out, _ = handlaser("validate", RECORDING, "--rig", RIG, "--splits", "2")
+    assert code == 0
+    for words in ("without plane A", "without plane D", "2 times", "plane from all beams"):
+        assert words in out
+    code, out, _ = handlaser("validate", RECORDING, "--rig", RIG, "--splits", "1", "--json")
+    found = json.loads(out)
+    assert found["format"] == "handlaser-validation"
+    assert [one["plane"] for one in found["planes_left_out"]] == ["A", "B", "C", "D"]
+    assert len(found["splits"]) == 1
+    assert found["reconstruction"]["tests"] == 1760
+
+
+def test_an_old_calibration_holds_until_a_beam_is_knocked(handlaser, tmp_path):
+    old = tmp_path / "old.json"
+    handlaser("calibrate", RECORDING, "--rig", RIG, "--out", old, "-q")
+    arguments = ("--rig", RIG, "--calibration", old)
+    code, out, err = handlaser("validate", RECORDING, *arguments)
+    assert (code, err) == (0, "")
+    assert "does the calibration hold" in out
+    recording = hl.read_recording(RECORDING)
+    ranges = recording.ranges.copy()
+    ranges[:, 2] += 2e-4
+    moved = tmp_path / "moved.csv"
+    hl.write_recording(
+        moved,
+        hl.Recording(
+            recording.world_R_hand,
+            recording.world_t_hand,
+            ranges,
+            recording.plane_labels,
+            recording.beam_names,
+        ),
+    )
+    code, out, err = handlaser("validate", moved, *arguments)
+    assert code == 4
+    assert "does not hold" in err
+    assert "3" in err.split("beam ")[1].split(";")[0]
+    code, out, _ = handlaser("validate", moved, *arguments, "--json")
+    assert code == 4
+    found = json.loads(out)
+    assert min(found["beams"], key=lambda beam: beam["p_value"])["name"] == "3"
+
+
+def test_a_second_recording_is_a_hold_out(handlaser):
+    code, out, _ = handlaser("validate", RECORDING, "--rig", RIG, "--hold-out", RECORDING)
+    assert code == 0
+    assert "176 readings, planes fitted, beams as calibrated" in out
+
+
+def test_what_cannot_be_validated_is_refused(handlaser, tmp_path):
+    code, _, err = handlaser("validate", RECORDING, "--hold-out", "a", "--calibration", "b")
+    assert code == 2
+    assert "one of the two" in err
+    code, _, err = handlaser("validate", RECORDING, "--calibration", tmp_path / "none.json")
+    assert code == 2
+    assert "no readable file" in err
+    poor = tmp_path / "poor.csv"
+    hl.write_recording(poor, degenerate("pure translations"))
+    for further in ((), ("--hold-out", RECORDING)):
+        code, _, err = handlaser("validate", poor, *further)
+        assert code == 3
+        assert "does not determine" in err
