@@ -15,6 +15,7 @@ from .diagnosis.words import OpenPart
 from .evidence import Evidence
 from .joint import JointCovariance
 from .losses import LossName
+from .parameters import Parameters
 from .sensor import Rejected
 from .weighting import Variances
 
@@ -270,6 +271,17 @@ class Calibration:
     noise_estimate: tuple[NoiseComponent, ...] = ()
     covariance: JointCovariance | None = None
     correlations: tuple[Correlation, ...] = ()
+
+    def parameters(self) -> Parameters:
+        """Return beams and planes as arrays, in their order."""
+        beams, planes = list(self.beams.values()), list(self.planes.values())
+        return Parameters(
+            np.array([beam.location for beam in beams]),
+            np.array([beam.direction for beam in beams]),
+            np.array([beam.range_error for beam in beams]),
+            np.array([plane.normal for plane in planes]),
+            np.array([plane.offset for plane in planes]),
+        )
 
     def intervals(self, beam: str, level: float = 0.95) -> FloatArray | None:
         """Return where each coordinate of a beam lies with probability `level`, (8, 2).

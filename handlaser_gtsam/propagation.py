@@ -16,6 +16,7 @@ import numpy as np
 from .arrays import FloatArray
 from .calibration import Beam, Calibration
 from .errors import InputError
+from .recording import Recording
 
 LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
@@ -138,6 +139,28 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         float(np.sqrt(tangent[2, 2])),
         float(np.sqrt(np.linalg.eigvalsh(tangent[:2, :2])[-1])),
     )
+
+
+def typical_plane(
+    calibration: Calibration, recording: Recording
+) -> tuple[str, MeasuredPlane] | None:
+    """Return a station near the median reading with all that its beams say of their plane.
+
+    None where no station has three used readings that span a plane.
+    """
+    d = np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
+    count = (~np.isnan(d)).sum(axis=1)
+    if calibration.covariance is None or count.max() < 3:
+        return None
+    full = np.flatnonzero(count == count.max())
+    off = np.abs(np.nanmean(d[full], axis=1) - calibration.fit.median_reading)
+    station = int(full[int(off.argmin())])
+    pairs = zip(recording.beam_names, d[station].tolist(), strict=True)
+    try:
+        found = measured_plane(calibration, {name: x for name, x in pairs if np.isfinite(x)})
+    except InputError:
+        return None
+    return recording.station_names[station], found
 
 
 def _beam(calibration: Calibration, name: str) -> Beam:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import model
-from .arrays import FloatArray, IntArray
+from .arrays import IntArray
 from .errors import InputError
 from .parameters import Parameters
 from .recording import Readings, Recording
@@ -63,26 +63,6 @@ def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor)
     """Return the rows whose beam meets its plane no flatter than the sensor allows."""
     cosine = np.abs(model.cosines(model.scene(parameters, readings)))
     return np.flatnonzero(cosine >= math.cos(sensor.max_incidence) - 1e-12)
-
-
-def rejected(
-    recording: Recording,
-    readings: Readings,
-    kept: IntArray,
-    reason: str,
-    residual: FloatArray | None = None,
-) -> tuple[Rejected, ...]:
-    """Name the rows of `readings` that are not `kept`."""
-    left_out = np.setdiff1d(np.arange(len(readings)), kept)
-    return tuple(
-        Rejected(
-            recording.station_names[readings.station[row]],
-            recording.beam_names[readings.beam[row]],
-            reason,
-            None if residual is None else float(residual[row]),
-        )
-        for row in left_out
-    )
 
 
 def require_all(recording: Recording, readings: Readings) -> None:

@@ -47,6 +47,7 @@ def test_the_result_says_what_the_tables_say(handlaser):
     assert code == 0
     assert f"{1e3 * low:.4f}" in out
     assert "laser spot of beam 1 at a reading of 20 mm" in out
+    assert "a plane measured by all beams at once, as at station" in out
     assert "hand poses: marginalised" in out
     assert "hardly told apart: beam 1 k1 and beam 1 k2" in out
     assert "range error by BIC" in out

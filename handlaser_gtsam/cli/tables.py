@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ..calibration import Beam, Calibration, NoiseComponent, Plane
 from ..diagnosis.cross_check import CrossCheck
-from ..propagation import spot
+from ..propagation import MeasuredPlane, spot, typical_plane
 from ..recording import Recording
 
 MM = 1e3
@@ -55,6 +55,9 @@ def calibration_tables(
             yield _beam_table(beam, result)
         yield _plane_table(list(result.planes.values()))
         yield from _spot_lines(result, result.fit.median_reading if reading is None else reading)
+        found = typical_plane(result, recording)
+        if found is not None:
+            yield _plane_line(*found)
     yield from _fit_lines(result)
     for warning in result.warnings:
         yield f"WARNING: {warning}"
@@ -185,6 +188,15 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"left out: station {left_out.station}, beam {left_out.beam}: {left_out.reason}{residual}"
     if len(fit.rejected) > SHOWN_REJECTED:
         yield f"left out: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
+
+
+def _plane_line(station: str, plane: MeasuredPlane) -> str:
+    """Return how well all beams together measure a plane, the noise of their readings included."""
+    return (
+        f"a plane measured by all beams at once, as at station {station}: "
+        f"+- {plane.distance_sigma * MM:.3g} mm in distance, "
+        f"+- {math.degrees(plane.angle_sigma):.3g} deg in angle"
+    )
 
 
 def _noise_line(one: NoiseComponent) -> str:

@@ -109,14 +109,7 @@ def _used(calibration: Calibration, recording: Recording) -> tuple[Readings, Par
     kept = ~np.isnan(calibration.fit.residuals[all_of_them.station, all_of_them.beam])
     readings = all_of_them.subset(np.flatnonzero(kept))
     origins = readings.plane_means(readings.world_t_hand)
-    beams, planes = list(calibration.beams.values()), list(calibration.planes.values())
-    at = Parameters(
-        np.array([beam.location for beam in beams]),
-        np.array([beam.direction for beam in beams]),
-        np.array([beam.range_error for beam in beams]),
-        np.array([plane.normal for plane in planes]),
-        np.array([plane.offset for plane in planes]),
-    )
+    at = calibration.parameters()
     return readings.seen_from(origins), at.seen_from(origins)
 
 

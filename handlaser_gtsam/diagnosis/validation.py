@@ -206,14 +206,15 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     readings = recording.readings()
-    beams = [calibration.beams[name] for name in recording.beam_names]
-    planes = [calibration.planes[name] for name in recording.plane_names]
+    whole = calibration.parameters()
+    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+    planes = [list(calibration.planes).index(name) for name in recording.plane_names]
     at = Parameters(
-        np.array([beam.location for beam in beams]),
-        np.array([beam.direction for beam in beams]),
-        np.array([beam.range_error for beam in beams]),
-        np.array([plane.normal for plane in planes]),
-        np.array([plane.offset for plane in planes]),
+        whole.locations[beams],
+        whole.directions[beams],
+        whole.range_errors[beams],
+        whole.normals[planes],
+        whole.offsets[planes],
     )
     x = model.scene(at, readings)
     lin = model.linearize(x, readings.distance)
