@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from .parameters import Parameters
     from .pipeline import calibrate
     from .propagation import measured_plane, spot
-    from .recording import Readings, Recording
+    from .recording import Readings, Recording, join
     from .sensor import Sensor
+    from .session import Session
 
 __all__ = [
     "Beam",
@@ -53,6 +54,7 @@ __all__ = [
     "Recording",
     "Rig",
     "Sensor",
+    "Session",
     "SolverError",
     "Validation",
     "__version__",
@@ -61,6 +63,7 @@ __all__ = [
     "cross_check",
     "factors",
     "hold_out",
+    "join",
     "measured_plane",
     "model",
     "read_mounts",
@@ -96,12 +99,14 @@ _HOME = {
     "Recording": "recording",
     "Rig": "files.rig_toml",
     "Sensor": "sensor",
+    "Session": "session",
     "SolverError": "errors",
     "Validation": "diagnosis.validation",
     "bootstrap": "diagnosis.bootstrap",
     "calibrate": "pipeline",
     "cross_check": "diagnosis.cross_check",
     "hold_out": "diagnosis.hold_out",
+    "join": "recording",
     "measured_plane": "propagation",
     "read_mounts": "files.mounts_json",
     "read_recording": "files.recording_csv",

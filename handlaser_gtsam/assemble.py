@@ -17,7 +17,7 @@ from .calibration import (
 )
 from .covariance import covariance, covariance_of_determined
 from .diagnosis.correlations import strong_correlations
-from .diagnosis.doubts import doubts, misfit, noise_advice, suspicious
+from .diagnosis.doubts import doubts, misfit, noise_advice, poorly_told, suspicious
 from .diagnosis.hypotheses import better_ways
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
@@ -90,7 +90,8 @@ def assemble(
         _ways(recording, used, fit, solution, wrong)
         + ((wrong,) if wrong else ())
         + _label_warnings(recording, order, names, why)
-        + doubts(used, solution.parameters, fit, noise, solution.variances),
+        + doubts(used, solution.parameters, fit, noise, solution.variances)
+        + poorly_told(_noise_estimate(solution, names)),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,

@@ -1,7 +1,7 @@
 """The result of a calibration."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from .diagnosis.words import OpenPart
 from .evidence import Evidence
 from .joint import JointCovariance
 from .losses import LossName
+from .noise import Noise
 from .parameters import Parameters
 from .sensor import Rejected
 from .weighting import Variances
@@ -281,6 +282,20 @@ class Calibration:
             np.array([beam.range_error for beam in beams]),
             np.array([plane.normal for plane in planes]),
             np.array([plane.offset for plane in planes]),
+        )
+
+    def noise(self, given: Noise) -> Noise:
+        """Return `given` with what was estimated in its place, for readings of the same kind."""
+        pose = None if self.variances is None else self.variances.pose
+        estimated = any(one.name.startswith("pose") for one in self.noise_estimate)
+        found = replace(given, range_sigma=self.fit.range_sigma)
+        if not estimated or pose is None:
+            return found
+        return replace(
+            found,
+            pose_translation_sigma=None,
+            pose_rotation_sigma=None,
+            pose_covariance=pose[int(np.flatnonzero(pose.any(axis=(1, 2)))[0])],
         )
 
     def intervals(self, beam: str, level: float = 0.95) -> FloatArray | None:

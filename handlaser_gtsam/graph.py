@@ -94,7 +94,7 @@ def build_graph(
         whitening, sigma = noise, noise.sigma
         group = readings.plane if priors is None else readings.station
         rows = np.lexsort((readings.beam, readings.station, group))
-        blocks = _blocks_of_stations(readings, noise, rows, group, (beams, planes, priors))
+        blocks = station_blocks(readings, noise, rows, group, (beams, planes, priors))
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
         graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
@@ -197,7 +197,7 @@ def _blocks_by_beam(
     )
 
 
-def _blocks_of_stations(
+def station_blocks(
     readings: Readings,
     whitening: Whitening,
     rows: IntArray,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from .arrays import IntArray
 from .diagnosis.observability import ObservabilityOptions
 from .errors import InputError
 from .losses import LossName
@@ -13,6 +14,10 @@ from .solvers.levenberg import LevenbergOptions
 Poses = Literal["auto", "exact", "marginalised", "estimated"]
 RangeError = Literal["auto", "none", "k1", "k1k2"]
 Outliers = Literal["reject", "keep"]
+
+
+LEAST_READINGS = 15
+"""Of a beam whose own range sigma is estimated: fewer would tell it to worse than a third."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +61,15 @@ class CalibrationOptions:
         """Tell whether errors of the hand poses are counted."""
         return self.poses != "exact" and (noise.poses_uncertain or self.estimate_noise)
 
+    def estimates_variances(self, noise: Noise) -> bool:
+        """Tell whether variances are estimated while the weights are found.
+
+        A common factor of all variances is not: sigma0 finds it without any effort.
+        """
+        several = self.treats_poses(noise) or noise.incidence_sigma > 0.0
+        unknown = noise.range_sigma is None and several
+        return self.estimate_noise or self.range_sigma_by_beam or unknown
+
     def without_variances(self) -> "CalibrationOptions":
         """Return the options for exact poses and one range sigma."""
         return replace(self, poses="exact", estimate_noise=False, range_sigma_by_beam=False)
@@ -67,9 +81,29 @@ class CalibrationOptions:
         ------
         InputError
         """
+        if self.poses == "exact" and self.estimate_noise:
+            raise InputError(
+                "estimate_noise with exact poses", "another treatment of poses: their noise counts"
+            )
         counted = self.poses in ("marginalised", "estimated")
         if counted and not (noise.poses_uncertain or self.estimate_noise):
             raise InputError(
                 f"poses {self.poses} without a pose sigma above zero",
                 "a pose sigma or covariance, or the noise to be estimated",
             )
+
+    def require_readings(self, count: IntArray, names: tuple[str, ...]) -> None:
+        """Refuse to estimate the sigma of a beam that has few readings (B,).
+
+        Raises
+        ------
+        InputError
+        """
+        if not self.range_sigma_by_beam:
+            return
+        for name, readings in zip(names, count.tolist(), strict=True):
+            if readings < LEAST_READINGS:
+                raise InputError(
+                    f"a range sigma by beam from {readings} readings of beam {name}",
+                    f"{LEAST_READINGS} or more; estimate one sigma for all beams",
+                )

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from .assemble import assemble
 from .calibration import Calibration
 from .noise import Noise
@@ -38,10 +40,12 @@ def calibrate(
     ------
     InputError
         The sensor's limits leave a beam or a plane without readings; errors of the poses are to be
-        counted but not stated; pose covariances of another number of stations.
+        counted but not stated; pose covariances of another number of stations; a range sigma by beam
+        of a beam with few readings.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
     options.require_pose_noise(noise)
+    options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
     # 1. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)

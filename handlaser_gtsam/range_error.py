@@ -73,13 +73,14 @@ def choose_terms(
         solutions.append(solve(readings, latest, terms, *told, progress, scale))
     plausible = [s for s in solutions if plausible_range_errors(s.parameters, readings)]
     usable = [s for s in plausible if _determined(s)] or solutions[:1]
-    if estimating:
-        richest = usable[-1]
-        terms = richest.problem.terms[0]
-        usable = [solve(readings, richest.parameters, terms, noise, options, progress, scale)]
-        return _chosen(usable, usable[0], readings, noise, options, progress)
-    values = np.array([criterion(s, len(readings), noise) for s in usable])
+    values = np.array([criterion(s, len(readings), told[0]) for s in usable])
     best = usable[int(np.argmin(values))]
+    if estimating:
+        # A robust loss has no Wald test: there the best for all beams alike is kept.
+        from_here = usable[-1] if options.loss == "gaussian" else best
+        terms = from_here.problem.terms[0]
+        usable = [solve(readings, from_here.parameters, terms, noise, options, progress, scale)]
+        return _chosen(usable, usable[0], readings, noise, options, progress)
     only = _only_fit(plausible, best, len(readings), noise)
     if only is not None:
         return Choice(only, f"{named(only)}: the readings do not fit without")

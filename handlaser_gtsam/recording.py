@@ -175,6 +175,52 @@ class Recording:
             len(self.plane_names),
         )
 
+    def part(self, stations: ArrayLike) -> "Recording":
+        """Return some stations (K,) by index, with the beams that read anything there.
+
+        Raises
+        ------
+        InputError
+            No beam read anything there.
+        """
+        rows = np.asarray(stations, dtype=np.intp)
+        rows = rows[~np.isnan(self.ranges[rows]).all(axis=1)]
+        if not rows.size:
+            raise InputError("no readings in this part", "at least one")
+        beams = np.flatnonzero(~np.isnan(self.ranges[rows]).all(axis=0))
+        return Recording(
+            self.world_R_hand[rows],
+            self.world_t_hand[rows],
+            self.ranges[np.ix_(rows, beams)],
+            tuple(self.plane_labels[j] for j in rows),
+            tuple(self.beam_names[i] for i in beams),
+            tuple(self.station_names[j] for j in rows),
+        )
+
+
+def join(recordings: Sequence[Recording]) -> Recording:
+    """Return one recording of all stations of several; beams and planes are known by their names.
+
+    Raises
+    ------
+    InputError
+        A station name that stands in two of them.
+    """
+    beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
+    ranges = []
+    for one in recordings:
+        wide = np.full((len(one.ranges), len(beams)), np.nan)
+        wide[:, [beams.index(name) for name in one.beam_names]] = one.ranges
+        ranges.append(wide)
+    return Recording(
+        np.concatenate([one.world_R_hand for one in recordings]),
+        np.concatenate([one.world_t_hand for one in recordings]),
+        np.concatenate(ranges),
+        tuple(label for one in recordings for label in one.plane_labels),
+        beams,
+        tuple(name for one in recordings for name in one.station_names),
+    )
+
 
 def _float_array(values: ArrayLike, name: str) -> FloatArray:
     try:

@@ -1,7 +1,7 @@
 """What a sensor can measure, and which readings that leaves."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,20 @@ class Rejected:
     beam: str
     reason: str
     residual: float | None
+
+
+def within(recording: Recording, sensor: Sensor) -> Recording:
+    """Return a recording without the readings outside the sensor's range.
+
+    Raises
+    ------
+    InputError
+        A plane or beam is left without readings.
+    """
+    d = recording.ranges
+    return replace(
+        recording, ranges=np.where((d >= sensor.range_min) & (d <= sensor.range_max), d, np.nan)
+    )
 
 
 def within_range(readings: Readings, sensor: Sensor) -> IntArray:

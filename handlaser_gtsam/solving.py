@@ -33,6 +33,8 @@ LEAST_SIGMA = 1e-12
 """Of a reading [m]."""
 ROUNDING = 1e-11
 """Residuals below this part of the readings show no weights."""
+LEAST_SHARE = 1e-3
+"""An estimated range sigma is never below this part of the residuals: weights need one."""
 ROUNDS = 10
 SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
@@ -104,11 +106,9 @@ def solve(
 
 def wanted_variances(noise: Noise, options: CalibrationOptions) -> Wanted | None:
     """Return which variances are to be estimated while the weights are found; None for none."""
-    several = options.treats_poses(noise) or noise.incidence_sigma > 0.0
-    # A common factor of all variances is found by sigma0, without any effort.
-    ranges = options.estimate_noise or (noise.range_sigma is None and several)
-    if not (ranges or options.range_sigma_by_beam):
+    if not options.estimates_variances(noise):
         return None
+    ranges = options.estimate_noise or noise.range_sigma is None
     return Wanted(ranges, options.range_sigma_by_beam, options.estimate_noise)
 
 
@@ -126,7 +126,7 @@ class _Task:
     ) -> None:
         self.readings, self.terms, self.noise = readings, terms, noise
         self.options, self.progress = options, progress
-        self.loss, self.scale, self.rank = Loss(options.loss), scale, 0
+        self.loss, self.scale, self.rank, self.rms = Loss(options.loss), scale, 0, 0.0
 
     def equally_weighted(self, start: Parameters) -> Solution:
         """Solve as if all readings were independent and equally precise."""
@@ -140,6 +140,7 @@ class _Task:
         """Return the variances where readings differ in their weights; None where they do not."""
         noise, readings, problem = self.noise, self.readings, solution.problem
         rms = self._estimated_sigma(problem, solution.result.residual)
+        self.rms = rms
         if rms < ROUNDING * float(readings.distance.max()):
             return None
         sigma = max(noise.range_sigma or rms, LEAST_SIGMA)
@@ -165,12 +166,14 @@ class _Task:
                 found = estimate_components(
                     solution.parameters, self.readings, self.terms, variances, wanted
                 )
-                variances = found.variances
+                least = LEAST_SHARE * self.rms
+                ranges = np.maximum(found.variances.range_sigma, least)
+                variances = replace(found.variances, range_sigma=ranges)
             solution = self._reweighted(solution.parameters, variances)
             moved = solution.result.history[0].step if solution.result.history else 0.0
             if moved < SETTLED and (found is None or found.close_to(before)):
                 break
-        if solution.whitening is None:
+        if solution.whitening is None and solution.result.status != "interrupted":
             solution = self._reweighted(solution.parameters, variances)
         solution = replace(solution, variances=variances, components=found)
         if self.options.poses == "estimated" and variances.pose is not None:
@@ -223,7 +226,7 @@ class _Task:
                 weight = problem.range_sigma
                 problem = build_graph(readings, other, self.terms, weight, self.loss)
                 e = residuals(scene(other, readings), readings.distance)
-                cost = 0.5 * float(e @ e) / weight**2
+                cost = float(self.loss.cost(e / weight).sum())
                 result = replace(result, values=problem.values, residual=e, white=e, cost=cost)
                 parameters, found, how = other, least, None
         return Solution(problem, result, parameters, found, None, how)

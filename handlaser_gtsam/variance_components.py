@@ -74,9 +74,9 @@ class Components:
         """Tell whether another estimate is nearly the same."""
         if other is None:
             return False
-        return bool(
-            np.allclose(self.sigmas, other.sigmas, rtol=CLOSE, atol=CLOSE * self.sigmas.max())
-        )
+        errors = np.where(np.isfinite(self.errors), self.errors, 0.0)
+        difference = np.abs(self.sigmas - other.sigmas)
+        return bool((difference <= CLOSE * (self.sigmas + errors)).all())
 
 
 def estimate_components(
@@ -107,7 +107,7 @@ def estimate_components(
     sigma = np.sqrt(theta) * np.array([grid.unit(one) for one in parts])
     # The standard deviation of a standard deviation: half that of the variance, relatively.
     errors = np.where(theta > 0.0, 0.5 * spread / np.maximum(theta, 1e-300) * sigma, np.inf)
-    return Components(_scaled(variances, parts, theta), parts, sigma, errors)
+    return Components(_scaled(variances, parts, np.maximum(theta, LEAST)), parts, sigma, errors)
 
 
 class _Grid:

@@ -29,7 +29,7 @@ FLOORS = [
     {"assemble"},
     {"pipeline", "limits", "diagnosis.cross_check", "propagation", "mounts"},
     {"diagnosis.hold_out", "diagnosis.bootstrap"},
-    {"diagnosis.validation"},
+    {"diagnosis.validation", "session"},
     {"files"},
     {"cli"},
 ]

@@ -154,3 +154,23 @@ def test_calibrations_that_were_changed_by_hand_are_refused(tmp_path, change, wo
     path.write_text(change(path.read_text()))
     with pytest.raises(hl.InputError, match=words):
         hl.read_mounts(path)
+
+
+def test_few_stations_give_no_false_alarm_without_a_sigma(undisturbed):
+    """Three stations cannot tell their own noise: that of the calibration stands for it."""
+    found = []
+    for m, b in undisturbed:
+        few = b.part([0, 1, 2])
+        found.append(hl.hold_out(m, few).p_value)
+    assert np.nanmin(found) > 1e-3
+    first, second = two_days(3, turned=0.2)
+    assert hl.hold_out(mounts(first), second.part(np.arange(6))).p_value < 1e-3
+
+
+def test_covariances_of_other_stations_are_refused(undisturbed):
+    m, b = undisturbed[0]
+    many = hl.Noise(
+        SIGMA, pose_covariance=np.tile(1e-9 * np.eye(6), (len(b.plane_labels) + 1, 1, 1))
+    )
+    with pytest.raises(hl.InputError, match="25 pose covariances; expected 24"):
+        hl.hold_out(m, b, many)

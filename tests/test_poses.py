@@ -196,3 +196,27 @@ def test_covariances_tell_the_truth_when_the_robot_errs(axes):
     assert found["exact"].nees > (1.15 if len(axes) == 1 else 3.0)
     if len(axes) == 3:
         assert found["marginalised"].direction < 0.75 * found["exact"].direction
+
+
+def test_robot_errors_that_nobody_stated_are_noticed():
+    recording, _ = robot()
+    words = "residuals of one station go together"
+    found = hl.calibrate(recording, hl.Noise(), NONE)
+    assert any(words in warning for warning in found.warnings)
+    assert not any(words in warning for warning in hl.calibrate(recording, NOISE, NONE).warnings)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        truth, stations = SCENES["paper"](Layout(), rng)
+        clean = hl.calibrate(simulate(truth, stations, Errors(RANGE), rng), hl.Noise(), NONE)
+        assert not any(words in warning for warning in clean.warnings)
+
+
+def test_ctrl_c_in_the_first_of_several_solutions_counts():
+    recording, _ = robot()
+
+    def stop(_trial):
+        raise KeyboardInterrupt
+
+    found = hl.calibrate(recording, NOISE, NONE, progress=stop)
+    assert found.interrupted
+    assert found.status == "not_converged"

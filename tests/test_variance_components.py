@@ -115,3 +115,37 @@ def test_an_unknown_range_sigma_is_estimated_beside_known_poses():
     assert found.fit.range_sigma == pytest.approx(RANGE, rel=0.2)
     assert [one.name for one in found.noise_estimate] == ["range"]
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_cannot_be_estimated_is_refused():
+    recording, _, _ = robot(Layout(2, 2, 6), (RANGE, 0.0, 0.0))
+    with pytest.raises(hl.InputError, match="12 readings of beam 1; expected 15"):
+        hl.calibrate(recording, options=hl.CalibrationOptions("none", range_sigma_by_beam=True))
+    options = hl.CalibrationOptions("none", poses="exact", estimate_noise=True)
+    with pytest.raises(hl.InputError, match="estimate_noise with exact poses"):
+        hl.calibrate(recording, options=options)
+
+
+def test_sigmas_that_are_hardly_told_are_named():
+    """One beam cannot tell its own noise from that of the hand along it."""
+    recording, _, _ = robot(Layout(1, 5, 20))
+    options = hl.CalibrationOptions("none", estimate_noise=True)
+    found = hl.calibrate(recording, options=options)
+    assert any("hardly told by this recording" in words for words in found.warnings)
+    assert found.fit.range_sigma > 0.0
+
+
+def test_a_robust_loss_chooses_its_terms_before_the_noise_is_estimated():
+    recording, _, _ = robot(Layout(3, 4, 14))
+    options = hl.CalibrationOptions(loss="huber", estimate_noise=True)
+    found = hl.calibrate(recording, options=options)
+    assert {beam.terms for beam in found.beams.values()} == {0}
+
+
+def test_predictions_carry_the_noise_that_was_estimated():
+    recording, _, _ = robot(Layout(4, 5, 16))
+    options = hl.CalibrationOptions("none", estimate_noise=True)
+    found = hl.validate(recording, options=options, splits=4)
+    mean = np.mean([one.standardized**2 for one in found.splits])
+    assert 0.6 < mean < 1.5
+    assert all(one.result.p_value > 1e-3 for one in found.planes)

@@ -1,6 +1,7 @@
 """handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,10 @@ def validate(
     rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise and sensor.")] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="Test this old calibration, JSON, on RECORDING: does it still hold?"),
+        typer.Option(
+            help="Test this old calibration, JSON, on RECORDING: does it still hold? Of the other "
+            "options only noise, sensor and exact poses count then."
+        ),
     ] = None,
     hold_out: Annotated[
         Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
@@ -45,6 +49,24 @@ def validate(
     pose_rotation_sigma_deg: Annotated[
         float | None, typer.Option(help="Sigma of the hand rotation about each axis, deg.")
     ] = None,
+    incidence_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Added to a reading's sigma times the tangent of the incidence, mm."),
+    ] = None,
+    estimate_noise: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-noise", help="Estimate the sigmas of ranges and poses from the residuals."
+        ),
+    ] = False,
+    range_sigma_by_beam: Annotated[
+        bool,
+        typer.Option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
+    ] = False,
+    range_mm: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
+    ] = None,
     splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0,
     json_: Annotated[
@@ -62,9 +84,20 @@ def validate(
 
     if calibration is not None and hold_out is not None:
         raise InputError("--calibration and --hold-out", "one of the two")
-    numbers = (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg, None)
-    settings = settings_of(rig, numbers)
-    options = CalibrationOptions(range_error.value, poses=poses.value, sensor=settings.sensor)
+    numbers = (
+        range_sigma_mm,
+        pose_translation_sigma_mm,
+        pose_rotation_sigma_deg,
+        incidence_sigma_mm,
+    )
+    settings = settings_of(rig, numbers, range_mm)
+    options = CalibrationOptions(
+        range_error.value,
+        poses=poses.value,
+        range_sigma_by_beam=range_sigma_by_beam,
+        estimate_noise=estimate_noise,
+        sensor=settings.sensor,
+    )
     table = read_recording(recording)
     if calibration is None and hold_out is None:
         _validate(table, settings, options, (splits, seed), json_)
@@ -125,9 +158,15 @@ def _test(
     from ..files.validation_json import hold_out_text
     from ..mounts import Mounts
     from ..pipeline import calibrate
+    from ..sensor import within
     from .validation_tables import hold_out_lines
 
     old, other = files
+    noise = settings.noise
+    if options.poses == "exact":
+        noise = replace(
+            noise, pose_translation_sigma=None, pose_rotation_sigma=None, pose_covariance=None
+        )
     if old is not None:
         mounts, tested = read_mounts(old), recording
     else:
@@ -136,7 +175,8 @@ def _test(
             print(f"handlaser: {found.message}", file=sys.stderr)
             raise typer.Exit(3)
         mounts, tested = Mounts.of(found), read_recording(other or Path())
-    result: HoldOut = hold_out(mounts, tested, settings.noise)
+        noise = found.noise(noise) if options.estimates_variances(noise) else noise
+    result: HoldOut = hold_out(mounts, within(tested, settings.sensor), noise)
     if json_:
         sys.stdout.write(hold_out_text(result))
     else:

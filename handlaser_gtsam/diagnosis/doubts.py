@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from ..calibration import Fit
+from ..calibration import Fit, NoiseComponent
 from ..model import plausible_range_errors
 from ..noise import Noise
 from ..parameters import Parameters
@@ -17,10 +17,14 @@ SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
 POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""
+FAR_TOGETHER = 4.0
+"""Residuals of one station that go together by so many standard deviations are no accident."""
 FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
+POOR_SIGMA = 0.5
+"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
 UNLIKELY = 1e-3
 """Probability below which chi2 contradicts the given range sigma."""
 FAR_BEAM = 3.0
@@ -121,12 +125,39 @@ def doubts(
     return tuple(words)
 
 
+def poorly_told(components: tuple[NoiseComponent, ...]) -> tuple[str, ...]:
+    """Name estimated sigmas that the recording hardly tells."""
+    poor = [one.name for one in components if not one.error < POOR_SIGMA * one.sigma]
+    if not poor:
+        return ()
+    return (
+        f"the sigma of {', '.join(poor)} is hardly told by this recording: the standard deviations "
+        "rest on it; state what you know of it, or add stations",
+    )
+
+
 def noise_advice(fit: Fit) -> str:
     """Say what to do where the motion would be enough, but not for residuals of this size."""
     return (
         f"the motion would be enough if the readings fitted better than {fit.rms * 1e3:.3g} mm rms: "
         f"{CHECKS}; otherwise add stations with more varied orientations"
     )
+
+
+def _going_together(fit: Fit) -> float:
+    """Return how far the products of residuals of one station are from a mean of zero, in sigmas.
+
+    Independent readings have products of mean zero, or a little below as all fit the same planes; an
+    error of the pose moves all beams of its station.
+    """
+    e = np.nan_to_num(fit.residuals)
+    seen = (~np.isnan(fit.residuals)).sum(axis=1)
+    pairs = float((seen * (seen - 1) // 2).sum())
+    variance = float((e**2).sum() / max(seen.sum(), 1))
+    if pairs == 0.0 or variance <= 0.0:
+        return 0.0
+    products = 0.5 * float((e.sum(axis=1) ** 2 - (e**2).sum(axis=1)).sum())
+    return products / (variance * float(np.sqrt(pairs)))
 
 
 def _doubts_of_noise(fit: Fit, noise: Noise, variances: Variances | None) -> list[str]:
@@ -147,6 +178,14 @@ def _doubts_of_noise(fit: Fit, noise: Noise, variances: Variances | None) -> lis
             words.append(
                 f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
                 "sigma is too large, and so are the standard deviations"
+            )
+    if variances is None or variances.pose is None:
+        together = _going_together(fit)
+        if together > FAR_TOGETHER:
+            words.append(
+                f"residuals of one station go together ({together:.0f} standard deviations): the hand "
+                "poses err, and the standard deviations are too small; state the robot's sigmas or "
+                "estimate the noise"
             )
     if noise.poses_uncertain and not treated:
         words.append(

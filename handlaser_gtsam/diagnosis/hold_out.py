@@ -36,7 +36,8 @@ RANK = 1e-12
 MOST_SIGMA = 0.1
 """What a recording knows worse than to this part of its natural unit, it does not test."""
 ROUNDS = 3
-TINY = 1e-30
+LEAST_DOF = 10
+"""Degrees of freedom from which a range sigma is estimated from the recording itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,16 +105,17 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     recording : Recording
         Its beams must be among those of `mounts`; its planes may be any.
     noise : Noise, optional
-        An unknown range sigma is that of the calibration, scaled by what the recording shows.
+        An unknown range sigma is that of the calibration, and what the recording shows where it has
+        readings enough.
 
     Raises
     ------
     InputError
-        A beam that was not calibrated.
+        A beam that was not calibrated, or pose covariances of another number of stations.
     GrazingBeamError
         A beam grazes the plane that its readings would have.
     """
-    noise = noise or Noise()
+    noise = (noise or Noise()).reordered(np.arange(len(recording.plane_labels)))
     mounts = mounts.arranged(recording.beam_names)
     readings = recording.readings()
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
@@ -122,19 +124,19 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     if noise.poses_uncertain:
         pose = noise.pose_covariances(len(recording.plane_labels))
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
-    at, how = fit_planes(mounts, readings, variances)
+    beams = (mounts.locations, mounts.directions, mounts.range_errors)
+    at, how = fit_planes(beams, readings, variances)
     e = model.residuals(model.scene(at, readings), readings.distance)
     known = noise.range_sigma is not None
     return _tested(_Quadratic.of(at, readings, how, mounts, known=known), e, mounts)
 
 
 def fit_planes(
-    mounts: Mounts, readings: Readings, variances: Variances
+    beams: tuple[FloatArray, FloatArray, FloatArray], readings: Readings, variances: Variances
 ) -> tuple[Parameters, Whitening]:
-    """Return the planes that fit `readings` best for fixed beams, and the whitening there."""
+    """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
     start = PartialStart.empty(readings)
-    start.locations[:], start.directions[:] = mounts.locations, mounts.directions
-    start.range_errors[:] = mounts.range_errors
+    start.locations[:], start.directions[:], start.range_errors[:] = beams
     at = grow(start, readings)
     unit = np.array([1.0, 1.0, float(np.median(readings.distance))])
     still = np.zeros((readings.beams, 7))
@@ -209,14 +211,15 @@ class _Quadratic:
         e = how.apply(model.residuals(model.scene(at, readings), readings.distance))
         cost = float(e @ e) / how.sigma**2
         values, axes = np.linalg.eigh(0.5 * (S + S.T))
-        scale, keep = 1.0, values > MOST_SIGMA**-2
         free = len(readings) - 3 * readings.planes
         along = axes.T @ (g / how.sigma**2)
-        for _ in range(1 if known else ROUNDS):
+        scale, keep = 1.0, values > MOST_SIGMA**-2
+        # Few readings cannot tell their own sigma: that of the calibration stands for it.
+        known = known or free - int(keep.sum()) < LEAST_DOF
+        for _ in range(0 if known else ROUNDS):
+            rest = cost - float((along[keep] ** 2 / values[keep]).sum())
+            scale = rest / (free - int(keep.sum()))
             keep = values / scale > MOST_SIGMA**-2
-            dof = max(free - int(keep.sum()), 1)
-            if not known:
-                scale = max((cost - float((along[keep] ** 2 / values[keep]).sum())) / dof, TINY)
         axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
         bases = model.tangent_basis(mounts.directions)
         lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]

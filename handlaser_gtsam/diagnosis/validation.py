@@ -153,6 +153,7 @@ def _without(
         if found.status != "converged":
             return PlaneLeftOut(plane, None, found.message)
         own, seen = _part(recording, noise, mine)
+        seen = found.noise(seen) if options.estimates_variances(noise) else seen
         return PlaneLeftOut(plane, hold_out(Mounts.of(found), own, seen), "")
     except InputError as error:
         return PlaneLeftOut(plane, None, str(error))
@@ -161,19 +162,9 @@ def _without(
 def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
     """Return some stations, with their beams that read anything, and their noise."""
     rows = np.flatnonzero(stations & ~np.isnan(recording.ranges).all(axis=1))
-    if not rows.size:
-        raise InputError("no readings in this part", "at least one")
-    beams = np.flatnonzero(~np.isnan(recording.ranges[rows]).all(axis=0))
-    part = Recording(
-        recording.world_R_hand[rows],
-        recording.world_t_hand[rows],
-        recording.ranges[np.ix_(rows, beams)],
-        tuple(recording.plane_labels[j] for j in rows),
-        tuple(recording.beam_names[i] for i in beams),
-        tuple(recording.station_names[j] for j in rows),
-    )
     S = noise.pose_covariance
-    return part, noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
+    seen = noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
+    return recording.part(rows), seen
 
 
 def _split(
@@ -230,9 +221,12 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     own = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, own, J)
     ranges = np.full(len(beams), calibration.fit.range_sigma)
-    pose = noise.pose_covariances(len(recording.plane_labels)) if noise.poses_uncertain else None
-    if calibration.fit.poses == "exact":
-        pose = None
+    if calibration.variances is not None:
+        ranges = calibration.variances.range_sigma[beams]
+    pose = None
+    if calibration.fit.poses != "exact":
+        told = calibration.noise(noise).reordered(np.arange(len(recording.plane_labels)))
+        pose = told.pose_covariances(len(recording.plane_labels))
     sigmas = reading_sigmas(at, readings, Variances(ranges, noise.incidence_sigma, pose))
     return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
 

@@ -1,0 +1,234 @@
+"""Planes that keep coming: always the batch solution, whatever happens in between."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.factors import RangeBlock
+from handlaser_gtsam.scenes import SCENES, Layout
+from handlaser_gtsam.simulate import Errors, simulate
+
+SIGMA = 3e-5
+EXACT = hl.Noise(SIGMA)
+ROBOT = hl.Noise(SIGMA, 5e-5, math.radians(0.03))
+NONE = hl.CalibrationOptions("none")
+
+
+def recorded(planes, stations=11, beams=4, noise=EXACT, k=(0.0, 0.0), seed=1):
+    rng = np.random.default_rng(seed)
+    truth, where = SCENES["unplanned"](Layout(beams, planes, stations, *k), rng)
+    errors = Errors(SIGMA, noise.pose_translation_sigma or 0.0, noise.pose_rotation_sigma or 0.0)
+    return simulate(truth, where, errors, rng)
+
+
+def plane(recording, index, stations=slice(None)):
+    return recording.part(np.flatnonzero(recording.plane_of_station == index)[stations])
+
+
+def filled(recording, noise=EXACT, options=NONE):
+    session = hl.Session(noise, options)
+    for index in range(len(recording.plane_names)):
+        session.add(plane(recording, index))
+    return session
+
+
+def assert_batch(session):
+    found = session.compare()
+    # The demands: a hundredth of a standard deviation, a hundredth of it.
+    assert found.largest < 0.01
+    assert found.largest_sigma < 0.01
+
+
+@pytest.mark.parametrize(
+    ("noise", "range_error", "k"),
+    [(EXACT, "none", (0.0, 0.0)), (ROBOT, "none", (0.0, 0.0)), (EXACT, "k1k2", (0.02, 0.3))],
+)
+def test_every_step_is_the_batch_solution(noise, range_error, k):
+    recording = recorded(12, noise=noise, k=k)
+    session = hl.Session(noise, hl.CalibrationOptions(range_error))
+    for index, name in enumerate(recording.plane_names):
+        update = session.add(plane(recording, index))
+        if not session.started:
+            assert update.message
+            assert update.waiting == recording.plane_names[: index + 1]
+            continue
+        assert name in update.planes
+        assert_batch(session)
+        if update.before is not None:
+            assert update.information > 0.0
+            seen = update.before > 0.0
+            assert (update.sigma[seen] < 1.001 * update.before[seen]).all()
+    assert session.planes == recording.plane_names
+    assert session.waiting == ()
+
+
+def test_the_information_gained_is_half_the_fall_of_the_log_determinant():
+    recording = recorded(6)
+    session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 5)))
+    before = session.beams().covariance
+    update = session.add(plane(recording, 5))
+    after = session.beams().covariance
+    sizes = []
+    for S in (before, after):
+        values = np.linalg.eigvalsh(S)[12:]  # four directions, k1 and k2 have no variance
+        sizes.append(np.log(values).sum())
+    assert update.information == pytest.approx(0.5 * (sizes[0] - sizes[1]), rel=1e-3)
+
+
+def test_an_undetermined_plane_waits_for_its_stations():
+    recording = recorded(5, beams=1)
+    session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 4)))
+    before = session.beams()
+    update = session.add(plane(recording, 4, slice(0, 2)))
+    assert update.planes == ()
+    assert update.waiting == ("E",)
+    assert np.array_equal(session.beams().covariance, before.covariance)
+    update = session.add(plane(recording, 4, slice(2, None)))
+    assert update.planes == ("E",)
+    assert session.waiting == ()
+    assert_batch(session)
+
+
+def test_stations_of_a_known_plane_join_it():
+    recording = recorded(4)
+    session = hl.Session(EXACT, NONE)
+    for index in range(4):
+        session.add(plane(recording, index, slice(0, 7)))
+    update = session.add(recording.part([7, 8, 9, 10, 18, 19]))
+    assert update.planes == ("A", "B")
+    assert session.recording().ranges.shape == (4 * 7 + 6, 4)
+    assert_batch(session)
+
+
+def test_a_new_beam_joins_once_it_is_determined():
+    recording = recorded(5)
+    three = replace(recording, ranges=recording.ranges[:, :3], beam_names=("1", "2", "3"))
+    session = filled(three.part(np.flatnonzero(three.plane_of_station < 4)))
+    with pytest.raises(hl.InputError, match="a new beam"):
+        session.add(plane(recording, 4, slice(0, 1)))
+    assert session.beams().names == ("1", "2", "3")
+    update = session.add(plane(recording, 4))
+    assert session.beams().names == ("1", "2", "3", "4")
+    assert update.planes == recording.plane_names
+    assert_batch(session)
+
+
+def test_what_was_removed_was_never_there():
+    recording = recorded(6)
+    session = filled(recording)
+    session.remove_plane("C")
+    assert session.planes == ("A", "B", "D", "E", "F")
+    assert_batch(session)
+    update = session.remove_station(recording.station_names[0])
+    assert update.information < 0.0
+    assert_batch(session)
+    others = [
+        recording.part(np.flatnonzero(recording.plane_of_station == p)) for p in (0, 1, 3, 4, 5)
+    ]
+    expected = hl.Session(EXACT, NONE)
+    expected.add(hl.join([others[0].part(np.arange(1, 11)), *others[1:]]))
+    difference = session.beams().locations - expected.beams().locations
+    assert np.abs(difference).max() < 1e-2 * expected.calibration().beams["1"].location_sigma.min()
+
+
+def test_the_last_planes_stay():
+    session = filled(recorded(3, stations=16, beams=2))
+    refused = []
+    for name in ("A", "B", "C"):
+        try:
+            session.remove_plane(name)
+        except hl.InputError as error:
+            refused.append(str(error))
+    assert refused
+    assert all("the beams are open" in words for words in refused)
+    assert session.planes
+    assert_batch(session)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, RuntimeError])
+@pytest.mark.parametrize("call", [0, 1, 3])
+def test_an_exception_inside_an_update_changes_nothing(monkeypatch, error, call):
+    recording = recorded(6)
+    session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 5)))
+    before, planes = session.beams(), session.planes
+    calls, original = [], RangeBlock.evaluate
+
+    def failing(self, values):
+        calls.append(None)
+        if len(calls) > call:
+            raise error("in a callback")
+        return original(self, values)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RangeBlock, "evaluate", failing)
+        with pytest.raises((error, hl.InputError)):
+            session.add(plane(recording, 5))
+    assert len(calls) > call
+    assert session.planes == planes
+    assert np.array_equal(session.beams().covariance, before.covariance)
+    assert np.array_equal(session.beams().locations, before.locations)
+    session.add(plane(recording, 5))
+    assert session.planes == (*planes, "F")
+    assert_batch(session)
+
+
+def test_what_cannot_be_added_is_refused():
+    recording = recorded(5)
+    session = filled(recording)
+    with pytest.raises(hl.InputError, match="station '1' twice"):
+        session.add(plane(recording, 0))
+    with pytest.raises(hl.InputError, match="plane 'x'"):
+        session.remove_plane("x")
+    with pytest.raises(hl.InputError, match="station 'x'"):
+        session.remove_station("x")
+    with pytest.raises(hl.InputError, match="without calibration"):
+        hl.Session(EXACT).beams()
+    with pytest.raises(hl.InputError, match="empty session"):
+        hl.Session(EXACT).recording()
+    with pytest.raises(hl.InputError, match="poses estimated"):
+        hl.Session(ROBOT, hl.CalibrationOptions(poses="estimated"))
+    with pytest.raises(hl.InputError, match="a pose covariance a station"):
+        hl.Session(hl.Noise(SIGMA, pose_covariance=np.tile(1e-9 * np.eye(6), (5, 1, 1))))
+    assert_batch(session)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_sequences_end_at_the_batch_solution(monkeypatch, seed):
+    """Planes, stations and failures in any order; a small run of what a long session meets."""
+    rng = np.random.default_rng(seed)
+    recording = recorded(14, stations=9, beams=2, seed=seed)
+    session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 5)))
+    fresh = list(range(5, 14))
+    original = RangeBlock.evaluate
+    for _ in range(15):
+        action = rng.choice(["add", "remove plane", "remove station", "fail"])
+        if action in ("add", "fail") and fresh:
+            part = plane(recording, fresh[0])
+            if action == "add":
+                session.add(part)
+                fresh.pop(0)
+                continue
+            late = int(rng.integers(0, 6))
+            calls = []
+
+            def failing(self, values, calls=calls, late=late):
+                calls.append(None)
+                if len(calls) > late:
+                    raise KeyboardInterrupt
+                return original(self, values)
+
+            with monkeypatch.context() as patch:
+                patch.setattr(RangeBlock, "evaluate", failing)
+                try:
+                    session.add(part)
+                    fresh.pop(0)
+                except KeyboardInterrupt:
+                    pass
+        elif action == "remove plane" and len(session.planes) > 4:
+            session.remove_plane(str(rng.choice(session.planes)))
+        elif action == "remove station":
+            session.remove_station(str(rng.choice(session.recording().station_names)))
+    assert_batch(session)
