@@ -12,6 +12,7 @@ import numpy as np
 
 from .arrays import FloatArray, IntArray
 from .calibration import Calibration
+from .covariance import covariance
 from .diagnosis.hold_out import fit_planes
 from .errors import GrazingBeamError, InputError
 from .factors import RangeBlock
@@ -25,10 +26,12 @@ from .pipeline import calibrate
 from .recording import Readings, Recording, join
 from .solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions
 from .solvers.reduction import whitened_normal_equations
+from .solving import solve
 from .weighting import Variances, Whitening
 
-MOVED = 0.3
-"""Weights are taken anew when the beams have moved by so many standard deviations since."""
+MOVED = 3e-3
+"""Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
+the typical range, a relative change of the range."""
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""
 
@@ -107,8 +110,8 @@ class Session:
             raise InputError(
                 "poses estimated", "exact or marginalised poses while planes are added"
             )
-        covariance = self.noise.pose_covariance
-        if covariance is not None and covariance.ndim == 3:
+        S = self.noise.pose_covariance
+        if S is not None and S.ndim == 3:
             raise InputError("a pose covariance a station", "one for all stations to come")
         self.options.require_pose_noise(self.noise)
         self._stations: dict[str, Recording] = {}
@@ -118,7 +121,7 @@ class Session:
         self._numbers: dict[str, int] = {}
         self._origins: dict[str, FloatArray] = {}
         self._names: tuple[str, ...] = ()
-        self._sigma = 0.0
+        self._sigma = self._length = 0.0
 
     @property
     def started(self) -> bool:
@@ -222,23 +225,45 @@ class Session:
         noise = replace(self.noise, range_sigma=self._sigma)
         return calibrate(inside, noise, self._fixed_options(graph.terms[0]))
 
-    def compare(self) -> Comparison:
-        """Compare the beams with the batch calibration of the same readings.
+    def estimate(self) -> tuple[Readings, Parameters]:
+        """Return all readings that are in, and beams and planes as they are now.
+
+        Every plane is in a frame of its own amid its stations, with the axes of the world.
 
         Raises
         ------
         InputError
-            There is no calibration, or the batch one fails.
+            There is no calibration yet.
         """
-        mine, batch = self.beams(), self.calibration()
-        other = Mounts.of(batch).arranged(mine.names)
-        sigma = np.sqrt(np.diagonal(other.covariance)).reshape(-1, 8)
-        own = np.sqrt(np.diagonal(mine.covariance)).reshape(-1, 8)
+        _, graph = self._require()
+        inside = join([self._stations[name] for name in self._numbers])
+        readings = _arranged(inside, self._names)
+        readings = readings.seen_from(np.array([self._origins[name] for name in self._numbers]))
+        at = graph.parameters()
+        place = {number: index for index, number in enumerate(graph.planes)}
+        order = [place[number] for number in self._numbers.values()]
+        return readings, replace(at, normals=at.normals[order], offsets=at.offsets[order])
+
+    def compare(self) -> Comparison:
+        """Compare the beams with the batch solution of the same readings, from the present estimate.
+
+        Raises
+        ------
+        InputError
+            There is no calibration yet.
+        """
+        state, graph = self._require()
+        readings, at = self.estimate()
+        noise = replace(self.noise, range_sigma=self._sigma)
+        batch = solve(readings, at, graph.terms, noise, self.options)
+        S = covariance(batch.problem, batch.result.values).matrix(planes=[])
+        found = batch.parameters
+        sigma, own = (np.sqrt(np.diagonal(C)).reshape(-1, 8) for C in (S, state.covariance))
         difference = np.hstack(
             (
-                mine.locations - other.locations,
-                mine.directions - other.directions,
-                mine.range_errors - other.range_errors,
+                state.locations - found.locations,
+                state.directions - found.directions,
+                state.range_errors - found.range_errors,
             )
         )
         seen = sigma > 0.0
@@ -302,8 +327,8 @@ class Session:
             values.insert(beam.direction, gtsam.Unit3(at.directions[i]))
             if beam.range_error is not None:
                 values.insert(beam.range_error, at.range_errors[i, :terms])
-        before = (self._names, self._sigma)
-        self._names, self._sigma = names, found.fit.range_sigma
+        before = (self._names, self._sigma, self._length)
+        self._names, self._sigma, self._length = names, found.fit.range_sigma, length
         try:
             added, numbers, origins = [], {}, {}
             for number, (plane, one) in enumerate(stations.items()):
@@ -317,7 +342,7 @@ class Session:
                 numbers[plane], origins[plane] = number, fitted.origin
             state = graph.change(added, values)
         except BaseException:
-            self._names, self._sigma = before
+            self._names, self._sigma, self._length = before
             raise
         self._graph, self._state, self._weighed = graph, state, state
         self._stations, self._numbers, self._origins = stations, numbers, origins
@@ -366,15 +391,20 @@ class Session:
         return Update(tuple(joined), self.waiting, gain, self._sigmas(), before)
 
     def _moved(self) -> bool:
-        """Tell whether the beams have left those behind the weights, in their standard deviations."""
-        sigma, state = self._sigmas(), self._state
-        if sigma is None or state is None or self._weighed is None:
+        """Tell whether the beams have left those behind the weights so far that these differ."""
+        state, old = self._state, self._weighed
+        if state is None or old is None or not self._weights_differ():
             return False
-        old, now = (
-            np.hstack((s.locations, s.directions, s.range_errors)) for s in (self._weighed, state)
-        )
-        seen = sigma > 0.0
-        return bool((np.abs(now - old)[seen] > MOVED * sigma[seen]).any())
+        shift = float(np.abs(state.locations - old.locations).max()) / self._length
+        turn = float(np.abs(state.directions - old.directions).max())
+        stretch = np.abs(state.range_errors - old.range_errors) @ [1.0, self._length]
+        return max(shift, turn, float(stretch.max())) > MOVED
+
+    def _weights_differ(self) -> bool:
+        """Tell whether weights depend on the solution."""
+        stretched = self._graph is not None and max(self._graph.terms) > 0
+        treated = self.options.treats_poses(self.noise)
+        return stretched or treated or self.noise.incidence_sigma > 0.0
 
     def _weigh(self) -> None:
         """Give all readings the weights of the present beams."""
@@ -392,9 +422,7 @@ class Session:
     def _determined(self, state: BeamState) -> bool:
         """Tell whether the beams are known to a part of their natural units."""
         sigma = np.sqrt(np.diagonal(state.covariance)).reshape(-1, 8)
-        length = np.median(
-            np.concatenate([one.ranges[~np.isnan(one.ranges)] for one in self._stations.values()])
-        )
+        length = self._length
         unit = np.array([length] * 3 + [1.0] * 3 + [1.0, 1.0 / length])
         return bool((sigma < MOST_SIGMA * unit).all())
 
@@ -410,11 +438,7 @@ class Session:
         origin: FloatArray | None = None,
     ) -> "_Fitted | None":
         """Fit the plane of a recording to known beams; None where a beam would graze it."""
-        readings = one.readings()
-        names = np.array([self._names.index(name) for name in one.beam_names])
-        beam = names[readings.beam]
-        order = np.lexsort((readings.station, beam))
-        readings = replace(readings, beam=beam, beams=len(self._names)).subset(order)
+        readings = _arranged(one, self._names)
         if origin is None:
             origin = readings.plane_means(readings.world_t_hand)[0]
         readings = readings.seen_from(origin[None])
@@ -434,6 +458,14 @@ class Session:
         rows: IntArray = np.lexsort((readings.beam, readings.station))
         keys = (graph.beams, (plane_key(number),), None)
         return list(station_blocks(readings, fitted.whitening, rows, readings.plane, keys))
+
+
+def _arranged(recording: Recording, names: tuple[str, ...]) -> Readings:
+    """Return the readings with beams numbered as in `names`."""
+    readings = recording.readings()
+    beam = np.array([names.index(name) for name in recording.beam_names])[readings.beam]
+    order = np.lexsort((readings.station, beam, readings.plane))
+    return replace(readings, beam=beam, beams=len(names)).subset(order)
 
 
 @dataclass(frozen=True, slots=True)

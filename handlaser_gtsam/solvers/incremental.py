@@ -40,7 +40,7 @@ class IncrementalOptions:
         1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
     """
 
-    relinearize: float = 1e-4
+    relinearize: float = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
