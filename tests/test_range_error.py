@@ -8,6 +8,7 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks.range_error_choice import run_once, share
 from handlaser_gtsam.covariance import covariance
+from handlaser_gtsam.evidence import Wald
 from handlaser_gtsam.noise import Noise
 from handlaser_gtsam.options import CalibrationOptions
 from handlaser_gtsam.range_error import _wald
@@ -62,3 +63,20 @@ def test_the_right_terms_are_chosen_for_nearly_all_beams():
         for true in range(3):
             # The full run demands 97 and 95 of 100; of 33 beams each may miss two by chance.
             assert share(count, given, true) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("significance", "chosen"),
+    [
+        ((0.0, 2.2), 0),  # k2 alone, not enough
+        ((0.0, 3.2), 2),  # both together, where k1 alone explains nothing
+        ((5.0, 2.2), 1),  # k1 by itself, and k2 no better than one time in forty
+        ((5.0, 2.7), 2),
+    ],
+)
+def test_terms_follow_their_significance(significance, chosen):
+    """Uncorrelated terms of one beam in units of their sigmas; 99 % points are 2.57 and 3.03."""
+    wald = Wald(np.array(significance), np.eye(2), 2, 60.0, 16, 76, known=True)
+    assert wald.best((0,)) == (chosen,)
+    assert int(np.argmin(wald.evidence((chosen,))[0].criterion)) == chosen
+    assert np.allclose(wald.evidence((chosen,))[0].likelihood_ratio, np.square(significance))
