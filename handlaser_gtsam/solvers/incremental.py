@@ -26,7 +26,8 @@ from ..keys import BeamKeys, plane_key
 from ..parameters import Parameters
 
 BEAMS_LAST = 1
-ROUNDS = 10
+ROUNDS = 15
+"""Of relinearisation after a change: more mean that too little is determined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class IncrementalOptions:
         1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
     """
 
-    relinearize: float = 5e-4
+    relinearize: float = 2e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,8 @@ class IncrementalGraph:
         Raises
         ------
         RuntimeError
-            GTSAM calls the system indeterminate, or the beams are not accepted; nothing has changed.
+            GTSAM calls the system indeterminate, the estimate does not settle, or it is not accepted;
+            nothing has changed.
         """
         graph = gtsam.NonlinearFactorGraph()
         for _, block in added:
@@ -150,6 +152,8 @@ class IncrementalGraph:
             for _ in range(ROUNDS):
                 if not self._relinearized(isam):
                     break
+            else:
+                raise RuntimeError("the estimate does not settle")
             state = self._state(isam)
             if accept is not None and not accept(state):
                 raise RuntimeError("too few planes are left")
