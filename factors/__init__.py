@@ -2,8 +2,10 @@
 
 from handlaser_gtsam.keys import BeamKeys
 
+from .beam_drift import beam_drift
 from .block import RangeBlock, range_factor
 from .evaluation import Evaluation
+from .gathering import gathered
 from .range_to_plane import range_to_plane
 from .range_to_plane_from_pose import range_to_plane_from_pose
 from .shared import SharedEvaluation
@@ -13,6 +15,8 @@ __all__ = [
     "Evaluation",
     "RangeBlock",
     "SharedEvaluation",
+    "beam_drift",
+    "gathered",
     "range_factor",
     "range_to_plane",
     "range_to_plane_from_pose",

@@ -6,6 +6,7 @@ that is left empty, one-dimensional or short of rows ends the process, not just 
 """
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -21,6 +22,13 @@ from .evaluation import Evaluation, Share, beam_columns, evaluation, other_colum
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""
+
+
+class Shares(Protocol):
+    """Hands out rows that were evaluated together with others."""
+
+    def share(self, block: "RangeBlock", values: gtsam.Values) -> Share | None:
+        """Return the rows of `block`, or None where it is to evaluate itself."""
 
 
 class RangeBlock:
@@ -50,12 +58,15 @@ class RangeBlock:
     ----------
     prepared
         What the next calls hand out instead of evaluating; set by `SharedEvaluation` only.
+    gathering
+        Who is asked first whether to evaluate; set by `gathered` only.
     """
 
     __slots__ = (
         "beam_of",
         "beams",
         "distance",
+        "gathering",
         "plane",
         "pose",
         "prepared",
@@ -85,6 +96,7 @@ class RangeBlock:
         self.distance = frozen(distance)
         self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
         self.prepared: Share | None = None
+        self.gathering: Shares | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
         if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() < np.inf):
             raise InputError(
@@ -114,6 +126,8 @@ class RangeBlock:
     ) -> FloatArray:
         """Return the residuals [m] (N,) and fill the Jacobians where they are asked for."""
         share = self.prepared
+        if share is None and self.gathering is not None:
+            share = self.gathering.share(self, values)
         if share is None:
             at, columns = self.evaluate(values)
             share = Share(at, slice(None), columns)

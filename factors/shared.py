@@ -154,17 +154,21 @@ class SharedEvaluation:
     def handed_out(self, at: Evaluation) -> Iterator[None]:
         """Let every block hand out its rows of `at` until the context ends."""
         try:
-            if not self._columns:
-                self._columns = [
-                    self._columns_of(block, rows)
-                    for block, rows in zip(self.blocks, self.slices, strict=True)
-                ]
-            for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
-                block.prepared = Share(at, rows, columns)
+            self.hand_out(at)
             yield
         finally:
             for block in self.blocks:
                 block.prepared = None
+
+    def hand_out(self, at: Evaluation) -> None:
+        """Let every block hand out its rows of `at` until somebody takes them back."""
+        if not self._columns:
+            self._columns = [
+                self._columns_of(block, rows)
+                for block, rows in zip(self.blocks, self.slices, strict=True)
+            ]
+        for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
+            block.prepared = Share(at, rows, columns)
 
     def squared_columns(self, at: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""

@@ -31,7 +31,7 @@ def fit_of(
     squares = float(e @ e)
     given = noise.range_sigma is not None
     dof = len(e) - solution.observability.rank
-    chi2, sigma0, sigma = _sizes(solution, dof, given)
+    chi2, sigma0, sigma = sizes(solution, dof, given=given)
     station, beam = order.stations[readings.station], order.beams[readings.beam]
     table = np.full(recording.ranges.shape, np.nan)
     table[station[selection.used], beam[selection.used]] = e
@@ -69,7 +69,7 @@ def fit_of(
     return fit, why
 
 
-def _sizes(solution: Solution, dof: int, given: bool) -> tuple[float, float, float]:
+def sizes(solution: Solution, dof: int, *, given: bool) -> tuple[float, float, float]:
     """Return chi2, sigma0 and the range sigma [m] behind the covariances; see `Fit`."""
     unit, known = solution.problem.range_sigma, given or solution.components is not None
     chi2 = solution.chi2 if known else solution.chi2 * unit**2

@@ -197,6 +197,25 @@ class Recording:
             tuple(self.station_names[j] for j in rows),
         )
 
+    def without(self, left_out: ArrayLike) -> "Recording":
+        """Return all stations without some readings (M, B), and without beams that read nothing else.
+
+        Raises
+        ------
+        InputError
+            A plane is left without readings.
+        """
+        ranges = np.where(np.asarray(left_out, dtype=bool), np.nan, self.ranges)
+        beams = np.flatnonzero(~np.isnan(ranges).all(axis=0))
+        names = tuple(self.beam_names[i] for i in beams)
+        return replace(self, ranges=ranges[:, beams], beam_names=names)
+
+    def renamed(self, old: str, new: str) -> "Recording":
+        """Return the same with another name for a beam."""
+        return replace(
+            self, beam_names=tuple(new if name == old else name for name in self.beam_names)
+        )
+
 
 def join(recordings: Sequence[Recording]) -> Recording:
     """Return one recording of all stations of several; beams and planes are known by their names.

@@ -9,6 +9,7 @@ incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand p
 of the residuals by it. J S J' couples the beams of a station. Stations are independent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +95,26 @@ class Whitening:
         """Return whitened residuals (N,) [m]."""
         white: FloatArray = np.einsum("nk,nk->n", self.coefficients(), self.gathered(residual))
         return white
+
+
+def joined(whitenings: Sequence[Whitening]) -> Whitening:
+    """Return one whitening of the rows of several, one after the other; sigma of the first.
+
+    Every row keeps its slot among the beams of its own station.
+    """
+    stations = [len(one.root) for one in whitenings]
+    slots = max(one.root.shape[1] for one in whitenings)
+    first = np.cumsum([0, *stations[:-1]])
+    root = np.zeros((sum(stations), slots, slots))
+    for a, one in zip(first, whitenings, strict=True):
+        count = one.root.shape[1]
+        root[a : a + len(one.root), :count, :count] = one.root
+    return Whitening(
+        root,
+        np.concatenate([a + one.station for a, one in zip(first, whitenings, strict=True)]),
+        np.concatenate([one.beam for one in whitenings]),
+        whitenings[0].sigma,
+    )
 
 
 def whitening(parameters: Parameters, readings: Readings, variances: Variances) -> Whitening:

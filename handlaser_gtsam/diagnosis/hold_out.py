@@ -132,7 +132,9 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
 
 
 def fit_planes(
-    beams: tuple[FloatArray, FloatArray, FloatArray], readings: Readings, variances: Variances
+    beams: tuple[FloatArray, FloatArray, FloatArray],
+    readings: Readings,
+    variances: Variances,
 ) -> tuple[Parameters, Whitening]:
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
     start = PartialStart.empty(readings)

@@ -3,24 +3,26 @@
 Planes join one by one; the beams stay in the root of the Bayes tree, so that an update with one plane
 eliminates little else anew. What was measured of GTSAM 4.3, and how it is met:
 
-- an exception inside `update` leaves the object half-updated: every update works on a copy, which takes
-  the place of the old one only when it has succeeded;
+- an exception inside `update` leaves the object half-updated: every change works on a copy and gives
+  a new graph; the old one stays as it was;
 - the default relinearisation threshold ignores moves of a mount in millimetres: each kind of variable
-  has a threshold in its natural unit;
+  has a threshold in its natural unit. iSAM2 would linearise the variables anew one by one, and a
+  beam takes all readings with it each time: here they all are as soon as one of them calls for it;
 - all Values are copied for every Python factor unless the linearisation point is held: it is;
 - marginals are in the tangent bases of the linearisation point: they are lifted from there;
-- it is not thread-safe: there is one lock.
+- it is not thread-safe: a graph and those that follow from it share one lock.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import RLock
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..arrays import FloatArray
-from ..factors import RangeBlock, range_factor
+from ..factors import RangeBlock, gathered, range_factor
 from ..joint import beam_lift
 from ..keys import BeamKeys, plane_key
 from ..parameters import Parameters
@@ -28,6 +30,9 @@ from ..parameters import Parameters
 BEAMS_LAST = 1
 ROUNDS = 15
 """Of relinearisation after a change: more mean that too little is determined."""
+WITH_THE_OTHERS = 0.05
+"""What has moved by more than this part of its threshold is linearised anew once another must be."""
+NEVER = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +44,13 @@ class IncrementalOptions:
     relinearize : float
         A variable is linearised anew when it has moved by more than this part of its natural unit:
         1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
+    compare_every : int
+        A session compares itself with the batch solution after so many changes, or a quarter as many as
+        there are planes, if fewer; and when the estimate has moved far. Zero: never.
     """
 
     relinearize: float = 2e-4
+    compare_every: int = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +73,45 @@ class BeamState:
     covariance: FloatArray
     information: float
 
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Locations, directions and range errors."""
+        return self.locations, self.directions, self.range_errors
+
+    def sigmas(self) -> FloatArray:
+        """Return the standard deviations (B, 8)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneFactors:
+    """What one plane brings into the graph.
+
+    Attributes
+    ----------
+    blocks : RangeBlocks
+        Each with a whitening.
+    others : factors
+        Priors of its hand poses.
+    start : gtsam.Values
+        Of its variables; those that are in the graph already are not started anew.
+    """
+
+    blocks: tuple[RangeBlock, ...]
+    others: tuple[gtsam.NonlinearFactor, ...]
+    start: gtsam.Values
+
 
 class IncrementalGraph:
-    """Beams and planes under iSAM2.
+    """Beams and planes under iSAM2; never changed: a change gives a new one.
 
     Parameters
     ----------
     beams : BeamKeys, each
+        Range errors with one term and with two need keys of different letters: iSAM2 has one threshold
+        a letter.
     terms : tuple of int
-        Range-error terms of each beam: the same for all, for iSAM2 has one threshold a letter.
+        Range-error terms of each beam.
     length : float
         The typical range [m], for natural units.
     options : IncrementalOptions, optional
@@ -92,13 +131,12 @@ class IncrementalGraph:
             for key in (beam.location, beam.direction, beam.range_error)
             if key is not None
         ]
-        if len(set(terms)) > 1:
-            raise ValueError(f"terms {terms}; expected the same number for every beam")
-        most = max(terms)
-        settings = _isam_parameters(options or IncrementalOptions(), length, most)
-        self._isam = gtsam.ISAM2(settings)
+        part = (options or IncrementalOptions()).relinearize
+        self._thresholds = _thresholds(part, length, self.beams, terms)
+        self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}
+        self._blocks: dict[int, tuple[RangeBlock, ...]] = {}
         self._lock = RLock()
 
     @property
@@ -106,74 +144,62 @@ class IncrementalGraph:
         """Numbers of the planes that are in."""
         return tuple(self._factors)
 
-    def change(
+    def changed(
         self,
-        added: Sequence[tuple[int, RangeBlock]],
-        start: gtsam.Values,
+        added: Mapping[int, PlaneFactors],
         without: Iterable[int] = (),
+        beams: "BeamStart | None" = None,
         accept: Callable[[BeamState], bool] | None = None,
-    ) -> BeamState:
-        """Add blocks by the number of their plane, take out all blocks of other planes.
+    ) -> tuple["IncrementalGraph", BeamState]:
+        """Return the graph with planes added and others taken out, and its beams.
 
         Parameters
         ----------
-        added : sequence of (int, RangeBlock)
-            Of the plane with that number; each block with a whitening.
-        start : gtsam.Values
-            Variables that are new: planes, and the beams the first time.
+        added : mapping
+            By the number of the plane. What a plane brought before is taken out first.
         without : numbers
-            Planes whose present blocks are taken out; they may be added again.
+            Planes that leave.
+        beams : BeamStart, optional
+            Where the beams start, the first time.
         accept : callable, optional
             Asked before the change takes place.
-
-        Returns
-        -------
-        BeamState
-            After the change.
 
         Raises
         ------
         RuntimeError
-            GTSAM calls the system indeterminate, the estimate does not settle, or it is not accepted;
-            nothing has changed.
+            GTSAM calls the system indeterminate, the estimate does not settle, or it is not accepted.
         """
-        graph = gtsam.NonlinearFactorGraph()
-        for _, block in added:
-            sigma = 1.0 if block.whitening is None else block.whitening.sigma
-            graph.push_back(range_factor(block, sigma))
-        gone = set(without)
         with self._lock:
-            isam, view = self._copy()
-            old = [index for plane in gone for index in self._factors[plane]]
-            kept = {p for p in self._factors if p not in gone} | {plane for plane, _ in added}
-            if not kept:
+            new = self._copy()
+            gone = {*without, *(number for number in added if number in self._factors)}
+            old = [index for number in gone for index in self._factors[number]]
+            for number in gone:
+                del new._factors[number], new._blocks[number]
+            new._blocks |= {number: one.blocks for number, one in added.items()}
+            if not new._blocks:
                 raise RuntimeError("no plane is left")
-            indices = self._update(isam, graph, start, old)
+            new._add(added, old, beams)
             for _ in range(ROUNDS):
-                if not self._relinearized(isam):
+                if not new._has_moved():
                     break
+                new._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
             else:
                 raise RuntimeError("the estimate does not settle")
-            state = self._state(isam)
+            state = new.state()
             if accept is not None and not accept(state):
                 raise RuntimeError("too few planes are left")
-            factors = {p: found for p, found in self._factors.items() if p not in gone}
-            for (plane, _), index in zip(added, indices, strict=True):
-                factors[plane] = (*factors.get(plane, ()), index)
-            self._isam, self._view, self._factors = isam, view, factors
-        return state
+        return new, state
 
     def state(self) -> BeamState:
         """Return the beams as they are now."""
         with self._lock:
-            return self._state(self._isam)
+            return self._state()
 
     def parameters(self) -> Parameters:
         """Return beams, and planes in the order of `planes`, each in the frame of its blocks."""
         with self._lock:
             values = self._isam.calculateEstimate()
-            numbers = self.planes
-        planes = [values.atOrientedPlane3(plane_key(number)) for number in numbers]
+        planes = [values.atOrientedPlane3(plane_key(number)) for number in self.planes]
         r, v, k = self._read(values)
         return Parameters(
             r,
@@ -193,31 +219,63 @@ class IncrementalGraph:
         covariance: FloatArray = lift @ S @ lift.T
         return covariance
 
-    def _copy(self) -> tuple[gtsam.ISAM2, gtsam.Values]:
-        isam = gtsam.ISAM2(self._isam)
-        return isam, isam.getLinearizationPoint()
+    def _copy(self) -> "IncrementalGraph":
+        new = object.__new__(IncrementalGraph)
+        new.beams, new.terms, new._keys, new._lock = self.beams, self.terms, self._keys, self._lock
+        new._thresholds = self._thresholds
+        new._factors, new._blocks = dict(self._factors), dict(self._blocks)
+        new._isam = gtsam.ISAM2(self._isam)
+        new._view = new._isam.getLinearizationPoint()
+        return new
+
+    def _add(
+        self, added: Mapping[int, PlaneFactors], old: list[int], beams: "BeamStart | None"
+    ) -> None:
+        graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+        for one in added.values():
+            for block in one.blocks:
+                sigma = 1.0 if block.whitening is None else block.whitening.sigma
+                graph.push_back(range_factor(block, sigma))
+            for factor in one.others:
+                graph.push_back(factor)
+            sizes.append(len(one.blocks) + len(one.others))
+            start.insert(_new_ones(one.start, self._isam))
+        if beams is not None:
+            start.insert(beams.values)
+            for factor in beams.factors:
+                graph.push_back(factor)
+        indices = list(self._update(graph, start, old).getNewFactorsIndices())
+        ends = np.cumsum([0, *sizes]).tolist()
+        for number, a, e in zip(added, ends, ends[1:], strict=False):
+            self._factors[number] = tuple(indices[a:e])
 
     def _update(
         self,
-        isam: gtsam.ISAM2,
         graph: gtsam.NonlinearFactorGraph,
         start: gtsam.Values,
         old: list[int],
-    ) -> list[int]:
+        *,
+        relinearize: bool = False,
+    ) -> gtsam.ISAM2Result:
         groups = gtsam.KeyGroupMap()
         for key in self._keys:
             groups.insert2(key, BEAMS_LAST)
-        result = isam.update(graph, start, old, groups, None, None, False)
-        return list(result.getNewFactorsIndices())
+        blocks = [block for own in self._blocks.values() for block in own]
+        with gathered(blocks):
+            return self._isam.update(graph, start, old, groups, None, None, relinearize)
 
-    def _relinearized(self, isam: gtsam.ISAM2) -> bool:
-        """Update with nothing new; tell whether a variable was linearised anew."""
-        groups = gtsam.KeyGroupMap()
-        for key in self._keys:
-            groups.insert2(key, BEAMS_LAST)
-        empty = gtsam.NonlinearFactorGraph()
-        result = isam.update(empty, gtsam.Values(), [], groups, None, None, False)
-        return bool(result.getVariablesRelinearized())
+    def _has_moved(self) -> bool:
+        """Tell whether a variable has left its linearisation point by more than its threshold."""
+        count = {"p": len(self._blocks)}
+        for beam in self.beams:
+            for key in (beam.location, beam.direction, beam.range_error):
+                if key is not None:
+                    count[_letter(key)] = count.get(_letter(key), 0) + 1
+        blocks = (block for own in self._blocks.values() for block in own)
+        count["x"] = len({block.pose for block in blocks if block.pose is not None})
+        # GTSAM sorts by key: by letter, then by number.
+        units = [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
+        return bool((np.abs(self._isam.getDelta().vector()) > np.concatenate(units)).any())
 
     def _read(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
         k = np.zeros((len(self.beams), 2))
@@ -228,58 +286,83 @@ class IncrementalGraph:
         v = np.array([values.atUnit3(beam.direction).point3() for beam in self.beams])
         return r, v, k
 
-    def _state(self, isam: gtsam.ISAM2) -> BeamState:
-        values = gtsam.Values()
+    def _beam_values(self) -> gtsam.Values:
+        """Return the beams alone: the estimate of all variables would cost time in their number."""
+        values, delta = gtsam.Values(), self._isam.getDelta()
         for beam in self.beams:
-            for key in (beam.location, beam.direction, beam.range_error):
-                if key is not None:
-                    _copy_one(isam, key, beam, values)
-        S = isam.jointMarginalCovariance(self._keys).fullMatrix()
+            r, v, k = beam.location, beam.direction, beam.range_error
+            values.insert(r, self._view.atPoint3(r) + delta.at(r))
+            values.insert(v, self._view.atUnit3(v).retract(delta.at(v)))
+            if k is not None:
+                values.insert(k, self._view.atVector(k) + delta.at(k))
+        return values
+
+    def _state(self) -> BeamState:
+        S = self._isam.jointMarginalCovariance(self._keys).fullMatrix()
         scale = np.sqrt(np.diagonal(S))
         if not (np.isfinite(scale).all() and scale.all()):
             raise RuntimeError("the beams are not determined")
         sign, size = np.linalg.slogdet(S / np.outer(scale, scale))
         if sign <= 0:
             raise RuntimeError("the beams are not determined")
-        point = isam.getLinearizationPoint()
-        lift = np.zeros((8 * len(self.beams), len(S)))
-        first = 0
-        for i, (beam, terms) in enumerate(zip(self.beams, self.terms, strict=True)):
-            own = beam_lift(point.atUnit3(beam.direction).basis(), terms)
-            lift[8 * i : 8 * i + 8, first : first + 5 + terms] = own
-            first += 5 + terms
+        lifts = [
+            beam_lift(self._view.atUnit3(beam.direction).basis(), terms)
+            for beam, terms in zip(self.beams, self.terms, strict=True)
+        ]
+        lift = block_diag(*lifts)
         return BeamState(
-            *self._read(values), lift @ S @ lift.T, -float(size + 2.0 * np.log(scale).sum())
+            *self._read(self._beam_values()),
+            lift @ S @ lift.T,
+            -float(size + 2.0 * np.log(scale).sum()),
         )
 
 
-def _copy_one(isam: gtsam.ISAM2, key: int, beam: BeamKeys, values: gtsam.Values) -> None:
-    """Copy the estimate of one variable; the estimate of all would cost time in their number."""
-    if key == beam.location:
-        values.insert(key, isam.calculateEstimatePoint3(key))
-    elif key == beam.direction:
-        values.insert(key, isam.calculateEstimate([key]).atUnit3(key))
-    else:
-        values.insert(key, isam.calculateEstimateVector(key))
+@dataclass(frozen=True, slots=True)
+class BeamStart:
+    """Where the beams of a new graph start, and what is known of them without any plane."""
+
+    values: gtsam.Values
+    factors: tuple[gtsam.NonlinearFactor, ...] = ()
 
 
-def _isam_parameters(options: IncrementalOptions, length: float, terms: int) -> gtsam.ISAM2Params:
-    part = options.relinearize
-    units = {
-        "r": [length] * 3,
-        "v": [1.0, 1.0],
-        "p": [1.0, 1.0, length],
-        "x": [1.0] * 3 + [length] * 3,
-    }
-    if terms:
-        units["k"] = [1.0, 1.0 / length][:terms]
-    thresholds = gtsam.ISAM2ThresholdMap()
-    for letter, unit in units.items():
-        thresholds.insert((letter, part * np.array(unit)))
+def _new_ones(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
+    """Return the values of variables that are not in the graph."""
+    known = [key for key in start.keys() if isam.valueExists(key)]  # noqa: SIM118
+    if not known:
+        return start
+    new = gtsam.Values(start)
+    for key in known:
+        new.erase(key)
+    return new
+
+
+def _thresholds(
+    part: float, length: float, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
+) -> dict[str, FloatArray]:
+    """Return by how much the variables of each letter may move before they are linearised anew."""
+    units = {"p": [1.0, 1.0, length], "x": [1.0] * 3 + [length] * 3}
+    for beam, count in zip(beams, terms, strict=True):
+        units[_letter(beam.location)] = [length] * 3
+        units[_letter(beam.direction)] = [1.0, 1.0]
+        if beam.range_error is not None:
+            unit = [1.0, 1.0 / length][:count]
+            if len(units.setdefault(_letter(beam.range_error), unit)) != count:
+                raise ValueError("one letter for range errors of one term and of two")
+    return {letter: part * np.array(unit) for letter, unit in units.items()}
+
+
+def _isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
+    fine = gtsam.ISAM2ThresholdMap()
+    for letter, threshold in thresholds.items():
+        fine.insert((letter, WITH_THE_OTHERS * threshold))
     parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(thresholds)
-    parameters.relinearizeSkip = 1
+    parameters.setRelinearizeThreshold(fine)
+    parameters.relinearizeSkip = NEVER
     steps = gtsam.ISAM2GaussNewtonParams()
     steps.setWildfireThreshold(0.0)
     parameters.setOptimizationParams(steps)
     return parameters
+
+
+def _letter(key: int) -> str:
+    return chr(gtsam.symbolChr(key))

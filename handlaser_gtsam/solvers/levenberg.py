@@ -149,6 +149,13 @@ def levenberg_marquardt(
     )
 
 
+def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
+    """Return the start of `problem` as a result: what somebody else has solved."""
+    point = _Search(problem, LevenbergOptions(), None).point
+    residual, white = (_of_readings(problem, e) for e in (point.at.residual, point.at.white))
+    return LevenbergResult(point.values, "converged", message, point.cost, 0, (), residual, white)
+
+
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
     """Return the linear graph at `values`, all readings evaluated together."""
     shared = SharedEvaluation(problem.blocks, problem.whitening)

@@ -1,0 +1,6 @@
+"""Recalibration as planes are added: a calibration that grows, and knows what each plane taught it."""
+
+from .reports import Comparison, Update
+from .session import Session
+
+__all__ = ["Comparison", "Session", "Update"]

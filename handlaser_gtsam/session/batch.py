@@ -1,0 +1,162 @@
+"""The batch solution of what is in a session, for comparison and for whole results."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..assemble import assemble
+from ..calibration import Calibration
+from ..covariance import covariance
+from ..diagnosis.drift import Beams
+from ..diagnosis.observability import ObservabilityOptions, observability
+from ..graph import CalibrationGraph, build_graph, read_parameters
+from ..ordering import Order
+from ..parameters import Parameters
+from ..poses import PosePriors, pose_priors
+from ..range_error import Choice
+from ..recording import Readings, Recording
+from ..selection import Selection
+from ..sensor import FLAT, OUTSIDE
+from ..solvers.incremental import BeamState
+from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
+from ..solving import SETTLED, Solution
+from ..starts import Start
+from ..weighting import Whitening, unequal, whitening
+from .contents import Contents
+from .reports import Comparison
+from .setting import Setting
+
+ROUNDS = 10
+METHOD = "incremental"
+
+
+@dataclass(frozen=True, slots=True)
+class Inside:
+    """What is in the graph of a session, as one problem.
+
+    Attributes
+    ----------
+    setting : Setting
+    recording : Recording
+        Planes in the order of the contents, beams in that of the setting; readings left out included.
+    readings : Readings
+        All of them, in the world frame.
+    used : (N,) of bool
+    origins : (P, 3)
+        Of the planes' frames [m].
+    at : Parameters
+        Beams and planes, each plane in its own frame.
+    """
+
+    setting: Setting
+    recording: Recording
+    readings: Readings
+    used: BoolArray
+    origins: FloatArray
+    at: Parameters
+
+    @classmethod
+    def of(cls, contents: Contents, setting: Setting, at: Parameters) -> "Inside":
+        """Return the problem of `contents`; the planes of `at` in the order of their numbers."""
+        whole = contents.inside()
+        columns = [whole.beam_names.index(name) for name in setting.names]
+        whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=setting.names)
+        readings = setting.readings(whole)
+        bad = np.zeros(whole.ranges.shape, dtype=bool)
+        row = {name: j for j, name in enumerate(whole.station_names)}
+        for one in contents.rejected:
+            if one.station in row:
+                bad[row[one.station], setting.names.index(one.beam)] = True
+        used = ~bad[readings.station, readings.beam]
+        origins = np.array([contents.origins[name] for name in contents.numbers])
+        return cls(setting, whole, readings, used, origins, at)
+
+    def own(self) -> Readings:
+        """Return the readings that are used, every plane in its own frame."""
+        return self.readings.subset(np.flatnonzero(self.used)).seen_from(self.origins)
+
+    def problem(self, at: Parameters) -> tuple[CalibrationGraph, Whitening]:
+        """Return the graph at some parameters, and the whitening with poses eliminated."""
+        readings, setting = self.own(), self.setting
+        variances = setting.variances(len(self.recording.plane_labels))
+        marginal = how = whitening(at, readings, variances)
+        priors: PosePriors | None = None
+        if setting.poses == "estimated" and variances.pose is not None:
+            how = whitening(at, readings, variances.without_poses())
+            priors = pose_priors(readings, variances.pose)
+        problem = build_graph(readings, at, setting.terms, how, priors=priors)
+        for link in setting.links:
+            for factor in link.factors(problem.beams, setting.terms):
+                problem.graph.push_back(factor)
+        return problem, marginal
+
+    def solved(self) -> tuple[CalibrationGraph, LevenbergResult]:
+        """Return the batch solution, weights settled, from the present estimate."""
+        at = self.at
+        for _ in range(ROUNDS):
+            problem, _ = self.problem(at)
+            result = levenberg_marquardt(problem)
+            at = read_parameters(problem, result.values)
+            if not result.history or result.history[0].step < SETTLED:
+                break
+            if not self.setting.weights_depend:
+                break
+        return problem, result
+
+    def batch_beams(self) -> Beams:
+        """Return the beams of the batch solution."""
+        problem, result = self.solved()
+        found = read_parameters(problem, result.values)
+        return found.locations, found.directions, found.range_errors
+
+    def compared(self, state: BeamState) -> Comparison:
+        """Compare the beams with the batch solution."""
+        problem, result = self.solved()
+        S = covariance(problem, result.values).matrix(planes=[])
+        found = read_parameters(problem, result.values)
+        sigma, own = np.sqrt(np.diagonal(S)).reshape(-1, 8), state.sigmas()
+        difference = np.hstack(
+            (
+                state.locations - found.locations,
+                state.directions - found.directions,
+                state.range_errors - found.range_errors,
+            )
+        )
+        seen = sigma > 0.0
+        return Comparison(
+            float((np.abs(difference[seen]) / sigma[seen]).max()),
+            float(np.abs(own[seen] / sigma[seen] - 1.0).max()),
+        )
+
+    def calibration(self, rejected: Contents) -> Calibration:
+        """Return the calibration at the present estimate; nothing is solved anew."""
+        problem, marginal = self.problem(self.at)
+        result = evaluated(problem, "the present estimate of iSAM2")
+        at, setting = self.at, self.setting
+        found = observability(
+            at, self.own(), setting.terms, marginal.sigma, ObservabilityOptions(), marginal
+        )
+        variances = setting.variances(len(self.recording.plane_labels))
+        differ = unequal(at, self.own(), variances)
+        weights = (variances, marginal) if differ else (None, None)
+        solution = Solution(problem, result, at, found, *weights)
+        e = result.residual
+        start = Start(at, METHOD, ((METHOD, float(np.sqrt(np.mean(e**2)))),))
+        outside, flat = (self._because(rejected, reason) for reason in (OUTSIDE, FLAT))
+        choice = Choice(solution, setting.reason)
+        selection = Selection(self.used, outside, flat, start, METHOD, choice)
+        stations, beams, planes = (
+            np.arange(count)
+            for count in (len(self.recording.plane_labels), len(setting.names), len(self.origins))
+        )
+        order = Order(stations, beams, planes)
+        noise = setting.noise
+        return assemble(self.recording, self.readings, order, self.origins, noise, selection)
+
+    def _because(self, contents: Contents, reason: str) -> BoolArray:
+        """Return which readings (N,) were left out for a reason."""
+        own = {(one.station, one.beam) for one in contents.rejected if one.reason == reason}
+        names = self.recording.station_names
+        pairs = zip(self.readings.station.tolist(), self.readings.beam.tolist(), strict=True)
+        return np.array([(names[j], self.setting.names[i]) in own for j, i in pairs], dtype=bool)

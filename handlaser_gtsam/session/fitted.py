@@ -1,0 +1,243 @@
+"""One plane beside beams that are known: fitted, judged, and made into factors."""
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..diagnosis.drift import Beams, Information, Reference, plane_information
+from ..errors import GrazingBeamError
+from ..graph import station_blocks
+from ..keys import plane_key, pose_key
+from ..parameters import Parameters
+from ..poses import pose_priors
+from ..recording import Readings, Recording
+from ..solvers.incremental import BeamState, PlaneFactors
+from ..solvers.reduction import NormalEquations, whitened_normal_equations
+from ..starts.partial import PartialStart, grow
+from ..weighting import Whitening, own_variances, whitening
+from .setting import Setting
+
+MOST_SIGMA = 0.1
+"""A plane is determined when all its standard deviations are below this part of their units."""
+RANK = 1e-12
+CUT = 4.5
+"""A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
+MOST_LEFT_OUT = 0.3
+"""Part of the new readings of a plane: if more contradict the beams, the readings are not at fault."""
+UNLIKELY = 1e-6
+"""Readings with so improbable a chi2 fit no plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedPlane:
+    """Readings of one plane in its own frame, with the plane that fits them beside known beams.
+
+    Attributes
+    ----------
+    setting : Setting
+    readings : Readings
+    at : Parameters
+    residual : (N,)
+        [m]
+    whitening : Whitening
+        Poses eliminated.
+    normal : NormalEquations
+        With two range-error terms; to first order about the plane through the laser spots.
+    origin : (3,)
+        Of the frame in the world [m].
+    """
+
+    setting: Setting
+    readings: Readings
+    at: Parameters
+    residual: FloatArray
+    whitening: Whitening
+    normal: NormalEquations
+    origin: FloatArray
+
+    def determined(self) -> bool:
+        """Tell whether the readings alone determine the plane, for known beams."""
+        unit = np.array([1.0, 1.0, float(np.median(self.readings.distance))])
+        information = self.normal.plane[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
+        return bool(np.linalg.eigvalsh(information)[0] > MOST_SIGMA**-2)
+
+    def information(self, reference: Reference) -> Information:
+        """Return what the plane knows of the beams."""
+        at = self.at.locations, self.at.directions, self.at.range_errors
+        return plane_information(self.normal, self.whitening.sigma, at, reference)
+
+    def fits(self, own: Information, reference: Reference) -> bool:
+        """Tell whether its readings agree with each other, whatever the beams are.
+
+        Parameters
+        ----------
+        own : Information
+            Of this plane.
+        reference : Reference
+            What it is counted from.
+        """
+        dof = self.setting.sigma_dof
+        white = self.whitening.apply(self.residual) / self.whitening.sigma
+        values, axes = np.linalg.eigh(own.matrix)
+        keep = values > 1.0
+        here = reference.coordinates((self.at.locations, self.at.directions, self.at.range_errors))
+        along = axes.T @ (own.vector - own.matrix @ here)
+        fall = (along[keep] ** 2 / values[keep]).sum()
+        free = len(white) - 3 - int(keep.sum())
+        left = float(white @ white - fall)
+        if np.isfinite(dof):  # an estimated sigma may be wrong by so much
+            left /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
+        return free <= 0 or bool(chi2_distribution.sf(left, free) > UNLIKELY)
+
+    def standardized(self, state: BeamState) -> FloatArray:
+        """Return residuals (N,) in standard deviations, those of beams, plane and poses counted.
+
+        A plane that was fitted to the readings makes them smaller: those of a reading that decides the
+        plane by itself say nothing, and are zero.
+        """
+        x = model.scene(self.at, self.readings)
+        variances = self.setting.variances(int(self.readings.station.max()) + 1)
+        at = model.linearize(x, self.readings.distance, with_pose=variances.pose is not None)
+        J = np.zeros((len(self.readings), len(self.setting.names), 8))
+        J[np.arange(len(J)), self.readings.beam] = np.hstack(
+            (at.location, at.direction, at.range_error)
+        )
+        of_beams = J.reshape(len(J), -1)
+        variance = own_variances(self.at, self.readings, variances)
+        variance += np.einsum("ni,ij,nj->n", of_beams, state.covariance, of_beams)
+        if variances.pose is not None:
+            S = variances.pose[self.readings.station]
+            variance += np.einsum("ni,nij,nj->n", at.pose, S, at.pose)
+        basis = model.tangent_basis(self.at.normals)[0]
+        A = np.hstack((at.normal @ basis, at.offset[:, None])) / np.sqrt(variance)[:, None]
+        Q, R = np.linalg.qr(A)
+        used = np.abs(np.diagonal(R)) > 1e-9 * np.abs(R).max()
+        free = 1.0 - (Q[:, used] ** 2).sum(axis=1)
+        scale = np.sqrt(np.maximum(free, 1e-3) * variance)
+        return np.where(free > 1e-3, at.residual / scale, 0.0)
+
+    def factors(self, number: int, stations: dict[str, int], recording: Recording) -> PlaneFactors:
+        """Return what plane `number` brings into a graph.
+
+        Parameters
+        ----------
+        number : int
+        stations : dict
+            Number of every station in the session, for the keys of estimated poses.
+        recording : Recording
+            Of this plane.
+        """
+        readings, values = self.readings, gtsam.Values()
+        values.insert(plane_key(number), self._plane())
+        rows: IntArray = np.lexsort((readings.beam, readings.station))
+        plane = (plane_key(number),)
+        if self.setting.poses != "estimated":
+            keys = (self.setting.beams, plane, None)
+            blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
+            return PlaneFactors(blocks, (), values)
+        names = recording.station_names
+        own = np.array([stations[name] for name in names])
+        variances = self.setting.variances(len(names))
+        how = whitening(self.at, readings, variances.without_poses())
+        local = pose_priors(readings, self.setting.noise.pose_covariances(len(names)))
+        priors = replace(local, stations=own[local.stations])
+        here = replace(readings, station=own[readings.station])
+        keys_of_poses = (self.setting.beams, plane, priors)
+        blocks = station_blocks(here, how, rows, here.station, keys_of_poses)
+        graph = gtsam.NonlinearFactorGraph()
+        priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
+        others = tuple(graph.at(i) for i in range(graph.size()))
+        return PlaneFactors(blocks, others, values)
+
+    def _plane(self) -> gtsam.OrientedPlane3:
+        return gtsam.OrientedPlane3(gtsam.Unit3(self.at.normals[0]), self.at.offsets[0])
+
+
+def fit_plane(
+    setting: Setting, recording: Recording, beams: Beams, origin: FloatArray | None = None
+) -> FittedPlane | None:
+    """Return the plane that fits a recording of it and known beams; None where a beam grazes it.
+
+    Parameters
+    ----------
+    setting : Setting
+    recording : Recording
+        Of one plane.
+    beams : Beams
+    origin : (3,), optional
+        Of the plane's frame [m]; amid its stations where not given.
+    """
+    readings = setting.readings(recording)
+    if origin is None:
+        origin = readings.plane_means(readings.world_t_hand)[0]
+    readings = readings.seen_from(origin[None])
+    variances = setting.variances(len(recording.plane_labels))
+    start = PartialStart.empty(readings)
+    start.locations[:], start.directions[:], start.range_errors[:] = beams
+    at = grow(start, readings)
+    try:
+        how = whitening(at, readings, variances)
+        normal = whitened_normal_equations(at, readings, 2, how)
+        at, normal = _stepped(at, normal, readings)
+        e = model.residuals(model.scene(at, readings), readings.distance)
+    except GrazingBeamError:
+        return None
+    return FittedPlane(setting, readings, at, e, how, normal, origin)
+
+
+def _stepped(
+    at: Parameters, normal: NormalEquations, readings: Readings
+) -> tuple[Parameters, NormalEquations]:
+    """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
+    unit = np.array([1.0, 1.0, float(np.median(readings.distance))])
+    values, axes = np.linalg.eigh(normal.plane[0, 0] * np.outer(unit, unit))
+    known = values > RANK * values[-1]
+    along = np.where(known, axes.T @ (normal.plane_gradient[0, 0] * unit), 0.0)
+    step = -unit * (axes @ (along / np.where(known, values, 1.0)))
+    n, centre = at.normals, normal.centres[0, 0]
+    moved = model.normalized(n + model.tangent_basis(n)[0] @ step[:2])
+    offset = at.offsets + n @ centre + step[2] - moved @ centre
+    gradient = normal.beam_gradient + normal.border[0, 0] @ step
+    none = np.zeros_like(normal.plane_gradient)
+    return (
+        replace(at, normals=moved, offsets=offset),
+        replace(normal, beam_gradient=gradient, plane_gradient=none),
+    )
+
+
+def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:
+    """Return which readings (M, B) of a recording its others and the beams contradict.
+
+    The farthest is left out, the plane fitted again, until none is far. None where that does not end
+    soon: then it is not the readings that are at fault.
+    """
+    dof = fitted.setting.sigma_dof
+    tail = float(norm.sf(CUT))
+    cut = CUT if np.isinf(dof) else float(student.isf(tail, dof))
+    bad = np.zeros(recording.ranges.shape, dtype=bool)
+    column = {name: i for i, name in enumerate(recording.beam_names)}
+    beam_of = [column.get(name, -1) for name in fitted.setting.names]
+    total, now = int((~np.isnan(recording.ranges)).sum()), fitted
+    while True:
+        t = np.abs(now.standardized(state))
+        worst = int(np.argmax(t))
+        if t[worst] <= cut:
+            return bad
+        if bad.sum() + 1 > MOST_LEFT_OUT * total:
+            return None
+        bad[now.readings.station[worst], beam_of[now.readings.beam[worst]]] = True
+        again = fit_plane(
+            fitted.setting,
+            recording.without(bad),
+            (fitted.at.locations, fitted.at.directions, fitted.at.range_errors),
+            fitted.origin,
+        )
+        if again is None or not again.determined():
+            return None
+        now = again

@@ -1,0 +1,187 @@
+"""What all planes of a session have in common until its graph is begun anew."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import gtsam
+import numpy as np
+
+from ..arrays import FloatArray
+from ..diagnosis.drift import Beams, History, Reference
+from ..factors import beam_drift
+from ..fit import sizes
+from ..keys import BeamKeys, beam_keys
+from ..noise import Noise
+from ..range_error import Choice
+from ..recording import Readings, Recording
+from ..solvers.incremental import BeamStart, BeamState
+from ..weighting import Variances
+
+MOST_SIGMA = 0.1
+"""Beams are determined when all their standard deviations are below this part of their units."""
+SAME_SIGMA = 0.005
+"""An estimated range sigma that changes by a smaller part stays as it is."""
+TWO_TERMS = "q"
+"""Letter of range errors with two terms: iSAM2 has one threshold a letter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Process noise between a beam before and after it may have moved, by index.
+
+    Attributes
+    ----------
+    before, now : int
+    location_sigma : float
+        [m]
+    direction_sigma : float
+        [rad]
+    range_error_sigmas : (float, float)
+        Of k1 [1] and k2 [1/m].
+    """
+
+    before: int
+    now: int
+    location_sigma: float
+    direction_sigma: float
+    range_error_sigmas: tuple[float, float]
+
+    def factors(
+        self, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
+    ) -> tuple[gtsam.NonlinearFactor, ...]:
+        """Return the factors of the link."""
+        return beam_drift(
+            beams[self.before],
+            beams[self.now],
+            self.location_sigma,
+            self.direction_sigma,
+            self.range_error_sigmas[: terms[self.now]],
+        )
+
+    def sigmas(self) -> FloatArray:
+        """Return the standard deviations (7,) of all unknowns of a beam."""
+        location, direction = [self.location_sigma] * 3, [self.direction_sigma] * 2
+        return np.array([*location, *direction, *self.range_error_sigmas])
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Beams, noise and natural unit of a session.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the beams; a beam that has moved is there once more for every time before.
+    terms : tuple of int
+        Range-error terms of each.
+    length : float
+        The typical range [m].
+    sigma : float
+        Range sigma behind all weights [m].
+    sigma_dof : float
+        Degrees of freedom behind it; infinite where it was given.
+    noise : Noise
+        As given.
+    poses : str
+        How errors of the hand poses count.
+    links : tuple of Link
+    reason : str
+        Why these terms.
+    """
+
+    names: tuple[str, ...]
+    terms: tuple[int, ...]
+    length: float
+    sigma: float
+    sigma_dof: float
+    noise: Noise
+    poses: Literal["exact", "marginalised", "estimated"]
+    links: tuple[Link, ...] = ()
+    reason: str = ""
+
+    @property
+    def beams(self) -> tuple[BeamKeys, ...]:
+        """Keys of the beams."""
+        found = []
+        for i, terms in enumerate(self.terms):
+            keys = beam_keys(i, terms)
+            if terms == 2:
+                keys = replace(keys, range_error=gtsam.symbol(TWO_TERMS, i))
+            found.append(keys)
+        return tuple(found)
+
+    @property
+    def known_noise(self) -> Noise:
+        """The noise with the range sigma behind the weights."""
+        return replace(self.noise, range_sigma=self.sigma)
+
+    @property
+    def weights_depend(self) -> bool:
+        """Whether weights depend on the solution."""
+        return max(self.terms) > 0 or self.poses != "exact" or self.noise.incidence_sigma > 0.0
+
+    def determines(self, state: BeamState) -> bool:
+        """Tell whether the beams are known to a part of their natural units."""
+        unit = np.array([self.length] * 3 + [1.0] * 3 + [1.0, 1.0 / self.length])
+        return bool((state.sigmas() < MOST_SIGMA * unit).all())
+
+    def apart(self, state: BeamState, other: BeamState) -> float:
+        """Return how far two estimates of the beams are apart, in natural units."""
+        shift = float(np.abs(state.locations - other.locations).max()) / self.length
+        turn = float(np.abs(state.directions - other.directions).max())
+        stretch = np.abs(state.range_errors - other.range_errors) @ [1.0, self.length]
+        return max(shift, turn, float(stretch.max()))
+
+    def chosen(self, choice: Choice, readings: int) -> "Setting":
+        """Return the setting with the terms of a choice, and its range sigma if none was given."""
+        solution = choice.solution
+        terms = solution.problem.terms
+        if not solution.observability.full or solution.result.status != "converged":
+            return self
+        if self.noise.range_sigma is not None:
+            return self if terms == self.terms else replace(self, terms=terms, reason=choice.reason)
+        dof = readings - solution.observability.rank
+        _, _, sigma = sizes(solution, dof, given=False)
+        if terms == self.terms and abs(sigma / self.sigma - 1.0) < SAME_SIGMA:
+            return self
+        return replace(self, terms=terms, sigma=sigma, sigma_dof=float(dof), reason=choice.reason)
+
+    def difference(self, other: "Setting") -> list[str]:
+        """Say what was chosen differently in another setting."""
+        words = []
+        if self.terms != other.terms:
+            words.append(f"range-error terms chosen anew: {self.reason}")
+        if abs(self.sigma / other.sigma - 1.0) >= SAME_SIGMA:
+            words.append(f"range sigma {1e3 * self.sigma:.3g} mm")
+        return words
+
+    def variances(self, stations: int) -> Variances:
+        """Return what makes up the covariance of the readings of that many stations."""
+        pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
+        ranges = np.full(len(self.names), self.sigma)
+        return Variances(ranges, self.noise.incidence_sigma, pose)
+
+    def readings(self, recording: Recording) -> Readings:
+        """Return the readings with the beams numbered as here, planes as in the recording."""
+        readings = recording.readings()
+        number = {name: i for i, name in enumerate(self.names)}
+        beam = np.array([number[name] for name in recording.beam_names])[readings.beam]
+        order = np.lexsort((readings.station, beam, readings.plane))
+        return replace(readings, beam=beam, beams=len(self.names)).subset(order)
+
+    def start(self, at: Beams) -> BeamStart:
+        """Return the beams as the start of a graph, with their links."""
+        values = gtsam.Values()
+        for i, (beam, terms) in enumerate(zip(self.beams, self.terms, strict=True)):
+            values.insert(beam.location, at[0][i])
+            values.insert(beam.direction, gtsam.Unit3(at[1][i]))
+            if beam.range_error is not None:
+                values.insert(beam.range_error, at[2][i, :terms])
+        factors = [one for link in self.links for one in link.factors(self.beams, self.terms)]
+        return BeamStart(values, tuple(factors))
+
+    def history(self, at: Beams) -> History:
+        """Return a history without planes, counted from these beams."""
+        reference = Reference(self.names, at, self.terms, self.length)
+        links = [(link.before, link.now, link.sigmas()) for link in self.links]
+        return History.empty(reference, links)
