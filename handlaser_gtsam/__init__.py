@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     from .mounts import Mounts
     from .noise import Noise
     from .options import CalibrationOptions
+    from .own_graph import read_graph
     from .parameters import Parameters
     from .pipeline import calibrate
     from .propagation import measured_plane, spot
     from .recording import Readings, Recording, join
     from .sensor import Sensor
     from .session import Session
+    from .solvers.levenberg import optimize
 
 __all__ = [
     "Beam",
@@ -66,6 +68,8 @@ __all__ = [
     "join",
     "measured_plane",
     "model",
+    "optimize",
+    "read_graph",
     "read_mounts",
     "read_recording",
     "read_rig",
@@ -108,6 +112,8 @@ _HOME = {
     "hold_out": "diagnosis.hold_out",
     "join": "recording",
     "measured_plane": "propagation",
+    "optimize": "solvers.levenberg",
+    "read_graph": "own_graph",
     "read_mounts": "files.mounts_json",
     "read_recording": "files.recording_csv",
     "read_rig": "files.rig_toml",

@@ -6,12 +6,15 @@ covariance S of the beams and the covariance P_p of each plane for known beams:
 
     cov(p, beams) = -W_p S,    cov(p, q) = W_p S W_q' + (P_p if p = q)
 
+In a graph in which more ties planes together (hand poses with odometry between them), what couples them
+for known beams is added.
+
 Coordinates are tangent (location 3, direction 2, range-error terms a beam; normal 2, offset a plane)
 or ambient (x, y, z, vx, vy, vz, k1, k2 a beam; nx, ny, nz, b a plane), B S B' with the bases B.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -42,6 +45,9 @@ class JointCovariance:
         Tangent bases of directions and normals.
     origins : (P, 3)
         Where the offset of each plane is taken [m]; ambient offsets are those at the world's origin.
+    coupling : (P, 3, P, 3) or None
+        Covariance of the planes with each other for known beams, zero for each with itself; None where
+        they are independent then.
     """
 
     beam_names: tuple[str, ...]
@@ -53,10 +59,14 @@ class JointCovariance:
     beam_bases: FloatArray
     plane_bases: FloatArray
     origins: FloatArray
+    coupling: FloatArray | None = None
 
     def scaled(self, factor: float) -> "JointCovariance":
         """Return the covariance multiplied by a number."""
-        return self._with(beams=factor * self.beams, planes=factor * self.planes)
+        coupling = None if self.coupling is None else factor * self.coupling
+        return replace(
+            self, beams=factor * self.beams, planes=factor * self.planes, coupling=coupling
+        )
 
     def arranged(
         self, beams: Sequence[tuple[str, int]], planes: Sequence[tuple[str, int]]
@@ -74,6 +84,7 @@ class JointCovariance:
             self.beam_bases[i],
             self.plane_bases[p],
             self.origins[p],
+            None if self.coupling is None else self.coupling[p][:, :, p],
         )
 
     def matrix(
@@ -102,6 +113,8 @@ class JointCovariance:
         for number, index in enumerate(p):
             own = slice(first + 3 * number, first + 3 * number + 3)
             joint[own, own] += self.planes[index]
+        if self.coupling is not None and p:
+            joint[first:, first:] += self.coupling[p][:, :, p].reshape(3 * len(p), -1)
         if not ambient:
             return joint
         lifts = [self.beam_lift(k) for k in i] + [self.plane_lift(k) for k in p]
@@ -144,19 +157,6 @@ class JointCovariance:
     def _columns(self, index: int) -> IntArray:
         first = sum(5 + terms for terms in self.terms[:index])
         return np.arange(first, first + 5 + self.terms[index])
-
-    def _with(self, beams: FloatArray, planes: FloatArray) -> "JointCovariance":
-        return JointCovariance(
-            self.beam_names,
-            self.plane_names,
-            self.terms,
-            beams,
-            self.response,
-            planes,
-            self.beam_bases,
-            self.plane_bases,
-            self.origins,
-        )
 
 
 def beam_lift(basis: FloatArray, terms: int) -> FloatArray:

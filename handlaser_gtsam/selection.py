@@ -148,7 +148,9 @@ def _tested(
     if solution.variances is None:
         _, sigma, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
     else:
-        sigmas = reading_sigmas(solution.parameters, part, solution.variances)
+        # The last stations may have no reading among those used.
+        variances = solution.variances.for_stations(int(part.station.max()) + 1)
+        sigmas = reading_sigmas(solution.parameters, part, variances)
         known = solution.components is None
         sigma, t = judge(part, kept, solution.parameters, terms, sigmas, known=known)
     agreeing = np.abs(t) <= cut(part, kept, sigma)

@@ -43,6 +43,13 @@ class Variances:
     incidence_sigma: float = 0.0
     pose: FloatArray | None = None
 
+    def for_stations(self, count: int) -> "Variances":
+        """Return the same for so many stations: those beyond have the covariance that all share."""
+        if self.pose is None or len(self.pose) >= count:
+            return self
+        more = np.broadcast_to(self.pose[:1], (count - len(self.pose), 6, 6))
+        return replace(self, pose=np.concatenate((self.pose, more)))
+
     def without_poses(self) -> "Variances":
         """Return the same for readings whose hand poses are known."""
         return replace(self, pose=None)

@@ -220,3 +220,15 @@ def test_ctrl_c_in_the_first_of_several_solutions_counts():
     found = hl.calibrate(recording, NOISE, NONE, progress=stop)
     assert found.interrupted
     assert found.status == "not_converged"
+
+
+def test_the_last_station_may_lose_all_its_readings():
+    """Its covariance is asked for even where none of its readings is used."""
+    recording, truth = robot()
+    ranges = recording.ranges.copy()
+    last = int(np.lexsort(recording.world_t_hand.T[::-1])[-1])
+    ranges[last] += np.array([0.004, -0.003, 0.005, -0.004])
+    found = hl.calibrate(replace(recording, ranges=ranges), NOISE, NONE)
+    assert found.status == "converged"
+    assert {one.station for one in found.fit.rejected} == {recording.station_names[last]}
+    assert np.abs(found.parameters().locations - truth.locations).max() < 1e-3

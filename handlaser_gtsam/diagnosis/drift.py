@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
+from scipy.special import betaln, gammaln
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
@@ -259,7 +260,7 @@ class History:
         dof : float
             Degrees of freedom behind the range sigma; infinite where it was given.
         epochs : (E,), optional
-            Numbers of planes before the move; all where not given.
+            Numbers of planes before the move; all where not given, and once any of them shows a move.
         """
         count = len(self.planes)
         if epochs is None:
@@ -276,7 +277,10 @@ class History:
         L = np.stack([one.matrix for one in late])
         s = np.stack([one.vector for one in late]) - L @ x
         M = L - L @ covariance @ L
-        return self._clearest(s, M, dof, epochs)
+        found = self._clearest(s, M, dof, epochs)
+        if found is None or len(epochs) == count - 1:
+            return found
+        return self.search(dof)  # something has moved: look at every epoch
 
     def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved | None:
         beams = self.reference.moves()
@@ -302,6 +306,14 @@ class History:
 
 
 def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
-    if np.isinf(dof):
-        return np.asarray(chi2_distribution.logsf(statistic, rank))
-    return np.asarray(f_distribution.logsf(statistic / rank, rank, dof))
+    """Return the logarithm of the probability of a larger statistic, beyond the smallest number too."""
+    with np.errstate(divide="ignore"):
+        if np.isinf(dof):
+            log_p = chi2_distribution.logsf(statistic, rank)
+            half = np.maximum(0.5 * statistic, 1.0)
+            tail = (0.5 * rank - 1.0) * np.log(half) - half - gammaln(0.5 * rank)
+        else:
+            log_p = f_distribution.logsf(statistic / rank, rank, dof)
+            a = 0.5 * dof
+            tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
+    return np.where(np.isfinite(log_p), log_p, tail)

@@ -9,6 +9,10 @@ from .contents import Contents
 from .fitted import FittedPlane, fit_plane, outliers
 from .setting import Setting
 
+MANY = 3
+"""Readings of one beam at fault in one plane: it is rather the beam that has moved, if that explains
+them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Joining:
@@ -101,9 +105,10 @@ def _screened(
     again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
     if again is None or not again.determined():
         return contents, fitted
-    if fitted.fits(fitted.information(history.reference), history.reference):
-        later = history.without_plane(plane)
-        later = later.with_plane(plane, again.information(history.reference))
+    own = fitted.information(history.reference)
+    many = int(bad.sum(axis=0).max()) >= MANY
+    if many and fitted.fits(own, history.reference):
+        later = history.without_plane(plane).with_plane(plane, own)
         if later.search(setting.sigma_dof, later.recent()) is not None:
             return contents, fitted
     return less, again

@@ -20,9 +20,9 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError
-from ..factors import Evaluation, SharedEvaluation
+from ..factors import SharedEvaluation
 from ..graph import CalibrationGraph
-from .stopping import Stopping
+from .work import Alone, Point, Together, Work
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 
@@ -98,13 +98,6 @@ class LevenbergResult:
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
-    values: gtsam.Values
-    at: Evaluation
-    cost: float
-
-
-@dataclass(frozen=True, slots=True)
 class _Step:
     delta: gtsam.VectorValues
     decrement: float
@@ -131,11 +124,8 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    search = _Search(problem, options or LevenbergOptions(), progress)
-    try:
-        status, message = search.run()
-    except KeyboardInterrupt:
-        status, message = "interrupted", f"stopped by Ctrl-C after {search.accepted} steps"
+    search = _Search(Together(problem), options or LevenbergOptions(), progress)
+    status, message = search.finished()
     point = search.point
     return LevenbergResult(
         point.values,
@@ -149,9 +139,55 @@ def levenberg_marquardt(
     )
 
 
+def optimize(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    options: LevenbergOptions | None = None,
+    progress: Callable[[Trial], None] | None = None,
+) -> LevenbergResult:
+    """Minimise the error of any graph; Ctrl-C ends it with the best values so far.
+
+    GTSAM's own optimizers copy all values for every Python factor: their cost grows with the square of
+    the graph. This one does not, and it takes a beam that grazes its plane for a step too far.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        The start; it is not changed.
+    options : LevenbergOptions, optional
+    progress : callable, optional
+        Called with every trial step.
+
+    Returns
+    -------
+    LevenbergResult
+        Without residuals of readings.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam grazes its plane at the start already.
+    """
+    search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
+    status, message = search.finished()
+    point = search.point
+    none = np.empty(0)
+    return LevenbergResult(
+        point.values,
+        status,
+        message,
+        point.cost,
+        search.accepted,
+        tuple(search.history),
+        none,
+        none,
+    )
+
+
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem` as a result: what somebody else has solved."""
-    point = _Search(problem, LevenbergOptions(), None).point
+    point = Together(problem).evaluate(problem.values)
     residual, white = (_of_readings(problem, e) for e in (point.at.residual, point.at.white))
     return LevenbergResult(point.values, "converged", message, point.cost, 0, (), residual, white)
 
@@ -175,27 +211,26 @@ class _Search:
 
     def __init__(
         self,
-        problem: CalibrationGraph,
+        work: Work,
         options: LevenbergOptions,
         progress: Callable[[Trial], None] | None,
     ) -> None:
-        self.problem, self.options, self.progress = problem, options, progress
-        self.shared = SharedEvaluation(problem.blocks, problem.whitening)
+        self.work, self.options, self.progress = work, options, progress
         self.history: list[Trial] = []
         self.accepted = 0
         self.damping = options.least_damping
-        self.point = self._evaluate(gtsam.Values(problem.values))
-        rows = len(self.shared.distance)
-        rounding = 4.0 * np.finfo(float).eps * self.shared.reach() / problem.range_sigma
-        self.stopping = Stopping(
-            options.step_tolerance,
-            options.least_damping,
-            rows * float(rounding) ** 2,
-            max(rows + 6 * len(problem.poses) - problem.values.dim(), 1),
-        )
+        self.point = work.evaluate(gtsam.Values(work.start))
+        self.stopping = work.stopping(options.step_tolerance, options.least_damping)
+
+    def finished(self) -> tuple[Status, str]:
+        """Run to the end; Ctrl-C ends it with the best values so far."""
+        try:
+            return self.run()
+        except KeyboardInterrupt:
+            return "interrupted", f"stopped by Ctrl-C after {self.accepted} steps"
 
     def run(self) -> tuple[Status, str]:
-        linear = self._linearize()
+        linear = self.work.linearize(self.point)
         while len(self.history) < self.options.max_iterations:
             step = self._solve(linear)
             trial = self._try(step)
@@ -212,21 +247,8 @@ class _Search:
             if not self._adapt_damping(gain):
                 return "stalled", f"no step lowers the cost after {self.accepted} steps"
             if accepted:
-                linear = self._linearize()
+                linear = self.work.linearize(self.point)
         return "max_iterations", f"not converged within {len(self.history)} trial steps"
-
-    def _evaluate(self, values: gtsam.Values) -> _Point:
-        at = self.shared.evaluate(values)
-        problem = self.problem
-        if problem.graph.size() == len(problem.blocks):
-            loss = problem.loss.cost(at.white / problem.range_sigma)
-            return _Point(values, at, float(loss.sum()))
-        with self.shared.handed_out(at):
-            return _Point(values, at, problem.graph.error(values))
-
-    def _linearize(self) -> gtsam.GaussianFactorGraph:
-        with self.shared.handed_out(self.point.at):
-            return self.problem.graph.linearize(self.point.values)
 
     def _solve(self, linear: gtsam.GaussianFactorGraph) -> _Step | None:
         damped = linear
@@ -235,31 +257,29 @@ class _Search:
             damped.push_back(linear)
             self._push_damping(damped)
         try:
-            delta = damped.optimize(self.problem.ordering)
+            delta = damped.optimize(self.work.ordering)
         except RuntimeError:  # GTSAM's indeterminate linear system
             return None
         decrement = -linear.gradientAtZero().dot(delta)
         return _Step(delta, decrement) if np.isfinite(decrement) and decrement >= 0.0 else None
 
     def _push_damping(self, linear: gtsam.GaussianFactorGraph) -> None:
-        columns = self.shared.squared_columns(self.point.at)
-        for key, squares in columns.items():
+        for key, squares in self.work.squared_columns(self.point, linear).items():
             weight = np.sqrt(self.damping * np.maximum(squares, 1e-12 * squares.max()))
             dim = len(squares)
             unit = gtsam.noiseModel.Unit.Create(dim)
-            rows = np.diag(weight / self.problem.range_sigma)
-            linear.add(key, rows, np.zeros(dim), unit)
+            linear.add(key, np.diag(weight), np.zeros(dim), unit)
 
-    def _try(self, step: _Step | None) -> _Point | None:
+    def _try(self, step: _Step | None) -> Point | None:
         if step is None:
             return None
         try:
-            trial = self._evaluate(self.point.values.retract(step.delta))
+            trial = self.work.evaluate(self.point.values.retract(step.delta))
         except GrazingBeamError:
             return None
         return trial if np.isfinite(trial.cost) else None
 
-    def _gain(self, step: _Step | None, trial: _Point | None) -> float:
+    def _gain(self, step: _Step | None, trial: Point | None) -> float:
         """Return the share of the promised saving that the step achieved; -1 for a failed step.
 
         A change too small to show in the cost counts as half: accept, and leave the damping.
@@ -272,7 +292,7 @@ class _Search:
             return 0.5
         return saved / (0.5 * step.decrement)
 
-    def _record(self, step: _Step | None, trial: _Point | None, accepted: bool) -> None:
+    def _record(self, step: _Step | None, trial: Point | None, accepted: bool) -> None:
         cost = trial.cost if trial is not None else float("inf")
         length = float(np.sqrt(step.decrement)) if step is not None else float("inf")
         entry = Trial(len(self.history) + 1, cost, self.damping, length, accepted)

@@ -1,0 +1,273 @@
+"""Reading the result of somebody else's graph back into a calibration.
+
+Whatever else is in the graph (hand poses, odometry, fixes, landmarks) is eliminated; what is left is
+the information of beams and planes. Whether the values are the optimum of the graph is looked at, and
+whether the graph determines the beams.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from .arrays import FloatArray
+from .calibration import Beam, Calibration, Determined, Plane, StartReport, Status
+from .diagnosis.correlations import strong_correlations
+from .errors import InputError
+from .joint import JointCovariance
+from .keys import BeamKeys
+from .own_fit import fit_of_graph, key_name
+
+METHOD = "graph"
+OPTIMAL = 0.1
+"""Standard deviations from the optimum that values may be."""
+MOST_SIGMA = 0.1
+"""What is known worse than this, in metres and radians, is not determined."""
+UNLIKELY = 1e-6
+
+
+def read_graph(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    beams: Mapping[str, BeamKeys],
+    planes: Mapping[str, int],
+) -> Calibration:
+    """Return the calibration that optimised values of a graph hold.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        With range factors of these beams to these planes, and anything else.
+    values : gtsam.Values
+        Its optimum, by any optimizer.
+    beams : mapping of names to BeamKeys
+        Variables may be shared between beams.
+    planes : mapping of names to keys
+        Of OrientedPlane3 variables in the world frame.
+
+    Returns
+    -------
+    Calibration
+        Its fit lists the rows of the range factors; chi2 and dof are those of the whole graph.
+        `not_converged` where the values are no optimum, `unobservable` where the graph leaves beams or
+        planes open.
+
+    Raises
+    ------
+    InputError
+        A key without a value of the right type, a beam without range factors, or values without some
+        of the graph's variables.
+    """
+    wanted = _wanted(graph, values, beams, planes)
+    linear = graph.linearize(values)
+    unknowns = linear.gradientAtZero().vector().size
+    fit = fit_of_graph(graph, values, beams, planes, unknowns)
+    information = _information(graph, linear, wanted)
+    status, message, found = _judged(information, wanted)
+    joint = None if found is None else _joint(found[0], wanted, values, beams, planes)
+    told = joint if status == "converged" else None
+    tail = float(chi2_distribution.sf(fit.chi2, fit.dof)) if fit.dof > 0 else 1.0
+    doubt = (
+        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
+    )
+    return Calibration(
+        status,
+        message,
+        (doubt,) if tail < UNLIKELY else (),
+        MappingProxyType(dict(zip(beams, _beams(values, beams, told), strict=True))),
+        MappingProxyType(dict(zip(planes, _planes(values, planes, told), strict=True))),
+        fit,
+        _determined(found, wanted, message if status == "unobservable" else ""),
+        StartReport(METHOD, ()),
+        "as in the graph",
+        0,
+        covariance=told,
+        correlations=() if told is None else strong_correlations(told),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Variable:
+    """A variable that is read: what it is, its key, and its columns among all that are read."""
+
+    words: str
+    key: int
+    columns: slice
+
+
+def _wanted(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    beams: Mapping[str, BeamKeys],
+    planes: Mapping[str, int],
+) -> list[_Variable]:
+    """Return the variables to be read, each once."""
+    if not beams:
+        raise InputError("no beams", "a name and BeamKeys for each")
+    inside = set(graph.keyVector())
+    for key in inside:
+        if not values.exists(key):
+            raise InputError(f"no value of {key_name(key)}", "one for every variable of the graph")
+    asked: list[tuple[str, int, int]] = []
+    for name, beam in beams.items():
+        asked.append((f"location of beam {name}", beam.location, 3))
+        asked.append((f"direction of beam {name}", beam.direction, 2))
+        if beam.range_error is not None:
+            asked.append((f"range error of beam {name}", beam.range_error, 0))
+    asked += [(f"plane {name}", key, 3) for name, key in planes.items()]
+    found: dict[int, _Variable] = {}
+    first = 0
+    for words, key, dim in asked:
+        if key not in inside:
+            raise InputError(f"{words} under {key_name(key)}", "a variable of the graph")
+        _require_type(values, key, words)
+        if key not in found:
+            dim = dim or values.atVector(key).size
+            found[key] = _Variable(words, key, slice(first, first + dim))
+            first += dim
+    return list(found.values())
+
+
+def _require_type(values: gtsam.Values, key: int, words: str) -> None:
+    kind = words.split()[0]
+    read, expected = {
+        "location": (values.atPoint3, "Point3"),
+        "direction": (values.atUnit3, "Unit3"),
+        "range": (values.atVector, "vector (k1,) or (k1, k2)"),
+        "plane": (values.atOrientedPlane3, "OrientedPlane3"),
+    }[kind]
+    try:
+        read(key)
+    except RuntimeError as error:
+        raise InputError(f"another type under {key_name(key)}, {words}", f"a {expected}") from error
+
+
+def _information(
+    graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph, wanted: list[_Variable]
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the information of what is read and the right-hand side; None if others are open."""
+    keys = [one.key for one in wanted]
+    order = gtsam.Ordering.ColamdConstrainedLastNonlinearFactorGraph(graph, keys)
+    others, last = gtsam.Ordering(), gtsam.Ordering()
+    for i in range(order.size() - len(keys)):
+        others.push_back(order.at(i))
+    for key in keys:
+        last.push_back(key)
+    rest = linear
+    try:
+        if others.size():
+            _, rest = linear.eliminatePartialSequential(others)
+        matrix, vector = rest.hessian(last)
+    except RuntimeError:  # GTSAM's indeterminate linear system, which names a bystander
+        return None
+    return np.asarray(matrix), np.asarray(vector).ravel()
+
+
+def _judged(
+    information: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable]
+) -> tuple[Status, str, tuple[FloatArray, FloatArray] | None]:
+    """Return status and message, and (covariance, eigenvalues) where there is a covariance."""
+    if information is None:
+        words = "the graph leaves variables open: give every pose a prior, odometry or a fix"
+        return "unobservable", words, None
+    matrix, vector = information
+    values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    weak = values < MOST_SIGMA**-2
+    if weak.any():
+        share = (axes[:, weak] ** 2).sum(axis=1)
+        open_ = [one.words for one in wanted if share[one.columns].sum() > 0.1]
+        words = (
+            f"the graph does not determine {', '.join(open_)}: add stations in other orientations"
+        )
+        return "unobservable", words, None
+    covariance = (axes / values) @ axes.T
+    away = float((np.abs(covariance @ vector) / np.sqrt(np.diagonal(covariance))).max())
+    found = covariance, values
+    if away > OPTIMAL:
+        words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
+        return "not_converged", words, found
+    return "converged", "the values are the optimum of the graph", found
+
+
+def _joint(
+    S: FloatArray,
+    wanted: list[_Variable],
+    values: gtsam.Values,
+    beams: Mapping[str, BeamKeys],
+    planes: Mapping[str, int],
+) -> JointCovariance:
+    """Return the covariance in the order of the names; shared variables stand once for every beam."""
+    columns = {one.key: np.arange(one.columns.start, one.columns.stop) for one in wanted}
+    keys = [(b.location, b.direction, b.range_error) for b in beams.values()]
+    own = [np.concatenate([columns[k] for k in three if k is not None]) for three in keys]
+    at = np.concatenate(own)
+    of_planes = [columns[key] for key in planes.values()]
+    p = np.concatenate([np.empty(0, dtype=np.intp), *of_planes])
+    unique = np.unique(at)
+    expand = (at[:, None] == unique).astype(float)
+    inside = np.linalg.inv(S[np.ix_(unique, unique)])
+    W = -S[np.ix_(p, unique)] @ inside
+    rest = S[np.ix_(p, p)] + W @ S[np.ix_(unique, p)]
+    count = len(of_planes)
+    coupling = rest.reshape(count, 3, count, 3).copy()
+    each = np.arange(count)
+    alone = coupling[each, :, each, :].copy()
+    coupling[each, :, each, :] = 0.0
+    return JointCovariance(
+        tuple(beams),
+        tuple(planes),
+        tuple(len(one) - 5 for one in own),
+        S[np.ix_(at, at)],
+        (W @ np.linalg.pinv(expand)).reshape(count, 3, -1),
+        alone,
+        np.array([values.atUnit3(beam.direction).basis() for beam in beams.values()]),
+        np.array([_plane(values, k).normal().basis() for k in planes.values()]).reshape(-1, 3, 2),
+        np.zeros((count, 3)),
+        coupling,
+    )
+
+
+def _beams(
+    values: gtsam.Values, beams: Mapping[str, BeamKeys], joint: JointCovariance | None
+) -> list[Beam]:
+    covariances = [None] * len(beams) if joint is None else joint.all_beams()
+    found = []
+    for (name, keys), S in zip(beams.items(), covariances, strict=True):
+        k = np.zeros(2)
+        terms = 0
+        if keys.range_error is not None:
+            own = values.atVector(keys.range_error)
+            terms, k[: own.size] = own.size, own
+        sigma = None if S is None else np.sqrt(np.maximum(np.diagonal(S), 0.0))
+        r, v = values.atPoint3(keys.location), values.atUnit3(keys.direction).point3()
+        found.append(Beam(name, r, v, k, terms, S, sigma))
+    return found
+
+
+def _planes(
+    values: gtsam.Values, planes: Mapping[str, int], joint: JointCovariance | None
+) -> list[Plane]:
+    covariances = [None] * len(planes) if joint is None else joint.all_planes()
+    found = []
+    for (name, key), S in zip(planes.items(), covariances, strict=True):
+        plane = _plane(values, key)
+        sigma = None if S is None else np.sqrt(np.maximum(np.diagonal(S), 0.0))
+        found.append(Plane(name, plane.normal().point3(), plane.distance(), S, sigma))
+    return found
+
+
+def _plane(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
+    return values.atOrientedPlane3(key)
+
+
+def _determined(
+    found: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable], open_: str
+) -> Determined:
+    unknowns = wanted[-1].columns.stop
+    if found is None:
+        return Determined(0, unknowns, None, (open_,))
+    values = found[1]
+    return Determined(unknowns, unknowns, float(np.sqrt(values[-1] / values[0])))
