@@ -42,6 +42,10 @@ class InputError(HandlaserError):
         where = ", ".join(place)
         super().__init__(f"{where}: found {found}; expected {expected}".removeprefix(": "))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process."""
+        return InputError, (self.found, self.expected, self.path, self.line, self.column)
+
 
 class GrazingBeamError(HandlaserError):
     """A beam runs parallel to its plane, so no range can be predicted."""
@@ -52,6 +56,10 @@ class GrazingBeamError(HandlaserError):
             f"beam is parallel to the plane: |cos(incidence)| = {abs(cosine):.2e}, "
             f"expected at least {limit:.0e}; drop the reading or start closer to the solution"
         )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process."""
+        return GrazingBeamError, (self.cosine, self.limit)
 
 
 class SolverError(HandlaserError):

@@ -252,7 +252,9 @@ class History:
         back = 2 ** np.arange(max(count, 1).bit_length())
         return count - back[back < count]
 
-    def search(self, dof: float, epochs: IntArray | None = None) -> Moved | None:
+    def search(
+        self, dof: float, epochs: IntArray | None = None, false_alarms: float = FALSE_ALARMS
+    ) -> Moved | None:
         """Return the beam that has moved; None where there is no clear sign of it.
 
         Parameters
@@ -261,6 +263,8 @@ class History:
             Degrees of freedom behind the range sigma; infinite where it was given.
         epochs : (E,), optional
             Numbers of planes before the move; all where not given, and once any of them shows a move.
+        false_alarms : float
+            Probability of finding one where nothing has moved.
         """
         count = len(self.planes)
         if epochs is None:
@@ -278,11 +282,13 @@ class History:
         s = np.stack([one.vector for one in late]) - L @ x
         M = L - L @ covariance @ L
         found = self._clearest(s, M, dof, epochs)
-        if found is None or len(epochs) == count - 1:
+        if found.p_value >= false_alarms:
+            return None
+        if len(epochs) == count - 1:
             return found
-        return self.search(dof)  # something has moved: look at every epoch
+        return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
 
-    def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved | None:
+    def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
         beams = self.reference.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
@@ -292,14 +298,12 @@ class History:
         statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         at = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-        if log_p[at] >= np.log(FALSE_ALARMS / log_p.size):
-            return None
         d = axes[at] @ np.where(keep[at], along[at] / safe[at], 0.0)
         d = d * self.reference.unit[beams[at[1]]]
         return Moved(
             self.reference.names[at[1]],
             self.planes[int(epochs[at[0]])],
-            float(np.exp(log_p[at])) * log_p.size,
+            min(float(np.exp(log_p[at])) * log_p.size, 1.0),
             d[:3],
             float(np.linalg.norm(d[3:])),
         )

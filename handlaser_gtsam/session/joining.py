@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ..arrays import BoolArray
 from ..diagnosis.drift import History
 from ..recording import Recording
 from ..solvers.incremental import BeamState, PlaneFactors
@@ -12,6 +13,8 @@ from .setting import Setting
 MANY = 3
 """Readings of one beam at fault in one plane: it is rather the beam that has moved, if that explains
 them."""
+SUSPICIOUS = 1e-3
+"""Probability below which the readings that are left look as if a beam had moved."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +104,32 @@ def _screened(
     bad = outliers(fitted, used, state)
     if bad is None or not bad.any():
         return contents, fitted
+    known = history.without_plane(plane)
+    if known.search(setting.sigma_dof, known.recent()) is not None:
+        return (
+            contents,
+            fitted,
+        )  # a beam has moved, and nobody was told: it is the estimate that is off
     less = contents.leaving_out(plane, used, bad)
     again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
     if again is None or not again.determined():
         return contents, fitted
-    own = fitted.information(history.reference)
+    return (contents, fitted) if _rather_moved(fitted, again, bad, known, plane) else (less, again)
+
+
+def _rather_moved(
+    fitted: FittedPlane, again: FittedPlane, bad: BoolArray, known: History, plane: str
+) -> bool:
+    """Tell whether a beam has moved rather than that the readings `bad` are garbage.
+
+    A move explains all readings, and shows in those that are left when the worst are gone.
+    """
+    own, rest = (one.information(known.reference) for one in (fitted, again))
+    if not fitted.fits(own, known.reference):
+        return False
+    dof = fitted.setting.sigma_dof
+    whole, less = known.with_plane(plane, own), known.with_plane(plane, rest)
+    if whole.search(dof, whole.recent()) is None:
+        return False
     many = int(bad.sum(axis=0).max()) >= MANY
-    if many and fitted.fits(own, history.reference):
-        later = history.without_plane(plane).with_plane(plane, own)
-        if later.search(setting.sigma_dof, later.recent()) is not None:
-            return contents, fitted
-    return less, again
+    return many or less.search(dof, less.recent(), SUSPICIOUS) is not None

@@ -206,8 +206,8 @@ class Session:
         Raises
         ------
         InputError
-            No calibration yet, no such beam or plane, no plane before it, or the beam has been told to
-            move there already.
+            No calibration yet, no such beam or plane, no plane before it, the beam has been told to
+            move there already, or sigmas that are not positive or beyond what GTSAM can solve.
         """
         with self._lock:
             now = self._require()
@@ -240,7 +240,13 @@ class Session:
                 links=(*old, link),
             )
             at = tuple(np.vstack((a, a[index])) for a in now.state.arrays)
-            self._now = self._restarted(split, setting, (at[0], at[1], at[2]))
+            try:
+                self._now = self._restarted(split, setting, (at[0], at[1], at[2]))
+            except RuntimeError as error:
+                words = f"process noise of {location_sigma:g} m and {direction_sigma:g} rad"
+                raise InputError(
+                    f"{words}, with which GTSAM calls the beams indeterminate", "less extreme noise"
+                ) from error
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..diagnosis.drift import Beams, History, Reference
+from ..errors import InputError
 from ..factors import beam_drift
 from ..fit import sizes
 from ..keys import BeamKeys, beam_keys
@@ -38,6 +39,11 @@ class Link:
         [rad]
     range_error_sigmas : (float, float)
         Of k1 [1] and k2 [1/m].
+
+    Raises
+    ------
+    InputError
+        A sigma that is not positive.
     """
 
     before: int
@@ -45,6 +51,11 @@ class Link:
     location_sigma: float
     direction_sigma: float
     range_error_sigmas: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        sigmas = (self.location_sigma, self.direction_sigma, *self.range_error_sigmas)
+        if not all(0.0 < sigma < np.inf for sigma in sigmas):
+            raise InputError(f"process noise {sigmas}", "positive standard deviations")
 
     def factors(
         self, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]

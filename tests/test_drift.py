@@ -1,0 +1,193 @@
+"""Which beam has moved, and since when; and going on without throwing anything away."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks.drift import CASES, run_once
+from handlaser_gtsam import model
+from handlaser_gtsam.scenes import SCENES, Layout
+from handlaser_gtsam.simulate import Errors, simulate
+
+SIGMA, TURN = 1e-4, math.radians(0.3)
+NOISE, NONE = hl.Noise(SIGMA), hl.CalibrationOptions("none")
+
+
+def knocked(planes=10, before=6, beams=3, beam=1, turn=TURN, seed=3, stations=9):
+    """Return a recording in which a beam turns before a plane, and the truth after it."""
+    rng = np.random.default_rng(seed)
+    truth, where = SCENES["arm"](Layout(beams, planes, stations), rng)
+    v = truth.directions.copy()
+    across = model.tangent_basis(v)[beam, :, 0]
+    v[beam] = math.cos(turn) * v[beam] + math.sin(turn) * across
+    later = replace(truth, directions=v)
+    early, late = (simulate(one, where, Errors(SIGMA), rng) for one in (truth, later))
+    rows = [np.flatnonzero(early.plane_of_station < before)]
+    rows.append(np.flatnonzero(early.plane_of_station >= before))
+    return hl.join([early.part(rows[0]), late.part(rows[1])]), later
+
+
+def plane(recording, index):
+    return recording.part(np.flatnonzero(recording.plane_of_station == index))
+
+
+def fed(recording, noise=NOISE, options=NONE, stop=None):
+    session, updates = hl.Session(noise, options), []
+    for index in range(stop or len(recording.plane_names)):
+        updates.append(session.add(plane(recording, index)))
+    return session, updates
+
+
+@pytest.mark.parametrize("beam", [0, 2])
+def test_a_turned_beam_is_named_at_once_and_ever_after(beam):
+    recording, _ = knocked(beam=beam)
+    session, updates = fed(recording)
+    assert all(update.moved is None for update in updates[:6])
+    for update in updates[6:]:
+        assert (update.moved.beam, update.moved.since) == (str(beam + 1), "G")
+        assert update.rejected == ()
+    moved = session.moved()
+    assert moved.p_value < 1e-20
+    assert math.degrees(moved.turn) == pytest.approx(0.3, abs=0.05)
+    assert np.abs(moved.shift).max() < 1e-3
+
+
+def test_what_nothing_has_moved_is_quiet():
+    session, updates = fed(knocked(turn=0.0)[0])
+    assert all(update.moved is None for update in updates)
+    assert session.moved() is None
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_study_of_drift(case):
+    """One run with and one without a change of what `benchmarks.drift` counts."""
+    assert run_once(case, TURN, "arm", 1)[0]
+    assert not run_once(case, 0.0, "arm", 101)[3]
+
+
+def test_the_statistic_is_the_fall_of_chi2():
+    """Against two batch solutions: one beam for all planes, and another one from an epoch on."""
+    recording, _ = knocked(turn=math.radians(0.08), planes=8, before=5)
+    session, _ = fed(recording, options=hl.CalibrationOptions("none", outliers="keep"))
+    history = session._now.history
+    names = [f"{i + 1}" for i in range(3)]
+    early, late = (
+        np.flatnonzero((recording.plane_of_station < 5) == side) for side in (True, False)
+    )
+    split = hl.join([recording.part(early).renamed("2", "2 before"), recording.part(late)])
+    keep = hl.CalibrationOptions("none", outliers="keep")
+    one, two = (hl.calibrate(r, NOISE, keep).fit.chi2 for r in (recording, split))
+    M, s = _scores(history, 5)
+    own = history.reference.moves()[names.index("2")]
+    statistic = s[own] @ np.linalg.solve(M[np.ix_(own, own)], s[own])
+    assert one - two > 20.0
+    assert statistic == pytest.approx(one - two, rel=5e-3)  # the model is not quite linear
+
+
+def _scores(history, epoch):
+    T = np.linalg.inv(history.totals[-1].matrix)
+    late = history.totals[-1] - history.totals[epoch - 1]
+    x = T @ history.totals[-1].vector
+    return late.matrix - late.matrix @ T @ late.matrix, late.vector - late.matrix @ x
+
+
+def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
+    recording, truth = knocked(planes=12)
+    session, _ = fed(recording, stop=7)
+    assert session.moved().beam == "2"
+    session.forget("2", since="G")
+    assert session.planes == tuple("ABCDEFG")
+    assert session.moved() is None
+    wide = session.beams()
+    for index in range(7, 12):
+        update = session.add(plane(recording, index))
+        assert update.moved is None
+        assert session.compare().largest < 0.01
+        assert session.compare().largest_sigma < 0.01
+    beams = session.beams()
+    assert beams.names == ("1", "2", "3")
+    sigma, before = (np.sqrt(np.diagonal(one.covariance)).reshape(3, 8) for one in (beams, wide))
+    assert (sigma[1, :6] < 0.7 * before[1, :6]).all()
+    error = np.hstack((beams.locations - truth.locations, beams.directions - truth.directions))
+    assert (np.abs(error) < 4.0 * sigma[:, :6]).all()
+    result = session.calibration()
+    assert list(result.beams) == ["1", "2", "3", "2 until G"]
+    turned = np.arccos(result.beams["2"].direction @ result.beams["2 until G"].direction)
+    assert math.degrees(turned) == pytest.approx(0.3, abs=0.1)
+    assert session.recording().beam_names == ("1", "2", "3")
+    assert np.array_equal(np.sort(session.recording().ranges), np.sort(recording.ranges))
+
+
+def test_process_noise_ties_the_beam_to_what_it_was():
+    """No noise at all is no move; much of it is a beam of its own."""
+    recording, _ = knocked(turn=0.0)
+    session, _ = fed(recording)
+    before = session.beams()
+    session.forget("2", "G", 1e-6, 1e-6)
+    tied = session.beams()
+    sigmas = [np.sqrt(np.diagonal(one.covariance)).reshape(3, 8)[:, :6] for one in (before, tied)]
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=2e-2)
+    loose, _ = fed(recording)
+    loose.forget("2", "G", 1.0, 1.0)
+    early, late = (
+        np.flatnonzero((recording.plane_of_station < 6) == side) for side in (True, False)
+    )
+    split = hl.join([recording.part(early).renamed("2", "old"), recording.part(late)])
+    alone = hl.calibrate(split, NOISE, NONE).beams["2"]
+    own = loose.beams()
+    assert np.sqrt(np.diagonal(own.covariance))[8:14] == pytest.approx(alone.sigma[:6], rel=1e-2)
+    assert own.locations[1] == pytest.approx(alone.location, abs=2e-2 * alone.sigma[:3].min())
+
+
+def test_a_beam_may_be_knocked_twice():
+    recording, _ = knocked(planes=12, before=4)
+    session, _ = fed(recording)
+    session.forget("2", "E")
+    session.forget("2", "I")
+    assert session.compare().largest < 0.01
+    assert list(session.calibration().beams) == ["1", "2", "3", "2 until E", "2 until I"]
+    assert session.beams().names == ("1", "2", "3")
+
+
+def test_what_cannot_be_forgotten_is_refused():
+    session, _ = fed(knocked()[0])
+    with pytest.raises(hl.InputError, match="beam 'x'"):
+        session.forget("x", "G")
+    for since in ("A", "x"):
+        with pytest.raises(hl.InputError, match=f"before plane '{since}'"):
+            session.forget("2", since)
+    with pytest.raises(hl.InputError, match="process noise"):
+        session.forget("2", "G", location_sigma=0.0)
+    session.forget("2", "G")
+    with pytest.raises(hl.InputError, match="every move once"):
+        session.forget("2", "G")
+    with pytest.raises(hl.InputError, match="beam '2 until G'"):
+        session.forget("2 until G", "C")
+    assert session.compare().largest < 0.01
+
+
+def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():
+    recording, _ = knocked(turn=0.0)
+    session, _ = fed(recording, stop=8)
+    ranges = recording.ranges.copy()
+    rows = np.flatnonzero(recording.plane_of_station == 8)
+    ranges[rows[1], 0] += 0.02
+    ranges[rows[4], 2] -= 0.005
+    bad = replace(recording, ranges=ranges)
+    update = session.add(plane(bad, 8))
+    assert {(one.station, one.beam) for one in update.rejected} == {
+        (recording.station_names[rows[1]], "1"),
+        (recording.station_names[rows[4]], "3"),
+    }
+    assert update.moved is None
+    assert session.compare().largest < 0.01
+    listed = {(one.station, one.beam) for one in session.calibration().fit.rejected}
+    assert listed == {(one.station, one.beam) for one in session.rejected}
+    rows = np.flatnonzero(recording.plane_of_station == 9)
+    ranges[rows] += 0.01 * np.random.default_rng(1).normal(size=(len(rows), 3))
+    update = session.add(plane(replace(recording, ranges=ranges), 9))
+    assert update.doubtful == ("J",)
+    assert update.moved is None

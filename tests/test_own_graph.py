@@ -1,0 +1,355 @@
+"""Beams in graphs that somebody else built: solved by any optimizer, read back in one call."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks.mobile_base import WALLS, driven, run_once
+from handlaser_gtsam import model
+from handlaser_gtsam.factors import range_to_plane, range_to_plane_from_pose
+
+SIGMA = 1e-3
+FIX = gtsam.noiseModel.Diagonal.Sigmas(np.array([2e-3] * 3 + [1e-3] * 3))
+STEP = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-3] * 3 + [2e-3] * 3))
+BEAM = hl.BeamKeys(gtsam.symbol("l", 0), gtsam.symbol("u", 0))
+OTHER = hl.BeamKeys(gtsam.symbol("l", 1), gtsam.symbol("u", 1))
+WALL, FLOOR = gtsam.symbol("w", 0), gtsam.symbol("w", 1)
+PLANES = {"wall": WALL, "floor": FLOOR}
+TRUE_PLANES = {
+    WALL: gtsam.OrientedPlane3(gtsam.Unit3(np.array([1.0, 0.2, 0.1])), -2.0),
+    FLOOR: gtsam.OrientedPlane3(gtsam.Unit3(np.array([0.1, 0.3, 1.0])), -1.5),
+}
+
+
+@dataclass
+class Robot:
+    """A hand that walks, with odometry between its stations and a fix at every fifth."""
+
+    letter: str
+    poses: list
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+
+    def key(self, station):
+        return gtsam.symbol(self.letter, station)
+
+
+def robot(letter="x", stations=40, seed=1):
+    rng = np.random.default_rng(seed)
+    graph, values, poses = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+    for j in range(stations):
+        turn, shift = rng.uniform(-0.6, 0.6, 3), rng.uniform(-0.4, 0.4, 3)
+        pose = gtsam.Pose3(gtsam.Rot3.Expmap(turn), shift)
+        key = gtsam.symbol(letter, j)
+        if j:
+            step = poses[-1].between(pose).retract(STEP.sigmas() * rng.standard_normal(6))
+            graph.push_back(gtsam.BetweenFactorPose3(gtsam.symbol(letter, j - 1), key, step, STEP))
+        fix = pose.retract(FIX.sigmas() * rng.standard_normal(6))
+        if j % 5 == 0:
+            graph.addPriorPose3(key, fix, FIX)
+        poses.append(pose)
+        values.insert(key, fix)
+    return Robot(letter, poses, graph, values)
+
+
+def reading(pose, plane, r, v, k=(0.0, 0.0), noise=0.0):
+    seen = TRUE_PLANES[plane].transform(pose)
+    n, b = seen.normal().point3(), seen.distance()
+    s = -(n @ r + b) / (n @ v)
+    d = s if k == (0.0, 0.0) else (np.sqrt((1 + k[0]) ** 2 + 4 * k[1] * s) - 1 - k[0]) / (2 * k[1])
+    return d + noise
+
+
+R, V = np.array([0.05, -0.02, 0.08]), model.normalized(np.array([[1.0, 0.3, 0.9]]))[0]
+R2 = np.array([0.15, -0.02, 0.1])
+V2 = model.normalized(np.array([[0.9, 0.5, 0.8]]))[0]
+
+
+def add_beam(graph, walker, beam=BEAM, r=R, v=V, k=(0.0, 0.0), seed=2):
+    """Join the readings of a beam, one line each."""
+    rng = np.random.default_rng(seed)
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, r, v, k, SIGMA * rng.standard_normal())
+        graph.push_back(range_to_plane_from_pose(beam, plane, walker.key(j), d, SIGMA))
+
+
+def started(*values, beams=((BEAM, R, V),), terms=0):
+    start = gtsam.Values()
+    for one in values:
+        start.insert(one)
+    for beam, r, v in beams:
+        start.insert(beam.location, r + 0.01)
+        start.insert(beam.direction, gtsam.Unit3(v + np.array([0.02, -0.01, 0.02])))
+        if beam.range_error is not None and not start.exists(beam.range_error):
+            start.insert(beam.range_error, np.zeros(terms))
+    for key, plane in TRUE_PLANES.items():
+        n = gtsam.Unit3(plane.normal().point3() + np.array([0.02, 0.01, -0.02]))
+        start.insert(key, gtsam.OrientedPlane3(n, plane.distance() + 0.02))
+    return start
+
+
+def assert_near_truth(found, name="laser", r=R, v=V):
+    beam = found.beams[name]
+    assert found.status == "converged", found.message
+    assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()
+    assert np.linalg.norm(beam.direction - v) < 5.0 * beam.direction_sigma
+    assert 0.5 < found.fit.chi2 / found.fit.dof < 1.6
+
+
+@pytest.fixture(scope="module")
+def walk():
+    walker = robot()
+    graph = gtsam.NonlinearFactorGraph(walker.graph)
+    add_beam(graph, walker)
+    return graph, started(walker.values)
+
+
+def by_isam(graph, start, threshold):
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(threshold)
+    parameters.relinearizeSkip = 1
+    isam = gtsam.ISAM2(parameters)
+    isam.update(graph, start)
+    for _ in range(10):
+        isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
+    return isam.calculateEstimate()
+
+
+def test_an_isam_with_the_threshold_it_comes_with_is_found_out(walk):
+    values = by_isam(*walk, 0.1)
+    found = hl.read_graph(walk[0], values, {"laser": BEAM}, PLANES)
+    assert found.status == "not_converged"
+    assert "from the optimum" in found.message
+
+
+def test_all_optimizers_arrive_at_the_same_calibration(walk):
+    graph, start = walk
+    ours = hl.optimize(graph, start)
+    assert ours.status == "converged"
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    parameters.setAbsoluteErrorTol(1e-14)
+    theirs = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
+    results = [ours.values, gtsam.Values(theirs.optimize()), by_isam(graph, start, 1e-4)]
+    found = [hl.read_graph(graph, values, {"laser": BEAM}, PLANES) for values in results]
+    for one in found:
+        assert_near_truth(one)
+        assert one.fit.poses == "estimated"
+        assert one.fit.readings == 40
+    sigma = found[0].beams["laser"].sigma
+    for other, tolerance in zip(found[1:], (1e-5, 5e-2), strict=True):
+        for name in ("location", "direction"):
+            difference = getattr(other.beams["laser"], name) - getattr(
+                found[0].beams["laser"], name
+            )
+            own = sigma[:3] if name == "location" else sigma[3:6]
+            assert (np.abs(difference) <= tolerance * own + 1e-12).all()
+
+
+def test_the_covariance_is_that_of_gtsam(walk):
+    graph, start = walk
+    values = hl.optimize(graph, start).values
+    found = hl.read_graph(graph, values, {"laser": BEAM}, PLANES)
+    keys = [BEAM.location, BEAM.direction, WALL, FLOOR]
+    marginals = gtsam.Marginals(graph, values)
+    dense = marginals.jointMarginalCovariance(keys).fullMatrix()
+    own = found.covariance.matrix(ambient=False)
+    scale = np.sqrt(np.diagonal(dense))
+    assert np.abs((own - dense) / np.outer(scale, scale)).max() < 1e-8
+    alone = found.covariance.matrix(["laser"], ["floor"], ambient=False)
+    at = [0, 1, 2, 3, 4, 8, 9, 10]
+    assert alone == pytest.approx(own[np.ix_(at, at)], abs=0.0)
+    assert found.planes["floor"].covariance == pytest.approx(
+        found.covariance.matrix([], ["floor"]), rel=1e-12
+    )
+    twice = found.covariance.scaled(4.0).matrix()
+    assert twice == pytest.approx(4.0 * found.covariance.matrix(), rel=1e-12)
+    turned = found.covariance.arranged([("laser", 0)], [("floor", 1), ("wall", 0)])
+    assert turned.matrix(planes=["wall", "floor"]) == pytest.approx(found.covariance.matrix())
+    assert hl.Mounts.of(found).covariance == pytest.approx(found.beams["laser"].covariance)
+
+
+def test_several_robots_share_one_plane_and_each_its_own_beam():
+    first, second = robot("x", 40, 1), robot("y", 40, 5)
+    graph = gtsam.NonlinearFactorGraph(first.graph)
+    graph.push_back(second.graph)
+    r, v = R2, V2
+    add_beam(graph, first)
+    add_beam(graph, second, OTHER, r, v, seed=3)
+    start = started(first.values, second.values, beams=((BEAM, R, V), (OTHER, r, v)))
+    solved = hl.optimize(graph, start)
+    beams = {"left": BEAM, "right": OTHER}
+    found = hl.read_graph(graph, solved.values, beams, PLANES)
+    assert_near_truth(found, "left")
+    assert_near_truth(found, "right", r, v)
+    alone = gtsam.NonlinearFactorGraph(first.graph)
+    add_beam(alone, first)
+    own = hl.read_graph(
+        alone, hl.optimize(alone, started(first.values)).values, {"left": BEAM}, PLANES
+    )
+    assert found.planes["wall"].offset_sigma < own.planes["wall"].offset_sigma
+    with pytest.raises(hl.InputError, match="no value of"):
+        hl.read_graph(graph, started(first.values), beams, PLANES)
+
+
+def test_two_hands_share_one_beam_model():
+    """One sensor head that two hands take in turn: the same variables from both."""
+    first, second = robot("x", 30, 1), robot("y", 30, 5)
+    graph = gtsam.NonlinearFactorGraph(first.graph)
+    graph.push_back(second.graph)
+    add_beam(graph, first)
+    add_beam(graph, second, seed=3)
+    solved = hl.optimize(graph, started(first.values, second.values))
+    assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
+
+
+def test_beams_of_one_make_share_their_range_error():
+    k, shared = (0.02, 0.005), gtsam.symbol("k", 0)
+    one = hl.BeamKeys(BEAM.location, BEAM.direction, shared)
+    two = hl.BeamKeys(OTHER.location, OTHER.direction, shared)
+    walker = robot("x", 120, 1)
+    graph = gtsam.NonlinearFactorGraph(walker.graph)
+    r, v = R2, V2
+    add_beam(graph, walker, one, k=k)
+    add_beam(graph, walker, two, r, v, k, seed=4)
+    start = started(walker.values, beams=((one, R, V), (two, r, v)), terms=2)
+    found = hl.read_graph(
+        graph, hl.optimize(graph, start).values, {"left": one, "right": two}, PLANES
+    )
+    assert_near_truth(found, "left")
+    assert_near_truth(found, "right", r, v)
+    left, right = found.beams["left"], found.beams["right"]
+    assert left.terms == 2
+    assert np.array_equal(left.range_error, right.range_error)
+    assert (np.abs(left.range_error - k) < 4.0 * left.range_error_sigma).all()
+    S = found.covariance.matrix(planes=[])
+    assert S[6:8, 6:8] == pytest.approx(S[6:8, 14:16])
+    marginals = gtsam.Marginals(graph, hl.optimize(graph, start).values)
+    dense = marginals.jointMarginalCovariance([shared, WALL]).fullMatrix()
+    both = found.covariance.matrix(["right"], ["wall"], ambient=False)
+    assert both[5:, 5:] == pytest.approx(dense, rel=1e-6, abs=1e-12)
+
+
+def test_a_landmark_of_the_graph_is_the_plane(walk):
+    """The plane is a variable that the graph has already, with measurements of its own."""
+    walker = robot()
+    graph = gtsam.NonlinearFactorGraph(walker.graph)
+    seen = TRUE_PLANES[WALL].transform(walker.poses[0])
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, 2e-4)
+    measured = np.array([*seen.normal().point3(), seen.distance()])
+    graph.push_back(gtsam.OrientedPlane3Factor(measured, noise, walker.key(0), WALL))
+    add_beam(graph, walker)
+    found = hl.read_graph(
+        graph, hl.optimize(graph, started(walker.values)).values, {"laser": BEAM}, PLANES
+    )
+    assert_near_truth(found)
+    without = hl.read_graph(walk[0], hl.optimize(*walk).values, {"laser": BEAM}, PLANES)
+    assert found.planes["wall"].offset_sigma < 0.8 * without.planes["wall"].offset_sigma
+
+
+def test_known_poses_give_what_calibrate_gives():
+    recording = hl.read_recording("examples/gripper/recording.csv")
+    noise = hl.Noise(3e-5)
+    batch = hl.calibrate(recording, noise, hl.CalibrationOptions("none", outliers="keep"))
+    graph, values, beams, planes = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, {}
+    for i, (name, beam) in enumerate(batch.beams.items()):
+        beams[name] = hl.BeamKeys(1000 + i, 2000 + i)
+        values.insert(1000 + i, beam.location)
+        values.insert(2000 + i, gtsam.Unit3(beam.direction))
+    for p, (name, plane) in enumerate(batch.planes.items()):
+        planes[name] = 3000 + p
+        values.insert(3000 + p, gtsam.OrientedPlane3(gtsam.Unit3(plane.normal), plane.offset))
+        rows = np.flatnonzero(recording.plane_of_station == p)
+        poses = [
+            gtsam.Pose3(gtsam.Rot3(recording.world_R_hand[j]), recording.world_t_hand[j])
+            for j in rows
+        ]
+        for i, beam in enumerate(beams.values()):
+            d = recording.ranges[rows, i]
+            seen = np.flatnonzero(~np.isnan(d))
+            graph.push_back(range_to_plane(beam, 3000 + p, [poses[j] for j in seen], d[seen], 3e-5))
+    found = hl.read_graph(graph, values, beams, planes)
+    assert found.status == "converged"
+    assert found.fit.chi2 == pytest.approx(batch.fit.chi2, rel=1e-6)
+    assert (found.fit.dof, found.fit.poses) == (batch.fit.dof, "exact")
+    assert found.fit.rms == pytest.approx(batch.fit.rms, rel=1e-6)
+    for name, beam in batch.beams.items():
+        assert found.beams[name].sigma == pytest.approx(beam.sigma, rel=1e-5)
+    for name, plane in batch.planes.items():
+        assert found.planes[name].sigma == pytest.approx(plane.sigma, rel=1e-5)
+
+
+def test_values_that_are_no_optimum_are_told(walk):
+    found = hl.read_graph(walk[0], walk[1], {"laser": BEAM}, PLANES)
+    assert found.status == "not_converged"
+    assert "from the optimum" in found.message
+    assert found.covariance is None
+    assert found.beams["laser"].sigma is None
+
+
+def test_a_graph_that_leaves_the_beam_open_is_told():
+    walker = robot(stations=3)
+    graph = gtsam.NonlinearFactorGraph(walker.graph)
+    add_beam(graph, walker)
+    found = hl.read_graph(graph, started(walker.values), {"laser": BEAM}, PLANES)
+    assert found.status == "unobservable"
+    assert "location of beam laser" in found.message
+    floating = gtsam.NonlinearFactorGraph()
+    add_beam(floating, walker)
+    found = hl.read_graph(floating, started(walker.values), {"laser": BEAM}, PLANES)
+    assert found.status == "unobservable"
+
+
+def test_a_wrong_noise_is_warned_of():
+    walker = robot()
+    graph = gtsam.NonlinearFactorGraph(walker.graph)
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V, noise=0.02 * (-1) ** (j // 2))
+        graph.push_back(range_to_plane_from_pose(BEAM, plane, walker.key(j), d, SIGMA))
+    found = hl.read_graph(
+        graph, hl.optimize(graph, started(walker.values)).values, {"laser": BEAM}, PLANES
+    )
+    assert "chi2" in found.warnings[0]
+
+
+def test_wrong_keys_are_refused(walk):
+    graph, values = walk
+    with pytest.raises(hl.InputError, match="no beams"):
+        hl.read_graph(graph, values, {}, PLANES)
+    with pytest.raises(hl.InputError, match=r"plane x under w7.*a variable of the graph"):
+        hl.read_graph(graph, values, {"laser": BEAM}, {"x": gtsam.symbol("w", 7)})
+    swapped = hl.BeamKeys(BEAM.direction, BEAM.location)
+    with pytest.raises(hl.InputError, match=r"another type under u0.*a Point3"):
+        hl.read_graph(graph, values, {"laser": swapped}, PLANES)
+    with pytest.raises(hl.InputError, match="no range factor of beam laser"):
+        hl.read_graph(graph, values, {"laser": BEAM}, {})
+
+
+def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
+    graph, start = walk
+    far = gtsam.Values(start)
+    far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
+    solved = hl.optimize(graph, far)
+    assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
+    assert len(solved.history) > solved.iterations or solved.iterations > 5
+
+    def stop(_trial):
+        raise KeyboardInterrupt
+
+    stopped = hl.optimize(graph, start, progress=stop)
+    assert stopped.status == "interrupted"
+    assert stopped.cost <= graph.error(start)
+
+
+def test_study_of_a_mobile_base():
+    """A few drives of `benchmarks.mobile_base`: consistent jointly, far off with poses as exact."""
+    found = np.array([run_once(seed) for seed in range(6)])
+    assert 0.2 < found[:, 0].mean() < 2.2  # 30 degrees of freedom
+    assert found[:, 2].mean() > 50.0
+    assert list(WALLS) == ["east", "north", "ramp"]
+    assert min(driven(np.random.default_rng(0)).ranges) > 0.1
