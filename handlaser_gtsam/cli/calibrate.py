@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..diagnosis.cross_check import CrossCheck
     from ..recording import Recording
+    from .incremental import PlaneByPlane
 
 UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
 MM = 1e-3
@@ -86,6 +87,13 @@ def calibrate(
     cross_check: Annotated[
         bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
     ] = False,
+    incremental: Annotated[
+        bool,
+        typer.Option(
+            "--incremental",
+            help="Add plane by plane, show what each teaches, and compare with all at once.",
+        ),
+    ] = False,
     json_: Annotated[
         bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
     ] = False,
@@ -126,7 +134,14 @@ def calibrate(
         estimate_noise,
         sensor=settings.sensor,
     )
-    result = run(table, settings.noise, options)
+    fed = None
+    if incremental:
+        from .incremental import plane_by_plane
+
+        fed = plane_by_plane(table, settings.noise, options, quiet=json_ or quiet)
+        result, table = fed.result, fed.recording
+    else:
+        result = run(table, settings.noise, options)
     reading = None if at_range_mm is None else at_range_mm * MM
     text = calibration_text(result, reading)
     if out is not None:
@@ -138,8 +153,8 @@ def calibrate(
     if json_:
         sys.stdout.write(text)
     elif not quiet:
-        _show(result, table, check, out, reading)
-    _finish(result, too_much, check, aloud=json_ or quiet)
+        _show(result, table, check, out, reading, fed)
+    _finish(result, too_much, check, fed, aloud=json_ or quiet)
 
 
 def _show(
@@ -148,11 +163,18 @@ def _show(
     check: "CrossCheck | None",
     out: Path | None,
     reading: float | None,
+    fed: "PlaneByPlane | None",
 ) -> None:
     from .tables import TableConsole, calibration_tables, cross_check_line
 
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
+    if fed is not None:
+        from .incremental import comparison_line, update_table
+
+        console.print(update_table(fed.updates))
+        if fed.comparison is not None:
+            console.print(comparison_line(fed.comparison), soft_wrap=True)
     for part in calibration_tables(result, recording, reading):
         console.print(part, soft_wrap=True)
     if check is not None:
@@ -162,7 +184,12 @@ def _show(
 
 
 def _finish(
-    result: "Calibration", too_much: tuple[str, ...], cross: "CrossCheck | None", *, aloud: bool
+    result: "Calibration",
+    too_much: tuple[str, ...],
+    cross: "CrossCheck | None",
+    fed: "PlaneByPlane | None",
+    *,
+    aloud: bool,
 ) -> None:
     """Say on stderr what went wrong, and leave with the exit code of the contract."""
     from .tables import cross_check_line
@@ -179,6 +206,13 @@ def _finish(
         print(
             f"handlaser: SciPy disagrees by {cross.largest:.2g} standard deviations in "
             f"{cross.parameter}; expected the same optimum: do not use this calibration",
+            file=sys.stderr,
+        )
+        raise typer.Exit(UNDETERMINED)
+    if fed is not None and fed.comparison is not None and fed.comparison.largest > DISAGREEMENT:
+        print(
+            f"handlaser: plane by plane is {fed.comparison.largest:.2g} standard deviations from all "
+            f"at once; expected the same optimum: do not use this calibration",
             file=sys.stderr,
         )
         raise typer.Exit(UNDETERMINED)

@@ -34,6 +34,8 @@ from .setting import Link, Setting
 MOVED = 3e-3
 """Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
 the typical range, a relative change of the range."""
+ROUNDS = 5
+"""Of new weights after a new beginning."""
 LEAST_CHANGES = 4
 """Between two comparisons with the batch solution."""
 FAR = 5.0
@@ -317,10 +319,10 @@ class Session:
         return now.history.search(now.setting.sigma_dof)
 
     def settle(self) -> Comparison:
-        """Choose range-error terms, outliers and an unknown range sigma again, from everything so far.
+        """Calibrate everything so far at once, and compare; choose again what that chooses otherwise.
 
-        The same happens, outliers aside, in every comparison that is due. After a beam was told to have
-        moved, nothing is chosen anew.
+        That is range-error terms, outliers and an unknown range sigma. The same happens, outliers
+        aside, in every comparison that is due. After a beam was told to have moved, nothing is.
 
         Raises
         ------
@@ -341,11 +343,11 @@ class Session:
             if set(contents.rejected) != set(now.contents.rejected):
                 differing.append("outliers chosen anew")
             if differing:
-                at = found.parameters()
-                beams = (at.locations, at.directions, at.range_errors)
-                now = self._now = self._restarted(contents, setting, beams)
-            comparison = self._inside(now).compared(now.state)
-            return replace(comparison, message="; ".join(differing))
+                # From the estimate so far, not from what it is to be compared with.
+                order = [now.setting.names.index(name) for name in setting.names]
+                r, v, k = (array[order] for array in now.state.arrays)
+                now = self._now = self._restarted(contents, setting, (r, v, k))
+            return Comparison(*_apart(now, found), "; ".join(differing))
 
     def _require(self) -> _Now:
         if self._now is None:
@@ -403,7 +405,14 @@ class Session:
             if fitted.fits(own, history.reference):
                 history = history.with_plane(plane, own)
         graph, state = graph.changed(factors, (), setting.start(beams))
-        return _Now(contents, setting, graph, state, state, state, 0, history)
+        r, v, k = beams
+        behind = replace(state, locations=r, directions=v, range_errors=k)
+        now = _Now(contents, setting, graph, state, behind, state, 0, history)
+        for _ in range(ROUNDS):
+            before, now = now, self._weighed(now)
+            if now is before:
+                break
+        return now
 
     def _removed(self, contents: Contents, plane: str) -> Update:
         now = self._now
@@ -501,6 +510,17 @@ class Session:
         options = replace(self.options, outliers="keep")
         choice = choose_terms(inside.own(), inside.at, self.noise, options)
         return now.setting.chosen(choice, len(inside.own()))
+
+
+def _apart(now: _Now, found: Calibration) -> tuple[float, float]:
+    """Return how far a calibration of the same beams is, in its sigmas, and how its sigmas differ."""
+    state, names = now.state, now.setting.names
+    at, order = found.parameters(), [list(found.beams).index(name) for name in names]
+    other = np.hstack((at.locations, at.directions, at.range_errors))[order]
+    sigma = np.array([found.beams[name].sigma for name in names])
+    seen = sigma > 0.0
+    difference = np.abs(np.hstack(state.arrays) - other)[seen] / sigma[seen]
+    return float(difference.max()), float(np.abs(state.sigmas()[seen] / sigma[seen] - 1.0).max())
 
 
 def _standard_deviations(state: BeamState, other: BeamState) -> float:

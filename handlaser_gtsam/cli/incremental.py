@@ -1,0 +1,107 @@
+"""handlaser calibrate --incremental: plane by plane, and what each of them taught."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from ..calibration import Calibration
+from ..noise import Noise
+from ..options import CalibrationOptions
+from ..pipeline import calibrate
+from ..recording import Recording
+from ..session import Comparison, Session, Update
+
+MM = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneByPlane:
+    """What came of a recording that was fed plane by plane.
+
+    Attributes
+    ----------
+    result : Calibration
+    recording : Recording
+        The same stations, in the order of the result.
+    updates : tuple of (str, Update)
+        By plane.
+    comparison : Comparison or None
+        With the batch calibration; None where the planes did not all join, and the batch stands alone.
+    """
+
+    result: Calibration
+    recording: Recording
+    updates: tuple[tuple[str, Update], ...]
+    comparison: Comparison | None
+
+
+def plane_by_plane(
+    recording: Recording, noise: Noise, options: CalibrationOptions, *, quiet: bool
+) -> PlaneByPlane:
+    """Feed a recording to a session plane by plane, then compare it with the batch calibration."""
+    session, updates = Session(noise, options), []
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("planes", total=len(recording.plane_names) + 1)
+        for index, name in enumerate(recording.plane_names):
+            part = recording.part(np.flatnonzero(recording.plane_of_station == index))
+            updates.append((name, session.add(part)))
+            bar.advance(task)
+        told = tuple(updates)
+        if not session.started or session.waiting:
+            return PlaneByPlane(calibrate(recording, noise, options), recording, told, None)
+        moved = session.moved()
+        comparison = session.settle()
+    result = session.calibration()
+    if moved is not None:
+        words = (
+            f"beam {moved.beam} seems to have moved before plane {moved.since}, by "
+            f"{np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm: "
+            f"calibrate the planes before and after it by themselves, or tell a Session to forget"
+        )
+        result = replace(result, warnings=(words, *result.warnings))
+    return PlaneByPlane(result, session.recording(), told, comparison)
+
+
+def update_table(updates: tuple[tuple[str, Update], ...]) -> Table:
+    """Return what every plane taught, and how standard deviations fell."""
+    table = Table(box=SIMPLE_HEAD, title="plane by plane", title_justify="left")
+    table.add_column("plane")
+    for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "left out"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for name, update in updates:
+        sigma = update.sigma
+        nats = f"{update.information:.2f}" if np.isfinite(update.information) else "-"
+        location, direction = "-", "-"
+        if sigma is not None:
+            location = f"{MM * sigma[:, :3].max():.4f}"
+            direction = f"{np.degrees(sigma[:, 3:6].max()):.4f}"
+        count = str(len(update.rejected)) if update.rejected else ""
+        table.add_row(name, nats, location, direction, count, _remark(name, update))
+    return table
+
+
+def comparison_line(comparison: Comparison) -> str:
+    """Say how far plane by plane and all at once are apart."""
+    line = (
+        f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations, and to "
+        f"{100.0 * comparison.largest_sigma:.2g} % in these"
+    )
+    return f"{line} ({comparison.message})" if comparison.message else line
+
+
+def _remark(name: str, update: Update) -> str:
+    words = []
+    if name in update.waiting:
+        words.append("waits for more")
+    if update.moved is not None:
+        words.append(f"beam {update.moved.beam} has moved before plane {update.moved.since}")
+    if update.doubtful:
+        words.append("fits whatever has moved badly")
+    if update.comparison is not None and update.comparison.message:
+        words.append(update.comparison.message)
+    return "; ".join(words)

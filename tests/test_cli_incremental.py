@@ -1,0 +1,67 @@
+"""handlaser calibrate --incremental."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers import GRIPPER
+from test_drift import knocked
+
+import handlaser_gtsam as hl
+
+RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
+
+
+def test_plane_by_plane_is_all_at_once(handlaser, tmp_path):
+    paths = [tmp_path / name for name in ("one.json", "all.json")]
+    code, out, err = handlaser(
+        "calibrate", RECORDING, "--rig", RIG, "--incremental", "--out", paths[0]
+    )
+    assert code == 0, err
+    assert handlaser("calibrate", RECORDING, "--rig", RIG, "-q", "--out", paths[1])[0] == 0
+    assert "plane by plane and all at once agree to" in out
+    rows = [line.split() for line in out.splitlines()[:9]]
+    sigmas = [float(row[2]) for row in rows if row and row[0] in ("B", "C", "D")]
+    assert sigmas == sorted(sigmas, reverse=True)
+    assert len(sigmas) == 3
+    one, both = (json.loads(path.read_text()) for path in paths)
+    assert one["status"] == both["status"] == "converged"
+    for a, b in zip(one["beams"], both["beams"], strict=True):
+        assert a["name"] == b["name"]
+        difference = np.abs(np.subtract(a["location_m"], b["location_m"]))
+        assert (difference < 0.01 * np.array(b["sigma"]["location_m"])).all()
+        assert a["sigma"]["location_m"] == pytest.approx(b["sigma"]["location_m"], rel=0.01)
+    assert one["fit"]["chi2"] == pytest.approx(both["fit"]["chi2"], rel=1e-6)
+
+
+def test_json_alone_is_printed(handlaser):
+    code, out, _ = handlaser("calibrate", RECORDING, "--rig", RIG, "--incremental", "--json")
+    assert code == 0
+    assert json.loads(out)["status"] == "converged"
+
+
+def test_a_beam_that_has_moved_is_named(handlaser, tmp_path):
+    recording, _ = knocked()
+    path = tmp_path / "knocked.csv"
+    hl.write_recording(path, recording)
+    _, out, err = handlaser("calibrate", path, "--incremental", "--range-sigma-mm", "0.1")
+    text = " ".join((out + err).split())
+    assert "beam 2 has moved before plane G" in text
+    assert "tell a Session to forget" in text
+
+
+def test_what_does_not_determine_the_beams_says_so_as_ever(handlaser, tmp_path):
+    recording = hl.read_recording(RECORDING)
+    path = tmp_path / "part.csv"
+    hl.write_recording(path, recording.part(np.arange(5)))
+    code, out, err = handlaser("calibrate", path, "--incremental")
+    assert code == 3
+    assert "does not determine" in err
+    assert "waits for more" in out
+
+
+def test_what_cannot_be_done_plane_by_plane_is_refused(handlaser):
+    code, _, err = handlaser("calibrate", RECORDING, "--incremental", "--loss", "huber")
+    assert code == 2
+    assert "loss huber" in err
+    assert len(err.splitlines()) == 1
