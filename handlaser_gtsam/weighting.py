@@ -98,6 +98,16 @@ class Whitening:
         near: FloatArray = grid[self.station]
         return near
 
+    def squares(self) -> FloatArray:
+        """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 / C."""
+        squares: FloatArray = (self.coefficients() ** 2).sum(axis=1)
+        return squares
+
+    def apply_rows(self, rows: FloatArray) -> FloatArray:
+        """Return whitened rows (N, D)."""
+        white: FloatArray = np.einsum("nk,nkd->nd", self.coefficients(), self.gathered(rows))
+        return white
+
     def apply(self, residual: FloatArray) -> FloatArray:
         """Return whitened residuals (N,) [m]."""
         white: FloatArray = np.einsum("nk,nk->n", self.coefficients(), self.gathered(residual))

@@ -46,6 +46,8 @@ class Moved:
     beam : str
     since : str
         The first plane that saw it moved.
+    statistic : float
+        By how much chi2 falls.
     p_value : float
         Probability of so clear a sign if nothing has moved, all epochs and beams considered.
     shift : (3,)
@@ -56,6 +58,7 @@ class Moved:
 
     beam: str
     since: str
+    statistic: float
     p_value: float
     shift: FloatArray
     turn: float
@@ -303,6 +306,7 @@ class History:
         return Moved(
             self.reference.names[at[1]],
             self.planes[int(epochs[at[0]])],
+            float(statistic[at]),
             min(float(np.exp(log_p[at])) * log_p.size, 1.0),
             d[:3],
             float(np.linalg.norm(d[3:])),

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import norm
 from scipy.stats import t as student
@@ -13,6 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..diagnosis.drift import Beams, Information, Reference, plane_information
 from ..errors import GrazingBeamError
 from ..graph import station_blocks
+from ..joint import beam_lift
 from ..keys import plane_key, pose_key
 from ..parameters import Parameters
 from ..poses import pose_priors
@@ -20,12 +22,14 @@ from ..recording import Readings, Recording
 from ..solvers.incremental import BeamState, PlaneFactors
 from ..solvers.reduction import NormalEquations, whitened_normal_equations
 from ..starts.partial import PartialStart, grow
-from ..weighting import Whitening, own_variances, whitening
+from ..weighting import Whitening, whitening
 from .setting import Setting
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""
 RANK = 1e-12
+DECIDES_ITSELF = 1e-3
+"""A reading of which the others know less than this part is not tested."""
 CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
 MOST_LEFT_OUT = 0.3
@@ -96,31 +100,58 @@ class FittedPlane:
         return free <= 0 or bool(chi2_distribution.sf(left, free) > UNLIKELY)
 
     def standardized(self, state: BeamState) -> FloatArray:
-        """Return residuals (N,) in standard deviations, those of beams, plane and poses counted.
+        """Return by how many standard deviations (N,) each reading is off what all others say of it.
 
-        A plane that was fitted to the readings makes them smaller: those of a reading that decides the
-        plane by itself say nothing, and are zero.
+        Baarda's w-test: plane free, beams known with their covariance, readings with theirs. For a
+        reading that decides something by itself the others say nothing: zero.
         """
-        x = model.scene(self.at, self.readings)
-        variances = self.setting.variances(int(self.readings.station.max()) + 1)
-        at = model.linearize(x, self.readings.distance, with_pose=variances.pose is not None)
-        J = np.zeros((len(self.readings), len(self.setting.names), 8))
-        J[np.arange(len(J)), self.readings.beam] = np.hstack(
-            (at.location, at.direction, at.range_error)
+        how = self.whitening
+        G, e, K = self._normal(state)
+        left = how.apply(e - G @ (K @ (G.T @ e)))
+        own, across = how.squares(), how.apply_rows(G)
+        free = own - ((across @ K) * across).sum(axis=1)
+        tested = free > DECIDES_ITSELF * own
+        return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
+
+    def misfit(self, state: BeamState) -> float:
+        """Return chi2 of the readings: plane free, beams known with their covariance."""
+        G, e, K = self._normal(state)
+        right = G.T @ e
+        return float(e @ e - right @ K @ right)
+
+    def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""
+        how = self.whitening
+        rows, prior = self._rows(state)
+        G, e = how.apply_rows(rows) / how.sigma, how.apply(self.residual) / how.sigma
+        H = G.T @ G
+        H[: len(prior), : len(prior)] += prior
+        scale = 1.0 / np.sqrt(np.diagonal(H))
+        K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
+        return G, e, K
+
+    def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
+        setting, at, readings = self.setting, self.at, self.readings
+        lin = model.linearize(model.scene(at, readings), readings.distance)
+        v_basis = model.tangent_basis(at.directions)
+        own = np.hstack(
+            (
+                lin.location,
+                np.einsum("ni,nij->nj", lin.direction, v_basis[readings.beam]),
+                lin.range_error,
+            )
         )
-        of_beams = J.reshape(len(J), -1)
-        variance = own_variances(self.at, self.readings, variances)
-        variance += np.einsum("ni,ij,nj->n", of_beams, state.covariance, of_beams)
-        if variances.pose is not None:
-            S = variances.pose[self.readings.station]
-            variance += np.einsum("ni,nij,nj->n", at.pose, S, at.pose)
-        basis = model.tangent_basis(self.at.normals)[0]
-        A = np.hstack((at.normal @ basis, at.offset[:, None])) / np.sqrt(variance)[:, None]
-        Q, R = np.linalg.qr(A)
-        used = np.abs(np.diagonal(R)) > 1e-9 * np.abs(R).max()
-        free = 1.0 - (Q[:, used] ** 2).sum(axis=1)
-        scale = np.sqrt(np.maximum(free, 1e-3) * variance)
-        return np.where(free > 1e-3, at.residual / scale, 0.0)
+        active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in setting.terms]))
+        J = np.zeros((len(readings), len(setting.names), 7))
+        J[np.arange(len(J)), readings.beam] = own
+        lift = block_diag(*(beam_lift(B, 2) for B in v_basis))[:, active]
+        S = lift.T @ state.covariance @ lift
+        unit = np.sqrt(np.diagonal(S))
+        prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
+        n_basis = model.tangent_basis(at.normals)[0]
+        rows = (J.reshape(len(J), -1)[:, active], lin.normal @ n_basis, lin.offset[:, None])
+        return np.hstack(rows), prior
 
     def factors(self, number: int, stations: dict[str, int], recording: Recording) -> PlaneFactors:
         """Return what plane `number` brings into a graph.

@@ -2,19 +2,17 @@
 
 from dataclasses import dataclass
 
-from ..arrays import BoolArray
-from ..diagnosis.drift import History
+import numpy as np
+
+from ..diagnosis.drift import MOVES, History
 from ..recording import Recording
 from ..solvers.incremental import BeamState, PlaneFactors
 from .contents import Contents
 from .fitted import FittedPlane, fit_plane, outliers
 from .setting import Setting
 
-MANY = 3
-"""Readings of one beam at fault in one plane: it is rather the beam that has moved, if that explains
-them."""
-SUSPICIOUS = 1e-3
-"""Probability below which the readings that are left look as if a beam had moved."""
+GARBAGE, KNOCKED = 0.02, 1e-3
+"""How often a reading is garbage, and how often a beam is knocked from one plane to the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,22 +112,28 @@ def _screened(
     again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
     if again is None or not again.determined():
         return contents, fitted
-    return (contents, fitted) if _rather_moved(fitted, again, bad, known, plane) else (less, again)
+    moved = _rather_moved(fitted, again, known, plane, state)
+    return (contents, fitted) if moved else (less, again)
 
 
 def _rather_moved(
-    fitted: FittedPlane, again: FittedPlane, bad: BoolArray, known: History, plane: str
+    fitted: FittedPlane, again: FittedPlane, known: History, plane: str, state: BeamState
 ) -> bool:
-    """Tell whether a beam has moved rather than that the readings `bad` are garbage.
+    """Tell whether a beam has moved rather than that the readings left out are garbage.
 
-    A move explains all readings, and shows in those that are left when the worst are gone.
+    The explanation with the larger fall of chi2 beyond its price is believed. A reading that is
+    anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
+    of its unknowns, both twice the logarithm of how rare they are.
     """
-    own, rest = (one.information(known.reference) for one in (fitted, again))
-    if not fitted.fits(own, known.reference):
+    whole = known.with_plane(plane, fitted.information(known.reference))
+    moved = whole.search(fitted.setting.sigma_dof, whole.recent())
+    if moved is None:
         return False
-    dof = fitted.setting.sigma_dof
-    whole, less = known.with_plane(plane, own), known.with_plane(plane, rest)
-    if whole.search(dof, whole.recent()) is None:
-        return False
-    many = int(bad.sum(axis=0).max()) >= MANY
-    return many or less.search(dof, less.recent(), SUSPICIOUS) is not None
+    d, sigma = fitted.readings.distance, fitted.whitening.sigma
+    gone = len(d) - len(again.readings.distance)
+    span = max(float(np.ptp(d)), sigma) / (np.sqrt(2.0 * np.pi) * sigma)
+    garbage = fitted.misfit(state) - again.misfit(state)
+    garbage -= 2.0 * gone * np.log(max(span, 1.0) / GARBAGE)
+    beams = len(fitted.setting.names)
+    move = moved.statistic - MOVES * np.log(len(d)) - 2.0 * np.log(beams / KNOCKED)
+    return bool(move > garbage)

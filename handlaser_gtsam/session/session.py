@@ -62,6 +62,8 @@ class _Now:
     changes : int
         Since then.
     history : History
+    doubtful : frozenset of str
+        Planes that do not fit, whatever has moved.
     """
 
     contents: Contents
@@ -72,6 +74,7 @@ class _Now:
     compared: BeamState
     changes: int
     history: History
+    doubtful: frozenset[str]
 
 
 class Session:
@@ -393,7 +396,7 @@ class Session:
         graph = IncrementalGraph(setting.beams, setting.terms, setting.length, self.incremental)
         contents = replace(contents, numbers={}, origins={})
         factors: dict[int, PlaneFactors] = {}
-        history = setting.history(beams)
+        history, doubtful = setting.history(beams), set[str]()
         for number, plane in enumerate(contents.stations):
             used = contents.used(plane)
             fitted = fit_plane(setting, used, beams)
@@ -404,10 +407,13 @@ class Session:
             own = fitted.information(history.reference)
             if fitted.fits(own, history.reference):
                 history = history.with_plane(plane, own)
-        graph, state = graph.changed(factors, (), setting.start(beams))
+            else:
+                doubtful.add(plane)
+        start = setting.start(beams)
+        graph, state = graph.changed(factors, (), start, fine=bool(doubtful))
         r, v, k = beams
         behind = replace(state, locations=r, directions=v, range_errors=k)
-        now = _Now(contents, setting, graph, state, behind, state, 0, history)
+        now = _Now(contents, setting, graph, state, behind, state, 0, history, frozenset(doubtful))
         for _ in range(ROUNDS):
             before, now = now, self._weighed(now)
             if now is before:
@@ -426,9 +432,12 @@ class Session:
         joining = join_planes(now.setting, now.state, now.history, contents, planes, self._reject)
         left = [n for p, n in now.contents.numbers.items() if p not in joining.contents.numbers]
         graph, state = now.graph, now.state
+        doubtful = (now.doubtful - set(planes)) | set(joining.doubtful)
         if joining.factors or left:
             try:
-                graph, state = graph.changed(joining.factors, left, None, now.setting.determines)
+                graph, state = graph.changed(
+                    joining.factors, left, None, now.setting.determines, fine=bool(doubtful)
+                )
             except RuntimeError as error:
                 raise InputError(
                     f"a change after which the beams are open ({error})",
@@ -441,6 +450,7 @@ class Session:
             state=state,
             history=joining.history,
             changes=now.changes + 1,
+            doubtful=doubtful,
         )
         gain = 0.5 * (state.information - now.state.information)
         new, comparison = self._checked(self._weighed(new))
@@ -478,7 +488,7 @@ class Session:
             if fitted is None:
                 return now
             factors[number] = fitted.factors(number, now.contents.station_numbers, used)
-        graph, state = now.graph.changed(factors)
+        graph, state = now.graph.changed(factors, fine=bool(now.doubtful))
         return replace(now, graph=graph, state=state, weighed=now.state)
 
     def _checked(self, now: _Now) -> tuple[_Now, Comparison | None]:

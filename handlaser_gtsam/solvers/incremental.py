@@ -150,6 +150,8 @@ class IncrementalGraph:
         without: Iterable[int] = (),
         beams: "BeamStart | None" = None,
         accept: Callable[[BeamState], bool] | None = None,
+        *,
+        fine: bool = False,
     ) -> tuple["IncrementalGraph", BeamState]:
         """Return the graph with planes added and others taken out, and its beams.
 
@@ -163,6 +165,9 @@ class IncrementalGraph:
             Where the beams start, the first time.
         accept : callable, optional
             Asked before the change takes place.
+        fine : bool
+            Whether to linearise anew for much smaller moves: where readings do not fit, the optimum
+            depends on every Jacobian by as much as they are off.
 
         Raises
         ------
@@ -180,7 +185,7 @@ class IncrementalGraph:
                 raise RuntimeError("no plane is left")
             new._add(added, old, beams)
             for _ in range(ROUNDS):
-                if not new._has_moved():
+                if not new._has_moved(WITH_THE_OTHERS if fine else 1.0):
                     break
                 new._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
             else:
@@ -264,8 +269,8 @@ class IncrementalGraph:
         with gathered(blocks):
             return self._isam.update(graph, start, old, groups, None, None, relinearize)
 
-    def _has_moved(self) -> bool:
-        """Tell whether a variable has left its linearisation point by more than its threshold."""
+    def _has_moved(self, part: float) -> bool:
+        """Tell whether a variable has left its linearisation point by a part of its threshold."""
         count = {"p": len(self._blocks)}
         for beam in self.beams:
             for key in (beam.location, beam.direction, beam.range_error):
@@ -275,7 +280,8 @@ class IncrementalGraph:
         count["x"] = len({block.pose for block in blocks if block.pose is not None})
         # GTSAM sorts by key: by letter, then by number.
         units = [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
-        return bool((np.abs(self._isam.getDelta().vector()) > np.concatenate(units)).any())
+        moves = np.abs(self._isam.getDelta().vector())
+        return bool((moves > part * np.concatenate(units)).any())
 
     def _read(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
         k = np.zeros((len(self.beams), 2))
