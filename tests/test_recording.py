@@ -1,5 +1,7 @@
 """What a Recording accepts, and what it refuses at construction."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,27 @@ def test_a_plane_without_reading_is_refused():
 def test_a_beam_twice_is_refused():
     with pytest.raises(InputError, match="beam '1' twice"):
         Recording(**{**GOOD, "ranges": np.ones((2, 2)), "beam_names": ("1", "1")})
+
+
+def test_parts_without_readings_and_under_other_names():
+    recording = hl.Recording(
+        np.tile(np.eye(3), (3, 1, 1)),
+        np.zeros((3, 3)),
+        np.array([[0.1, 0.2], [0.3, np.nan], [0.5, 0.6]]),
+        ("A", "A", "B"),
+        ("left", "right"),
+    )
+    gone = np.zeros((3, 2), dtype=bool)
+    gone[[0, 2], 1] = True
+    assert recording.without(gone).beam_names == ("left",)
+    assert recording.without(gone).ranges.shape == (3, 1)
+    with pytest.raises(hl.InputError, match="plane B without any reading"):
+        recording.without([[False, False], [False, False], [True, True]])
+    assert recording.renamed("left", "port").beam_names == ("port", "right")
+
+
+def test_errors_come_back_from_other_processes():
+    for error in (hl.InputError("this", "that", line=3), hl.GrazingBeamError(0.0, 1e-3)):
+        again = pickle.loads(pickle.dumps(error))
+        assert str(again) == str(error)
+        assert type(again) is type(error)

@@ -1,15 +1,17 @@
 """Planes that keep coming: always the batch solution, whatever happens in between."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.factors import RangeBlock
+from handlaser_gtsam.factors import RangeBlock, gathered
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.solvers.incremental import IncrementalOptions
 
 SIGMA = 3e-5
 EXACT = hl.Noise(SIGMA)
@@ -243,3 +245,137 @@ def test_random_sequences_end_at_the_batch_solution(monkeypatch, seed):
         elif action == "remove station":
             session.remove_station(str(rng.choice(session.recording().station_names)))
     assert_batch(session)
+
+
+@pytest.mark.parametrize(
+    ("noise", "options", "k"),
+    [
+        (EXACT, NONE, (0.0, 0.0)),
+        (ROBOT, NONE, (0.0, 0.0)),
+        (ROBOT, hl.CalibrationOptions("none", poses="estimated"), (0.0, 0.0)),
+        (hl.Noise(), hl.CalibrationOptions(), (0.02, 0.3)),
+    ],
+    ids=["exact", "marginalised", "estimated", "nothing told"],
+)
+def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
+    """Two ways that share nothing but the readings: plane by plane, and from nowhere."""
+    recording = recorded(10, noise=noise, k=k)
+    session = filled(recording, noise, options)
+    apart = session.settle()
+    assert apart.largest < 0.01
+    assert apart.largest_sigma < 0.01
+    found, batch = session.calibration(), hl.calibrate(recording, noise, options)
+    assert found.status == batch.status == "converged"
+    assert found.fit.poses == batch.fit.poses
+    assert found.fit.chi2 == pytest.approx(batch.fit.chi2, rel=0.02)
+    assert found.fit.dof == batch.fit.dof
+    for name, beam in batch.beams.items():
+        own = found.beams[name]
+        assert own.terms == beam.terms
+        assert (np.abs(own.location - beam.location) < 0.01 * beam.location_sigma).all()
+        assert own.sigma == pytest.approx(beam.sigma, rel=0.01)
+    for name, plane_ in batch.planes.items():
+        own = found.planes[name]
+        assert (np.abs(own.normal - plane_.normal) < 0.02 * plane_.sigma[:3]).all()
+        assert own.sigma == pytest.approx(plane_.sigma, rel=0.02)
+    assert found.fit.residuals.shape == batch.fit.residuals.shape
+    assert np.abs(found.fit.residuals - batch.fit.residuals).max() < 0.01 * SIGMA
+
+
+def test_terms_that_differ_by_beam():
+    """A beam with k1 and k2, one with k1, one with none; found on the way, not at the start."""
+    rng = np.random.default_rng(4)
+    truth, where = SCENES["unplanned"](Layout(3, 14, 12), rng)
+    k = np.array([[0.02, 0.3], [0.01, 0.0], [0.0, 0.0]])
+    recording = simulate(replace(truth, range_errors=k), where, Errors(SIGMA), rng)
+    session, messages = hl.Session(EXACT), []
+    for index in range(14):
+        update = session.add(plane(recording, index))
+        if session.started:
+            assert_batch(session)
+        if update.comparison is not None:
+            messages.append(update.comparison.message)
+    assert any("range-error terms chosen anew" in words for words in messages)
+    session.settle()
+    assert session.beams().terms == (2, 1, 0)
+    assert_batch(session)
+
+
+def test_a_session_compares_itself_with_the_batch_now_and_then():
+    recording = recorded(14)
+    session, every = hl.Session(EXACT, NONE), []
+    for index in range(14):
+        every.append(session.add(plane(recording, index)).comparison)
+    seen = [one for one in every if one is not None]
+    assert 2 <= len(seen) <= 6
+    assert all(one.largest < 0.01 and one.message == "" for one in seen)
+    quiet = hl.Session(EXACT, NONE, IncrementalOptions(compare_every=0))
+    assert all(quiet.add(plane(recording, index)).comparison is None for index in range(14))
+
+
+def test_an_estimate_that_has_left_the_batch_is_begun_anew():
+    """With thresholds of GTSAM's default a session notices, says so, and goes on from the batch."""
+    recording = recorded(20, stations=6, beams=1, k=(0.05, 1.0))
+    options = hl.CalibrationOptions("k1k2")
+    session, words = hl.Session(EXACT, options, IncrementalOptions(relinearize=0.1)), []
+    for index in range(20):
+        update = session.add(plane(recording, index))
+        if update.comparison is not None:
+            words.append(update.comparison.message)
+    assert any("begun anew from the batch solution" in one for one in words)
+
+
+def test_readings_beyond_the_limits_of_the_sensor_are_left_out():
+    recording = recorded(8)
+    ranges = recording.ranges.copy()
+    far = np.flatnonzero(recording.plane_of_station == 7)[:2]
+    ranges[far, 0] = 3.0
+    options = replace(NONE, sensor=hl.Sensor(range_max=1.0))
+    session = filled(replace(recording, ranges=ranges), EXACT, options)
+    assert {(one.station, one.beam) for one in session.rejected} == {
+        (recording.station_names[row], "1") for row in far
+    }
+    assert_batch(session)
+    assert np.nanmax(session.recording().ranges) == 3.0
+    reasons = {one.reason for one in session.calibration().fit.rejected}
+    assert reasons == {"outside the sensor's range"}
+
+
+def test_threads_take_turns():
+    recording = recorded(24, beams=2)
+    session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 6)))
+    with ThreadPoolExecutor(4) as pool:
+        adding = [pool.submit(session.add, plane(recording, index)) for index in range(6, 24)]
+        looking = [pool.submit(session.beams) for _ in range(40)]
+        for one in (*adding, *looking):
+            one.result()
+    assert set(session.planes) == set(recording.plane_names)
+    assert_batch(session)
+
+
+def test_many_blocks_evaluate_together_as_each_does_alone():
+    """What iSAM2 is handed once it asks for many blocks; with gaps, poses and whitening."""
+    recording = recorded(14, noise=ROBOT)
+    ranges = recording.ranges.copy()
+    ranges.flat[::7] = np.nan
+    session = filled(replace(recording, ranges=ranges), ROBOT, replace(NONE, poses="estimated"))
+    graph = session._now.graph
+    blocks = [block for own in graph._blocks.values() for block in own]
+    values = graph._isam.calculateEstimate()
+
+    def rows():
+        found = []
+        for block in blocks:
+            jacobians = [None] * len(block.keys())
+            found.append((block(None, values, jacobians), *jacobians))
+        return found
+
+    alone = rows()
+    with gathered(blocks):
+        together = rows()
+        assert blocks[-1].prepared is not None
+    assert blocks[-1].prepared is None
+    for one, other in zip(alone, together, strict=True):
+        for a, b in zip(one, other, strict=True):
+            assert a.shape == b.shape
+            assert np.abs(a - b).max() <= 1e-12 * max(np.abs(a).max(), 1.0)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
@@ -11,6 +12,7 @@ from ..covariance import covariance
 from ..diagnosis.drift import Beams
 from ..diagnosis.observability import ObservabilityOptions, observability
 from ..graph import CalibrationGraph, build_graph, read_parameters
+from ..keys import pose_key
 from ..ordering import Order
 from ..parameters import Parameters
 from ..poses import PosePriors, pose_priors
@@ -18,7 +20,7 @@ from ..range_error import Choice
 from ..recording import Readings, Recording
 from ..selection import Selection
 from ..sensor import FLAT, OUTSIDE
-from ..solvers.incremental import BeamState
+from ..solvers.incremental import BeamState, IncrementalGraph
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solving import SETTLED, Solution
 from ..starts import Start
@@ -47,6 +49,8 @@ class Inside:
         Of the planes' frames [m].
     at : Parameters
         Beams and planes, each plane in its own frame.
+    poses : gtsam.Values or None
+        Hand poses that are variables, by station of the recording.
     """
 
     setting: Setting
@@ -55,10 +59,15 @@ class Inside:
     used: BoolArray
     origins: FloatArray
     at: Parameters
+    poses: gtsam.Values | None
 
     @classmethod
-    def of(cls, contents: Contents, setting: Setting, at: Parameters) -> "Inside":
-        """Return the problem of `contents`; the planes of `at` in the order of their numbers."""
+    def of(cls, contents: Contents, setting: Setting, graph: IncrementalGraph) -> "Inside":
+        """Return the problem of `contents` at the estimate of their graph."""
+        at = graph.parameters()
+        place = {number: index for index, number in enumerate(graph.planes)}
+        order = [place[number] for number in contents.numbers.values()]
+        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
         whole = contents.inside()
         columns = [whole.beam_names.index(name) for name in setting.names]
         whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=setting.names)
@@ -70,7 +79,13 @@ class Inside:
                 bad[row[one.station], setting.names.index(one.beam)] = True
         used = ~bad[readings.station, readings.beam]
         origins = np.array([contents.origins[name] for name in contents.numbers])
-        return cls(setting, whole, readings, used, origins, at)
+        poses = None
+        if setting.poses == "estimated":
+            poses = gtsam.Values()
+            for j in np.unique(readings.station[used]).tolist():
+                own = contents.station_numbers[whole.station_names[j]]
+                poses.insert(pose_key(j), graph.pose(pose_key(own)))
+        return cls(setting, whole, readings, used, origins, at, poses)
 
     def own(self) -> Readings:
         """Return the readings that are used, every plane in its own frame."""
@@ -84,7 +99,7 @@ class Inside:
         priors: PosePriors | None = None
         if setting.poses == "estimated" and variances.pose is not None:
             how = whitening(at, readings, variances.without_poses())
-            priors = pose_priors(readings, variances.pose)
+            priors = pose_priors(readings, variances.pose, self.poses)
         problem = build_graph(readings, at, setting.terms, how, priors=priors)
         for link in setting.links:
             for factor in link.factors(problem.beams, setting.terms):

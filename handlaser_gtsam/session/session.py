@@ -358,11 +358,7 @@ class Session:
         return self._now
 
     def _inside(self, now: _Now) -> Inside:
-        at = now.graph.parameters()
-        place = {number: index for index, number in enumerate(now.graph.planes)}
-        order = [place[number] for number in now.contents.numbers.values()]
-        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
-        return Inside.of(now.contents, now.setting, at)
+        return Inside.of(now.contents, now.setting, now.graph)
 
     def _begin(self, contents: Contents) -> Update:
         """Calibrate everything together, and start the graph from there if that converges."""

@@ -214,6 +214,11 @@ class IncrementalGraph:
             np.array([plane.distance() for plane in planes]),
         )
 
+    def pose(self, key: int) -> gtsam.Pose3:
+        """Return a hand pose that is a variable, in the frame of its blocks."""
+        with self._lock:
+            return self._isam.calculateEstimatePose3(key)
+
     def plane_covariance(self, number: int) -> FloatArray:
         """Return the covariance (4, 4) of (n, b) of a plane, in the frame of its blocks."""
         with self._lock:
