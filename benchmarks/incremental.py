@@ -1,9 +1,11 @@
 """Planes added one by one: how far from the batch solution, and how long.
 
-    python -m benchmarks.incremental [--planes 200] [--every 1] [--robot]
+    python -m benchmarks.incremental [--planes 200] [--every 1] [--robot | --poses]
 
-Four beams, 11 stations a plane in any motion. `batch` solves all readings so far from the estimate
-before the last plane, covariance included; times are medians of the last 15 planes, in one run.
+Four beams, 11 stations a plane in any motion; a robot that errs, with poses marginalised or estimated.
+`batch` solves all readings so far from the present estimate, covariance included, in turns with the
+planes that are added. Times are medians of 15 planes; `mean` is over the last 50, with the comparisons
+that a session makes by itself. The slope is that of a line through the medians.
 """
 
 import argparse
@@ -22,14 +24,14 @@ from handlaser_gtsam.solving import solve
 
 SIGMA, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 SHOWN = (10, 20, 50, 100, 200, 500, 1000)
-TIMED = 15
+TIMED, LONG = 15, 50
 
 
-def batch_seconds(session: hl.Session, noise: hl.Noise) -> float:
+def batch_seconds(session: hl.Session, noise: hl.Noise, options: hl.CalibrationOptions) -> float:
     """Return how long one batch solution from the present estimate takes."""
     readings, at = session.estimate()
     begin = time.perf_counter()
-    found = solve(readings, at, 0, noise, hl.CalibrationOptions("none"))
+    found = solve(readings, at, 0, noise, options)
     covariance(found.problem, found.result.values)
     return time.perf_counter() - begin
 
@@ -39,15 +41,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--planes", type=int, default=200)
     parser.add_argument("--every", type=int, default=1, help="compare after so many planes")
-    parser.add_argument("--robot", action="store_true", help="with a robot that errs")
+    parser.add_argument("--robot", action="store_true", help="poses marginalised")
+    parser.add_argument("--poses", action="store_true", help="poses estimated")
     arguments = parser.parse_args()
     rng = np.random.default_rng(1)
     truth, stations = SCENES["unplanned"](Layout(4, arguments.planes, 11), rng)
-    pose = (TRANSLATION, ROTATION) if arguments.robot else (0.0, 0.0)
+    errs = arguments.robot or arguments.poses
+    pose = (TRANSLATION, ROTATION) if errs else (0.0, 0.0)
     recording = simulate(truth, stations, Errors(SIGMA, *pose), rng)
     noise = hl.Noise(SIGMA, *pose)
-    session = hl.Session(noise, hl.CalibrationOptions("none"))
-    seconds, largest, largest_sigma, rows = [], 0.0, 0.0, []
+    options = hl.CalibrationOptions("none", poses="estimated" if arguments.poses else "auto")
+    session = hl.Session(noise, options)
+    shown = sorted({*SHOWN, arguments.planes})
+    seconds, batches, largest, largest_sigma, rows = [], [], 0.0, 0.0, []
     for plane in track(range(arguments.planes), description="planes"):
         part = recording.part(np.flatnonzero(recording.plane_of_station == plane))
         begin = time.perf_counter()
@@ -57,14 +63,22 @@ def main() -> None:
             found = session.compare()
             largest = max(largest, found.largest)
             largest_sigma = max(largest_sigma, found.largest_sigma)
-        if plane + 1 in (*SHOWN, arguments.planes):
-            batch = statistics.median(batch_seconds(session, noise) for _ in range(3))
-            rows.append((plane + 1, statistics.median(seconds[-TIMED:]), batch))
-    for planes, one, batch in rows:
+        near = any(0 <= number - plane - 1 < TIMED for number in shown)
+        if session.started and near and plane % 3 == 0:
+            batches.append(batch_seconds(session, noise, options))
+        if plane + 1 in shown:
+            one, batch = statistics.median(seconds[-TIMED:]), statistics.median(batches)
+            rows.append((plane + 1, one, statistics.mean(seconds[-LONG:]), batch))
+            batches = []
+    for planes, one, mean, batch in rows:
         print(
-            f"{planes:5} planes: add {1e3 * one:.2f} ms, batch {1e3 * batch:.1f} ms, "
-            f"batch / add {batch / one:.1f}"
+            f"{planes:5} planes: add {1e3 * one:.2f} ms (mean {1e3 * mean:.2f}), batch "
+            f"{1e3 * batch:.1f} ms, batch / add {batch / one:.1f}"
         )
+    slope = np.polyfit([row[0] for row in rows], [row[1] for row in rows], 1)[0]
+    print(
+        f"slope {1e6 * slope:.1f} us a plane; of the batch {1e6 * rows[-1][3] / rows[-1][0]:.0f} us"
+    )
     print(
         f"largest difference {largest:.1e} standard deviations, standard deviations differ by "
         f"{100.0 * largest_sigma:.2f} % at most"

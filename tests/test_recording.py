@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.errors import GrazingBeamError, InputError
 from handlaser_gtsam.recording import Recording
 
 GOOD = {
@@ -67,7 +67,7 @@ def test_a_beam_twice_is_refused():
 
 
 def test_parts_without_readings_and_under_other_names():
-    recording = hl.Recording(
+    recording = Recording(
         np.tile(np.eye(3), (3, 1, 1)),
         np.zeros((3, 3)),
         np.array([[0.1, 0.2], [0.3, np.nan], [0.5, 0.6]]),
@@ -78,13 +78,13 @@ def test_parts_without_readings_and_under_other_names():
     gone[[0, 2], 1] = True
     assert recording.without(gone).beam_names == ("left",)
     assert recording.without(gone).ranges.shape == (3, 1)
-    with pytest.raises(hl.InputError, match="plane B without any reading"):
+    with pytest.raises(InputError, match="plane B without any reading"):
         recording.without([[False, False], [False, False], [True, True]])
     assert recording.renamed("left", "port").beam_names == ("port", "right")
 
 
 def test_errors_come_back_from_other_processes():
-    for error in (hl.InputError("this", "that", line=3), hl.GrazingBeamError(0.0, 1e-3)):
+    for error in (InputError("this", "that", line=3), GrazingBeamError(0.0, 1e-3)):
         again = pickle.loads(pickle.dumps(error))
         assert str(again) == str(error)
         assert type(again) is type(error)

@@ -91,15 +91,17 @@ class Inside:
         """Return the readings that are used, every plane in its own frame."""
         return self.readings.subset(np.flatnonzero(self.used)).seen_from(self.origins)
 
-    def problem(self, at: Parameters) -> tuple[CalibrationGraph, Whitening]:
-        """Return the graph at some parameters, and the whitening with poses eliminated."""
+    def problem(
+        self, at: Parameters, poses: gtsam.Values | None
+    ) -> tuple[CalibrationGraph, Whitening]:
+        """Return the graph at some parameters and poses, and the whitening with poses eliminated."""
         readings, setting = self.own(), self.setting
         variances = setting.variances(len(self.recording.plane_labels))
         marginal = how = whitening(at, readings, variances)
         priors: PosePriors | None = None
         if setting.poses == "estimated" and variances.pose is not None:
             how = whitening(at, readings, variances.without_poses())
-            priors = pose_priors(readings, variances.pose, self.poses)
+            priors = pose_priors(readings, variances.pose, poses)
         problem = build_graph(readings, at, setting.terms, how, priors=priors)
         for link in setting.links:
             for factor in link.factors(problem.beams, setting.terms):
@@ -108,11 +110,12 @@ class Inside:
 
     def solved(self) -> tuple[CalibrationGraph, LevenbergResult]:
         """Return the batch solution, weights settled, from the present estimate."""
-        at = self.at
+        at, poses = self.at, self.poses
         for _ in range(ROUNDS):
-            problem, _ = self.problem(at)
+            problem, _ = self.problem(at, poses)
             result = levenberg_marquardt(problem)
             at = read_parameters(problem, result.values)
+            poses = None if poses is None else result.values
             if not result.history or result.history[0].step < SETTLED:
                 break
             if not self.setting.weights_depend:
@@ -146,7 +149,7 @@ class Inside:
 
     def calibration(self, rejected: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
-        problem, marginal = self.problem(self.at)
+        problem, marginal = self.problem(self.at, self.poses)
         result = evaluated(problem, "the present estimate of iSAM2")
         at, setting = self.at, self.setting
         found = observability(
