@@ -379,3 +379,15 @@ def test_many_blocks_evaluate_together_as_each_does_alone():
         for a, b in zip(one, other, strict=True):
             assert a.shape == b.shape
             assert np.abs(a - b).max() <= 1e-12 * max(np.abs(a).max(), 1.0)
+
+
+@pytest.mark.parametrize("noise", [hl.Noise(), hl.Noise(1e-4)], ids=["no sigma", "sigma"])
+def test_steps_that_swing_are_taken_with_damping(noise):
+    """Range errors that the model lacks: undamped steps of iSAM2 swing about the optimum."""
+    recording = hl.read_recording("examples/gripper/recording.csv")
+    session = filled(recording, noise, replace(NONE, outliers="keep"))
+    assert session.planes == recording.plane_names
+    assert_batch(session)
+    found, batch = session.calibration(), hl.calibrate(recording, noise, session.options)
+    for name, beam in batch.beams.items():
+        assert (np.abs(found.beams[name].location - beam.location) < 1e-6).all()

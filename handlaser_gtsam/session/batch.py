@@ -12,7 +12,6 @@ from ..covariance import covariance
 from ..diagnosis.drift import Beams
 from ..diagnosis.observability import ObservabilityOptions, observability
 from ..graph import CalibrationGraph, build_graph, read_parameters
-from ..keys import pose_key
 from ..ordering import Order
 from ..parameters import Parameters
 from ..poses import PosePriors, pose_priors
@@ -20,7 +19,7 @@ from ..range_error import Choice
 from ..recording import Readings, Recording
 from ..selection import Selection
 from ..sensor import FLAT, OUTSIDE
-from ..solvers.incremental import BeamState, IncrementalGraph
+from ..solvers.incremental import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solving import SETTLED, Solution
 from ..starts import Start
@@ -59,15 +58,11 @@ class Inside:
     used: BoolArray
     origins: FloatArray
     at: Parameters
-    poses: gtsam.Values | None
+    poses: gtsam.Values | None = None
 
     @classmethod
-    def of(cls, contents: Contents, setting: Setting, graph: IncrementalGraph) -> "Inside":
-        """Return the problem of `contents` at the estimate of their graph."""
-        at = graph.parameters()
-        place = {number: index for index, number in enumerate(graph.planes)}
-        order = [place[number] for number in contents.numbers.values()]
-        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
+    def of(cls, contents: Contents, setting: Setting, at: Parameters) -> "Inside":
+        """Return the problem of `contents`; the planes of `at` in their order."""
         whole = contents.inside()
         columns = [whole.beam_names.index(name) for name in setting.names]
         whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=setting.names)
@@ -79,13 +74,7 @@ class Inside:
                 bad[row[one.station], setting.names.index(one.beam)] = True
         used = ~bad[readings.station, readings.beam]
         origins = np.array([contents.origins[name] for name in contents.numbers])
-        poses = None
-        if setting.poses == "estimated":
-            poses = gtsam.Values()
-            for j in np.unique(readings.station[used]).tolist():
-                own = contents.station_numbers[whole.station_names[j]]
-                poses.insert(pose_key(j), graph.pose(pose_key(own)))
-        return cls(setting, whole, readings, used, origins, at, poses)
+        return cls(setting, whole, readings, used, origins, at)
 
     def own(self) -> Readings:
         """Return the readings that are used, every plane in its own frame."""

@@ -6,75 +6,28 @@ them. Everything a session knows is one value that is replaced as a whole: whate
 way, Ctrl-C included, the session is what it was.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from threading import RLock
 
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnosis.drift import Beams, History, Moved
+from ..diagnosis.drift import Moved
 from ..errors import InputError
 from ..mounts import Mounts
 from ..noise import Noise
 from ..options import CalibrationOptions
 from ..parameters import Parameters
 from ..pipeline import calibrate
-from ..range_error import choose_terms
 from ..recording import Readings, Recording
 from ..sensor import Rejected
-from ..solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions, PlaneFactors
-from .batch import Inside
+from ..solvers.incremental import IncrementalOptions
 from .beginning import begun, refuse, setting_of
+from .checking import apart, checked
 from .contents import Contents
-from .fitted import fit_plane
-from .joining import join_planes
+from .now import Now, begin
 from .reports import Comparison, Update
-from .setting import Link, Setting
-
-MOVED = 3e-3
-"""Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
-the typical range, a relative change of the range."""
-ROUNDS = 5
-"""Of new weights after a new beginning."""
-LEAST_CHANGES = 4
-"""Between two comparisons with the batch solution."""
-FAR = 5.0
-"""A move of so many standard deviations since the last comparison with the batch calls for another."""
-AGREED = 0.01
-"""Standard deviations, and part of each, within which the estimate is that of the batch."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Now:
-    """Everything a session knows once there is a calibration.
-
-    Attributes
-    ----------
-    contents : Contents
-    setting : Setting
-    graph : IncrementalGraph
-    state : BeamState
-        Its beams.
-    weighed : BeamState
-        Those behind the weights.
-    compared : BeamState
-        Those of the last comparison with the batch solution.
-    changes : int
-        Since then.
-    history : History
-    doubtful : frozenset of str
-        Planes that do not fit, whatever has moved.
-    """
-
-    contents: Contents
-    setting: Setting
-    graph: IncrementalGraph
-    state: BeamState
-    weighed: BeamState
-    compared: BeamState
-    changes: int
-    history: History
-    doubtful: frozenset[str]
+from .setting import Link
 
 
 class Session:
@@ -108,7 +61,7 @@ class Session:
         self._early, self._now = Contents.empty(), None
         self._lock = RLock()
 
-    _now: _Now | None
+    _now: Now | None
 
     @property
     def started(self) -> bool:
@@ -218,8 +171,7 @@ class Session:
             now = self._require()
             names, contents, before = now.setting.names, now.contents, f"{beam} until {since}"
             if beam not in names or beam in contents.names:
-                current = [name for name in names if name not in contents.names]
-                raise InputError(f"beam {beam!r}", f"one of {', '.join(current)}")
+                raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
             order = list(contents.numbers)
             if since not in order[1:] or before in names:
                 raise InputError(
@@ -246,7 +198,7 @@ class Session:
             )
             at = tuple(np.vstack((a, a[index])) for a in now.state.arrays)
             try:
-                self._now = self._restarted(split, setting, (at[0], at[1], at[2]))
+                self._now = begin(split, setting, (at[0], at[1], at[2]), self.incremental)
             except RuntimeError as error:
                 words = f"process noise of {location_sigma:g} m and {direction_sigma:g} rad"
                 raise InputError(
@@ -269,8 +221,7 @@ class Session:
             now.state.covariance,
             now.setting.sigma,
         )
-        current = tuple(name for name in now.setting.names if name not in now.contents.names)
-        return mounts if len(current) == len(mounts.names) else mounts.arranged(current)
+        return mounts if now.current == mounts.names else mounts.arranged(now.current)
 
     def calibration(self) -> Calibration:
         """Return the calibration at the present estimate, with everything a batch calibration tells.
@@ -284,7 +235,7 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
-        return self._inside(now).calibration(now.contents)
+        return now.inside().calibration(now.contents)
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes as they are now.
@@ -296,7 +247,7 @@ class Session:
         InputError
             There is no calibration yet.
         """
-        inside = self._inside(self._require())
+        inside = self._require().inside()
         return inside.own(), inside.at
 
     def compare(self) -> Comparison:
@@ -308,7 +259,7 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
-        return self._inside(now).compared(now.state)
+        return now.inside().compared(now.state)
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was.
@@ -319,7 +270,7 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
-        return now.history.search(now.setting.sigma_dof)
+        return now.moved()
 
     def settle(self) -> Comparison:
         """Calibrate everything so far at once, and compare; choose again what that chooses otherwise.
@@ -335,11 +286,11 @@ class Session:
         with self._lock:
             now = self._require()
             if now.setting.links:
-                return self._inside(now).compared(now.state)
+                return now.inside().compared(now.state)
             found = calibrate(now.contents.everything(), self.noise, self.options)
             if found.status != "converged":
                 words = f"everything together does not converge: {found.message}"
-                return replace(self._inside(now).compared(now.state), message=words)
+                return replace(now.inside().compared(now.state), message=words)
             contents = begun(now.contents, found)
             setting = setting_of(found, self.noise)
             differing = setting.difference(now.setting)
@@ -349,16 +300,13 @@ class Session:
                 # From the estimate so far, not from what it is to be compared with.
                 order = [now.setting.names.index(name) for name in setting.names]
                 r, v, k = (array[order] for array in now.state.arrays)
-                now = self._now = self._restarted(contents, setting, (r, v, k))
-            return Comparison(*_apart(now, found), "; ".join(differing))
+                now = self._now = begin(contents, setting, (r, v, k), self.incremental)
+            return Comparison(*apart(now, found), "; ".join(differing))
 
-    def _require(self) -> _Now:
+    def _require(self) -> Now:
         if self._now is None:
             raise InputError("a session without calibration", "recordings that determine the beams")
         return self._now
-
-    def _inside(self, now: _Now) -> Inside:
-        return Inside.of(now.contents, now.setting, now.graph)
 
     def _begin(self, contents: Contents) -> Update:
         """Calibrate everything together, and start the graph from there if that converges."""
@@ -375,7 +323,7 @@ class Session:
             return Update((), self.waiting, float("nan"), None, None, found.message)
         at, contents = found.parameters(), begun(contents, found)
         beams = (at.locations, at.directions, at.range_errors)
-        fresh = self._restarted(contents, setting_of(found, self.noise), beams)
+        fresh = begin(contents, setting_of(found, self.noise), beams, self.incremental)
         self._now = fresh
         return Update(
             tuple(fresh.contents.numbers),
@@ -384,37 +332,8 @@ class Session:
             fresh.state.sigmas(),
             None,
             rejected=fresh.contents.rejected,
-            moved=fresh.history.search(fresh.setting.sigma_dof),
+            moved=fresh.moved(),
         )
-
-    def _restarted(self, contents: Contents, setting: Setting, beams: Beams) -> _Now:
-        """Return a session with a new graph of everything that is determined beside `beams`."""
-        graph = IncrementalGraph(setting.beams, setting.terms, setting.length, self.incremental)
-        contents = replace(contents, numbers={}, origins={})
-        factors: dict[int, PlaneFactors] = {}
-        history, doubtful = setting.history(beams), set[str]()
-        for number, plane in enumerate(contents.stations):
-            used = contents.used(plane)
-            fitted = fit_plane(setting, used, beams)
-            if fitted is None or not fitted.determined():
-                continue
-            contents = contents.placed(plane, number, fitted.origin)
-            factors[number] = fitted.factors(number, contents.station_numbers, used)
-            own = fitted.information(history.reference)
-            if fitted.fits(own, history.reference):
-                history = history.with_plane(plane, own)
-            else:
-                doubtful.add(plane)
-        start = setting.start(beams)
-        graph, state = graph.changed(factors, (), start, fine=bool(doubtful))
-        r, v, k = beams
-        behind = replace(state, locations=r, directions=v, range_errors=k)
-        now = _Now(contents, setting, graph, state, behind, state, 0, history, frozenset(doubtful))
-        for _ in range(ROUNDS):
-            before, now = now, self._weighed(now)
-            if now is before:
-                break
-        return now
 
     def _removed(self, contents: Contents, plane: str) -> Update:
         now = self._now
@@ -423,115 +342,25 @@ class Session:
             return Update((), self.waiting, float("nan"), None, None)
         return self._change(now, contents, (plane,))
 
-    def _change(self, now: _Now, contents: Contents, planes: tuple[str, ...]) -> Update:
+    def _change(self, now: Now, contents: Contents, planes: tuple[str, ...]) -> Update:
         """Bring the session to `contents`, in which only `planes` differ from what is in."""
-        joining = join_planes(now.setting, now.state, now.history, contents, planes, self._reject)
-        left = [n for p, n in now.contents.numbers.items() if p not in joining.contents.numbers]
-        graph, state = now.graph, now.state
-        doubtful = (now.doubtful - set(planes)) | set(joining.doubtful)
-        if joining.factors or left:
-            try:
-                graph, state = graph.changed(
-                    joining.factors, left, None, now.setting.determines, fine=bool(doubtful)
-                )
-            except RuntimeError as error:
-                raise InputError(
-                    f"a change after which the beams are open ({error})",
-                    "planes that determine them",
-                ) from error
-        new = replace(
-            now,
-            contents=joining.contents,
-            graph=graph,
-            state=state,
-            history=joining.history,
-            changes=now.changes + 1,
-            doubtful=doubtful,
-        )
-        gain = 0.5 * (state.information - now.state.information)
-        new, comparison = self._checked(self._weighed(new))
+        reject = self.options.outliers == "reject"
+        new, joining = now.changed(contents, planes, reject=reject)
+        gain = 0.5 * (new.state.information - now.state.information)
+        new, comparison = checked(new, self.noise, self.options)
         if comparison is not None and comparison.message:
             gain = float("nan")
-        before = now.state.sigmas()
         self._now = new
         old = set(now.contents.rejected)
-        epochs = new.history.recent()
         return Update(
             joining.planes,
             self.waiting,
             gain,
             new.state.sigmas(),
-            before,
+            now.state.sigmas(),
             "",
             tuple(one for one in new.contents.rejected if one not in old),
-            new.history.search(new.setting.sigma_dof, epochs),
+            new.moved(recently=True),
             joining.doubtful,
             comparison,
         )
-
-    @property
-    def _reject(self) -> bool:
-        return self.options.outliers == "reject"
-
-    def _weighed(self, now: _Now) -> _Now:
-        """Give all readings the weights of the present beams, where these have moved."""
-        if not now.setting.weights_depend or now.setting.apart(now.state, now.weighed) < MOVED:
-            return now
-        factors = {}
-        for plane, number in now.contents.numbers.items():
-            used = now.contents.used(plane)
-            fitted = fit_plane(now.setting, used, now.state.arrays, now.contents.origins[plane])
-            if fitted is None:
-                return now
-            factors[number] = fitted.factors(number, now.contents.station_numbers, used)
-        graph, state = now.graph.changed(factors, fine=bool(now.doubtful))
-        return replace(now, graph=graph, state=state, weighed=now.state)
-
-    def _checked(self, now: _Now) -> tuple[_Now, Comparison | None]:
-        """Compare with the batch solution where that is due; return what follows from it."""
-        every = self.incremental.compare_every
-        due = max(LEAST_CHANGES, min(every, len(now.contents.numbers) // 4))
-        far = _standard_deviations(now.state, now.compared) > FAR
-        if every == 0 or (now.changes < due and not far):
-            return now, None
-        words = []
-        setting = self._chosen(now)
-        if setting != now.setting:
-            words += setting.difference(now.setting)
-            now = self._restarted(now.contents, setting, now.state.arrays)
-        inside = self._inside(now)
-        comparison = inside.compared(now.state)
-        if max(comparison.largest, comparison.largest_sigma) > AGREED:
-            words.append("begun anew from the batch solution, which it had left")
-            now = self._restarted(now.contents, now.setting, inside.batch_beams())
-        now = replace(now, compared=now.state, changes=0)
-        return now, replace(comparison, message="; ".join(words))
-
-    def _chosen(self, now: _Now) -> Setting:
-        """Return the setting that everything so far calls for: terms, and a range sigma not given."""
-        asked, given = self.options.range_error, self.noise.range_sigma is not None
-        if now.setting.links or (asked != "auto" and given):
-            return now.setting
-        inside = self._inside(now)
-        options = replace(self.options, outliers="keep")
-        choice = choose_terms(inside.own(), inside.at, self.noise, options)
-        return now.setting.chosen(choice, len(inside.own()))
-
-
-def _apart(now: _Now, found: Calibration) -> tuple[float, float]:
-    """Return how far a calibration of the same beams is, in its sigmas, and how its sigmas differ."""
-    state, names = now.state, now.setting.names
-    at, order = found.parameters(), [list(found.beams).index(name) for name in names]
-    other = np.hstack((at.locations, at.directions, at.range_errors))[order]
-    sigma = np.array([found.beams[name].sigma for name in names])
-    seen = sigma > 0.0
-    difference = np.abs(np.hstack(state.arrays) - other)[seen] / sigma[seen]
-    return float(difference.max()), float(np.abs(state.sigmas()[seen] / sigma[seen] - 1.0).max())
-
-
-def _standard_deviations(state: BeamState, other: BeamState) -> float:
-    """Return how many standard deviations of the other estimate the beams have moved since."""
-    before = np.hstack(other.arrays)
-    sigma = other.sigmas()
-    seen = sigma > 0.0
-    return float((np.abs(np.hstack(state.arrays) - before)[seen] / sigma[seen]).max())

@@ -136,11 +136,11 @@ class Setting:
         unit = np.array([self.length] * 3 + [1.0] * 3 + [1.0, 1.0 / self.length])
         return bool((state.sigmas() < MOST_SIGMA * unit).all())
 
-    def apart(self, state: BeamState, other: BeamState) -> float:
+    def apart(self, one: Beams, other: Beams) -> float:
         """Return how far two estimates of the beams are apart, in natural units."""
-        shift = float(np.abs(state.locations - other.locations).max()) / self.length
-        turn = float(np.abs(state.directions - other.directions).max())
-        stretch = np.abs(state.range_errors - other.range_errors) @ [1.0, self.length]
+        shift = float(np.abs(one[0] - other[0]).max()) / self.length
+        turn = float(np.abs(one[1] - other[1]).max())
+        stretch = np.abs(one[2] - other[2]) @ [1.0, self.length]
         return max(shift, turn, float(stretch.max()))
 
     def chosen(self, choice: Choice, readings: int) -> "Setting":

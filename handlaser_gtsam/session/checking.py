@@ -1,0 +1,70 @@
+"""A session against the batch: what is compared when, and what follows from it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..noise import Noise
+from ..options import CalibrationOptions
+from ..range_error import choose_terms
+from ..solvers.incremental import BeamState
+from .now import Now, begin
+from .reports import Comparison
+from .setting import Setting
+
+LEAST_CHANGES = 4
+"""Between two comparisons with the batch solution."""
+FAR = 5.0
+"""A move of so many standard deviations since the last comparison with the batch calls for another."""
+AGREED = 0.01
+"""Standard deviations, and part of each, within which the estimate is that of the batch."""
+
+
+def checked(now: Now, noise: Noise, options: CalibrationOptions) -> tuple[Now, Comparison | None]:
+    """Compare with the batch solution where that is due; return what follows from it."""
+    every = now.options.compare_every
+    due = max(LEAST_CHANGES, min(every, len(now.contents.numbers) // 4))
+    far = standard_deviations(now.state, now.compared) > FAR
+    if every == 0 or (now.changes < due and not far):
+        return now, None
+    words: list[str] = []
+    setting = _chosen(now, noise, options)
+    if setting != now.setting:
+        words += setting.difference(now.setting)
+        now = begin(now.contents, setting, now.state.arrays, now.options)
+    inside = now.inside()
+    comparison = inside.compared(now.state)
+    if max(comparison.largest, comparison.largest_sigma) > AGREED:
+        words.append("begun anew from the batch solution, which it had left")
+        now = begin(now.contents, now.setting, inside.batch_beams(), now.options)
+    now = replace(now, compared=now.state, changes=0)
+    return now, replace(comparison, message="; ".join(words))
+
+
+def _chosen(now: Now, noise: Noise, options: CalibrationOptions) -> Setting:
+    """Return the setting that everything so far calls for: terms, and a range sigma not given."""
+    if now.setting.links or (options.range_error != "auto" and noise.range_sigma is not None):
+        return now.setting
+    inside = now.inside()
+    choice = choose_terms(inside.own(), inside.at, noise, replace(options, outliers="keep"))
+    return now.setting.chosen(choice, len(inside.own()))
+
+
+def apart(now: Now, found: Calibration) -> tuple[float, float]:
+    """Return how far a calibration of the same beams is, in its sigmas, and how its sigmas differ."""
+    state, names = now.state, now.setting.names
+    at, order = found.parameters(), [list(found.beams).index(name) for name in names]
+    other = np.hstack((at.locations, at.directions, at.range_errors))[order]
+    sigma = np.array([found.beams[name].sigma for name in names])
+    seen = sigma > 0.0
+    difference = np.abs(np.hstack(state.arrays) - other)[seen] / sigma[seen]
+    return float(difference.max()), float(np.abs(state.sigmas()[seen] / sigma[seen] - 1.0).max())
+
+
+def standard_deviations(state: BeamState, other: BeamState) -> float:
+    """Return how many standard deviations of the other estimate the beams have moved since."""
+    before = np.hstack(other.arrays)
+    sigma = other.sigmas()
+    seen = sigma > 0.0
+    return float((np.abs(np.hstack(state.arrays) - before)[seen] / sigma[seen]).max())

@@ -1,0 +1,209 @@
+"""Everything a session knows once there is a calibration, and what follows from it; never changed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from ..diagnosis.drift import Beams, History, Moved
+from ..errors import HandlaserError, InputError
+from ..keys import pose_key
+from ..parameters import Parameters
+from ..solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions, PlaneFactors
+from .batch import Inside
+from .contents import Contents
+from .fitted import FittedPlane, fit_plane
+from .joining import Joining, join_planes
+from .setting import Setting
+
+MOVED = 3e-3
+"""Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
+the typical range, a relative change of the range."""
+ROUNDS = 5
+"""Of new weights after a new beginning."""
+
+
+@dataclass(frozen=True, slots=True)
+class Now:
+    """The calibration of a session, and how it came about.
+
+    Attributes
+    ----------
+    contents : Contents
+    setting : Setting
+    options : IncrementalOptions
+    graph : IncrementalGraph
+    state : BeamState
+        Its beams.
+    weighed : Beams
+        Those behind the weights.
+    compared : BeamState
+        Those of the last comparison with the batch solution.
+    changes : int
+        Since then.
+    history : History
+    doubtful : frozenset of str
+        Planes that do not fit, whatever has moved.
+    """
+
+    contents: Contents
+    setting: Setting
+    options: IncrementalOptions
+    graph: IncrementalGraph
+    state: BeamState
+    weighed: Beams
+    compared: BeamState
+    changes: int
+    history: History
+    doubtful: frozenset[str]
+
+    @property
+    def current(self) -> tuple[str, ...]:
+        """Names of the beams as they are, without those that were before a move."""
+        return tuple(name for name in self.setting.names if name not in self.contents.names)
+
+    def inside(self) -> Inside:
+        """Return what is in the graph as one problem, at the present estimate."""
+        graph, contents = self.graph, self.contents
+        at = graph.parameters()
+        place = {number: index for index, number in enumerate(graph.planes)}
+        order = [place[number] for number in contents.numbers.values()]
+        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
+        found = Inside.of(contents, self.setting, at)
+        if self.setting.poses != "estimated":
+            return found
+        poses, names = gtsam.Values(), found.recording.station_names
+        for j in np.unique(found.readings.station[found.used]).tolist():
+            own = pose_key(contents.station_numbers[names[j]])
+            poses.insert(pose_key(j), graph.pose(own))
+        return replace(found, poses=poses)
+
+    def moved(self, *, recently: bool = False) -> Moved | None:
+        """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
+        epochs = self.history.recent() if recently else None
+        return self.history.search(self.setting.sigma_dof, epochs)
+
+    def changed(
+        self, contents: Contents, planes: tuple[str, ...], *, reject: bool
+    ) -> tuple["Now", Joining]:
+        """Return what follows from `contents`, in which only `planes` differ from what is in.
+
+        Raises
+        ------
+        InputError
+            The beams would not be determined.
+        """
+        joining = join_planes(self.setting, self.state, self.history, contents, planes, reject)
+        left = [n for p, n in self.contents.numbers.items() if p not in joining.contents.numbers]
+        doubtful = (self.doubtful - set(planes)) | set(joining.doubtful)
+        new = replace(
+            self,
+            contents=joining.contents,
+            history=joining.history,
+            changes=self.changes + 1,
+            doubtful=doubtful,
+        )
+        if not (joining.factors or left):
+            return new, joining
+        try:
+            graph, state = self.graph.changed(
+                joining.factors, left, None, self.setting.determines, fine=bool(doubtful)
+            )
+            return replace(new, graph=graph, state=state).reweighed(), joining
+        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
+            return new.solved_at_once(), joining
+
+    def solved_at_once(self) -> "Now":
+        """Return the same from a batch solution of the contents, beside the present beams.
+
+        Raises
+        ------
+        InputError
+            The beams are not determined.
+        """
+        fitted = fitted_planes(self.contents, self.setting, self.state.arrays)
+        try:
+            if not fitted:
+                raise RuntimeError("no plane is left")
+            contents = _placed(self.contents, fitted)
+            planes = [one.at for one in fitted.values()]
+            r, v, k = self.state.arrays
+            normals = np.concatenate([one.normals for one in planes])
+            at = Parameters(r, v, k, normals, np.concatenate([one.offsets for one in planes]))
+            beams = Inside.of(contents, self.setting, at).batch_beams()
+            found = begin(self.contents, self.setting, beams, self.options)
+            if not self.setting.determines(found.state):
+                raise RuntimeError("too few planes are left")
+        except (RuntimeError, HandlaserError) as error:
+            raise InputError(
+                f"a change after which the beams are open ({error})", "planes that determine them"
+            ) from error
+        return replace(found, compared=self.compared, changes=self.changes)
+
+    def reweighed(self) -> "Now":
+        """Return the same with the weights of the present beams, where these have moved."""
+        setting, state = self.setting, self.state
+        if not setting.weights_depend or setting.apart(state.arrays, self.weighed) < MOVED:
+            return self
+        factors = {}
+        for plane, number in self.contents.numbers.items():
+            used = self.contents.used(plane)
+            fitted = fit_plane(setting, used, state.arrays, self.contents.origins[plane])
+            if fitted is None:
+                return self
+            factors[number] = fitted.factors(number, self.contents.station_numbers, used)
+        graph, found = self.graph.changed(factors, fine=bool(self.doubtful))
+        return replace(self, graph=graph, state=found, weighed=state.arrays)
+
+
+def begin(contents: Contents, setting: Setting, beams: Beams, options: IncrementalOptions) -> Now:
+    """Return a new graph of every plane that is determined beside `beams`.
+
+    Raises
+    ------
+    RuntimeError
+        GTSAM calls the system indeterminate, or the estimate does not settle.
+    """
+    fitted = fitted_planes(contents, setting, beams)
+    contents = _placed(contents, fitted)
+    factors: dict[int, PlaneFactors] = {}
+    history, doubtful = setting.history(beams), set[str]()
+    for plane, one in fitted.items():
+        number, used = contents.numbers[plane], contents.used(plane)
+        factors[number] = one.factors(number, contents.station_numbers, used)
+        own = one.information(history.reference)
+        if one.fits(own, history.reference):
+            history = history.with_plane(plane, own)
+        else:
+            doubtful.add(plane)
+    graph = IncrementalGraph(setting.beams, setting.terms, setting.length, options)
+    start = setting.start(beams)
+    graph, state = graph.changed(factors, (), start, fine=bool(doubtful))
+    now = Now(
+        contents, setting, options, graph, state, beams, state, 0, history, frozenset(doubtful)
+    )
+    for _ in range(ROUNDS):
+        before, now = now, now.reweighed()
+        if now is before:
+            break
+    return replace(now, compared=now.state)
+
+
+def fitted_planes(contents: Contents, setting: Setting, beams: Beams) -> Mapping[str, FittedPlane]:
+    """Return the planes that are determined beside `beams`."""
+    found = {}
+    for plane in contents.stations:
+        fitted = fit_plane(setting, contents.used(plane), beams)
+        if fitted is not None and fitted.determined():
+            found[plane] = fitted
+    return found
+
+
+def _placed(contents: Contents, fitted: Mapping[str, FittedPlane]) -> Contents:
+    """Return the contents with these planes in the graph, numbered anew."""
+    return replace(
+        contents,
+        numbers={plane: number for number, plane in enumerate(fitted)},
+        origins={plane: one.origin for plane, one in fitted.items()},
+    )
