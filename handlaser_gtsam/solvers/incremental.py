@@ -32,6 +32,8 @@ ROUNDS = 15
 """Of relinearisation after a change: more mean that too little is determined."""
 WITH_THE_OTHERS = 0.05
 """What has moved by more than this part of its threshold is linearised anew once another must be."""
+WEAK = 0.01
+"""Beams are hardly known with standard deviations above this part of their natural units."""
 NEVER = 1_000_000_000
 
 
@@ -133,6 +135,7 @@ class IncrementalGraph:
         ]
         part = (options or IncrementalOptions()).relinearize
         self._thresholds = _thresholds(part, length, self.beams, terms)
+        self._unit = np.array([length] * 3 + [1.0] * 4 + [1.0 / length])
         self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}
@@ -167,7 +170,8 @@ class IncrementalGraph:
             Asked before the change takes place.
         fine : bool
             Whether to linearise anew for much smaller moves: where readings do not fit, the optimum
-            depends on every Jacobian by as much as they are off.
+            depends on every Jacobian by as much as they are off. Always where beams are hardly known,
+            for their standard deviations then depend on where they were linearised.
 
         Raises
         ------
@@ -184,13 +188,11 @@ class IncrementalGraph:
             if not new._blocks:
                 raise RuntimeError("no plane is left")
             new._add(added, old, beams)
-            for _ in range(ROUNDS):
-                if not new._has_moved(WITH_THE_OTHERS if fine else 1.0):
-                    break
-                new._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
-            else:
-                raise RuntimeError("the estimate does not settle")
+            new._settle(WITH_THE_OTHERS if fine else 1.0)
             state = new.state()
+            if not fine and (state.sigmas() > WEAK * new._unit).any():
+                new._settle(WITH_THE_OTHERS)
+                state = new.state()
             if accept is not None and not accept(state):
                 raise RuntimeError("too few planes are left")
         return new, state
@@ -232,7 +234,7 @@ class IncrementalGraph:
     def _copy(self) -> "IncrementalGraph":
         new = object.__new__(IncrementalGraph)
         new.beams, new.terms, new._keys, new._lock = self.beams, self.terms, self._keys, self._lock
-        new._thresholds = self._thresholds
+        new._thresholds, new._unit = self._thresholds, self._unit
         new._factors, new._blocks = dict(self._factors), dict(self._blocks)
         new._isam = gtsam.ISAM2(self._isam)
         new._view = new._isam.getLinearizationPoint()
@@ -273,6 +275,14 @@ class IncrementalGraph:
         blocks = [block for own in self._blocks.values() for block in own]
         with gathered(blocks):
             return self._isam.update(graph, start, old, groups, None, None, relinearize)
+
+    def _settle(self, part: float) -> None:
+        """Linearise anew until nothing has moved by a part of its threshold."""
+        for _ in range(ROUNDS):
+            if not self._has_moved(part):
+                return
+            self._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
+        raise RuntimeError("the estimate does not settle")
 
     def _has_moved(self, part: float) -> bool:
         """Tell whether a variable has left its linearisation point by a part of its threshold."""
