@@ -35,8 +35,11 @@ def fit_of_graph(
     Raises
     ------
     InputError
-        A beam without a range factor to these planes.
+        A beam without a range factor to these planes, two names for one beam, or an error that is no
+        number.
     """
+    if len({tuple(_keys(beam)) for beam in beams.values()}) < len(beams):
+        raise InputError("two names for one beam", "different variables for every beam")
     rows = list(_rows(graph, values, beams, set(planes.values())))
     for i, name in enumerate(beams):
         if all(row.beam != i for row in rows):
@@ -44,6 +47,8 @@ def fit_of_graph(
     e, sigma = (np.array([getattr(row, name) for row in rows]) for name in ("residual", "sigma"))
     names, size = tuple(beams), sum(graph.at(i).dim() for i in _indices(graph))
     chi2, dof = 2.0 * graph.error(values), size - unknowns
+    if not np.isfinite(chi2):
+        raise InputError(f"an error of the graph of {chi2}", "values that are finite numbers")
     worst, far = int(np.abs(e).argmax()), int(np.abs(e / sigma).argmax())
     table = np.full((len(rows), len(beams)), np.nan)
     table[np.arange(len(rows)), [row.beam for row in rows]] = e
@@ -74,22 +79,27 @@ def _rows(
     planes: set[int],
 ) -> Iterator[_Row]:
     """Yield the rows of factors of one of the beams and one of the planes."""
-    owner = {(keys.location, keys.direction): i for i, keys in enumerate(beams.values())}
+    owner = {tuple(_keys(beam)): i for i, beam in enumerate(beams.values())}
     for i in _indices(graph):
         factor = graph.at(i)
-        if not isinstance(factor, gtsam.NoiseModelFactor):
+        if not isinstance(factor, gtsam.CustomFactor):
             continue
         keys = list(factor.keys())
-        beam = owner.get((keys[0], keys[1])) if len(keys) > 2 else None
-        if beam is None or not planes & set(keys):
-            continue
         posed = keys[-1] not in planes
+        beam = owner.get(tuple(keys[: -2 if posed else -1]))
+        if beam is None or keys[-2 if posed else -1] not in planes:
+            continue
         name = key_name(keys[-1]) if posed else f"factor {i}"
         e = np.atleast_1d(factor.unwhitenedError(values))
         sigma = _sigmas(factor.noiseModel(), len(e))
         for row, (one, s) in enumerate(zip(e.tolist(), sigma.tolist(), strict=True)):
             label = name if len(e) == 1 else f"{name} row {row + 1}"
             yield _Row(label, beam, one, s, posed)
+
+
+def _keys(beam: BeamKeys) -> list[int]:
+    keys = (beam.location, beam.direction, beam.range_error)
+    return [key for key in keys if key is not None]
 
 
 def _indices(graph: gtsam.NonlinearFactorGraph) -> list[int]:

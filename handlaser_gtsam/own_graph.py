@@ -58,8 +58,8 @@ def read_graph(
     Raises
     ------
     InputError
-        A key without a value of the right type, a beam without range factors, or values without some
-        of the graph's variables.
+        A key without a value of the right type, a beam without range factors or under two names, values
+        without some of the graph's variables or that are no numbers, or constrained noise models.
     """
     wanted = _wanted(graph, values, beams, planes)
     linear = graph.linearize(values)
@@ -67,6 +67,9 @@ def read_graph(
     fit = fit_of_graph(graph, values, beams, planes, unknowns)
     information = _information(graph, linear, wanted)
     status, message, found = _judged(information, wanted)
+    if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
+        status = "not_converged"
+        message = "the values are not at the optimum of the graph: optimise further"
     joint = None if found is None else _joint(found[0], wanted, values, beams, planes)
     told = joint if status == "converged" else None
     tail = float(chi2_distribution.sf(fit.chi2, fit.dof)) if fit.dof > 0 else 1.0
@@ -126,6 +129,8 @@ def _wanted(
         _require_type(values, key, words)
         if key not in found:
             dim = dim or values.atVector(key).size
+            if words.startswith("range") and dim > 2:
+                raise InputError(f"{dim} numbers as {words}", "a vector (k1,) or (k1, k2)")
             found[key] = _Variable(words, key, slice(first, first + dim))
             first += dim
     return list(found.values())
@@ -163,7 +168,21 @@ def _information(
         matrix, vector = rest.hessian(last)
     except RuntimeError:  # GTSAM's indeterminate linear system, which names a bystander
         return None
+    except ValueError as error:
+        raise InputError(
+            f"a factor that cannot be eliminated ({error})",
+            "noise models with sigmas above zero, not constrained ones",
+        ) from error
     return np.asarray(matrix), np.asarray(vector).ravel()
+
+
+def _left_to_go(linear: gtsam.GaussianFactorGraph) -> float:
+    """Return how far the optimum of all variables is: the length of a step, in standard deviations."""
+    try:
+        decrement = -linear.gradientAtZero().dot(linear.optimize())
+    except RuntimeError:
+        return float("inf")
+    return float(np.sqrt(max(decrement, 0.0))) if np.isfinite(decrement) else float("inf")
 
 
 def _judged(
@@ -186,7 +205,7 @@ def _judged(
     covariance = (axes / values) @ axes.T
     away = float((np.abs(covariance @ vector) / np.sqrt(np.diagonal(covariance))).max())
     found = covariance, values
-    if away > OPTIMAL:
+    if not away <= OPTIMAL:
         words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
         return "not_converged", words, found
     return "converged", "the values are the optimum of the graph", found

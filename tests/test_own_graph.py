@@ -1,5 +1,6 @@
 """Beams in graphs that somebody else built: solved by any optimizer, read back in one call."""
 
+import json
 from dataclasses import dataclass
 
 import gtsam
@@ -353,3 +354,66 @@ def test_study_of_a_mobile_base():
     assert found[:, 2].mean() > 50.0
     assert list(WALLS) == ["east", "north", "ramp"]
     assert min(driven(np.random.default_rng(0)).ranges) > 0.1
+
+
+def test_a_pose_away_from_the_optimum_is_found_out(walk):
+    graph, start = walk
+    values = hl.optimize(graph, start).values
+    for off in (0.5, 0.01):
+        moved = gtsam.Values(values)
+        pose = moved.atPose3(gtsam.symbol("x", 39))
+        moved.update(gtsam.symbol("x", 39), pose.retract(np.array([0.0, 0, 0, off, 0, 0])))
+        assert hl.read_graph(graph, moved, {"laser": BEAM}, PLANES).status == "not_converged"
+
+
+def test_values_that_are_no_numbers_are_refused(walk):
+    graph, values = gtsam.NonlinearFactorGraph(walk[0]), gtsam.Values(hl.optimize(*walk).values)
+    graph.push_back(
+        gtsam.PriorFactorPoint3(7, np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3))
+    )
+    values.insert(7, np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(hl.InputError, match="finite numbers"):
+        hl.read_graph(graph, values, {"laser": BEAM}, PLANES)
+
+
+def test_a_calibration_of_a_graph_can_be_written_and_used(walk, tmp_path):
+    found = hl.read_graph(walk[0], hl.optimize(*walk).values, {"laser": BEAM}, PLANES)
+    path = tmp_path / "own.json"
+    hl.write_calibration(path, found)
+    assert json.loads(path.read_text())["beams"][0]["spot"] is None
+    hl.write_calibration(path, found, reading=1.5)
+    assert json.loads(path.read_text())["beams"][0]["spot"]["reading_m"] == 1.5
+    assert hl.read_mounts(path).locations[0] == pytest.approx(found.beams["laser"].location)
+
+
+def test_factors_that_are_no_readings_are_not_counted(walk):
+    graph, start = gtsam.NonlinearFactorGraph(walk[0]), walk[1]
+    weak = gtsam.noiseModel.Isotropic.Sigma(3, 10.0)
+    graph.push_back(gtsam.PriorFactorPoint3(BEAM.location, R, weak))
+    robust = gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Huber.Create(5.0), gtsam.noiseModel.Isotropic.Sigma(1, 2e-3)
+    )
+    d = reading(robot().poses[3], WALL, R, V)
+    graph.push_back(range_to_plane_from_pose(BEAM, WALL, gtsam.symbol("x", 3), d, robust))
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    assert found.status == "converged"
+    assert found.fit.readings == 41
+    assert found.fit.farthest < 4.0
+    assert abs(found.fit.residuals[-1, 0]) < 4.0 * 2e-3
+
+
+def test_graphs_that_cannot_be_read_or_solved_are_refused(walk):
+    graph, values = gtsam.NonlinearFactorGraph(walk[0]), hl.optimize(*walk).values
+    two = {"a": BEAM, "b": hl.BeamKeys(BEAM.location, BEAM.direction)}
+    with pytest.raises(hl.InputError, match="two names for one beam"):
+        hl.read_graph(graph, values, two, PLANES)
+    wrong = hl.BeamKeys(BEAM.location, BEAM.direction, BEAM.location)
+    with pytest.raises(hl.InputError, match="range"):
+        hl.read_graph(graph, values, {"laser": wrong}, PLANES)
+    graph.push_back(gtsam.PriorFactorPoint3(BEAM.location, R, gtsam.noiseModel.Constrained.All(3)))
+    with pytest.raises(hl.InputError, match="constrained"):
+        hl.read_graph(graph, hl.optimize(graph, values).values, {"laser": BEAM}, PLANES)
+    with pytest.raises(hl.InputError, match="an empty graph"):
+        hl.optimize(gtsam.NonlinearFactorGraph(), gtsam.Values())
+    with pytest.raises(hl.InputError, match="no start of"):
+        hl.optimize(walk[0], gtsam.Values())

@@ -127,7 +127,7 @@ def _beam_table(beam: Beam, result: Calibration) -> Table:
 
 def _spot_lines(result: Calibration, reading: float) -> Iterator[str]:
     """Yield what the calibration leaves unsure of each laser spot at a reading [m]."""
-    if result.covariance is None:
+    if result.covariance is None or math.isnan(reading):
         return
     for name in result.beams:
         found = spot(result, name, reading)

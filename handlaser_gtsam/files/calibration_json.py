@@ -103,9 +103,15 @@ def check_text(check: MotionCheck) -> str:
     return _text(record)
 
 
-def write_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the calibration to a JSON file, whole or not at all."""
-    write_text(Path(path), calibration_text(calibration))
+def write_calibration(
+    path: Path | str, calibration: Calibration, reading: float | None = None
+) -> None:
+    """Write the calibration to a JSON file, whole or not at all.
+
+    The error of the laser spots is told at `reading` [m], or at the median; not at all for a graph that
+    does not tell its readings.
+    """
+    write_text(Path(path), calibration_text(calibration, reading))
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:
@@ -174,6 +180,8 @@ def _spot(calibration: Calibration, name: str, reading: float | None) -> Json:
     if calibration.covariance is None:
         return None
     d = calibration.fit.median_reading if reading is None else reading
+    if math.isnan(d):  # a graph of one's own, which does not tell its readings
+        return None
     found = spot(calibration, name, d)
     return {
         "reading_m": d,

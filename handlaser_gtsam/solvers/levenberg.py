@@ -19,7 +19,7 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import GrazingBeamError
+from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from ..graph import CalibrationGraph
 from .work import Alone, Point, Together, Work
@@ -168,7 +168,16 @@ def optimize(
     ------
     GrazingBeamError
         A beam grazes its plane at the start already.
+    InputError
+        An empty graph, or a variable without a start.
     """
+    keys = graph.keyVector()
+    if not keys:
+        raise InputError("an empty graph", "factors")
+    missing = [key for key in keys if not values.exists(key)]
+    if missing:
+        name = gtsam.DefaultKeyFormatter(missing[0])
+        raise InputError(f"no start of {name}", "one for every variable of the graph")
     search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
     status, message = search.finished()
     point = search.point
