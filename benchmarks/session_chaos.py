@@ -92,8 +92,11 @@ def act(
             with _Falling(error, int(rng.integers(0, 8))):
                 session.add(fresh[0])
                 fresh.pop(0)
-    except (hl.InputError, KeyboardInterrupt, ValueError):
+    except hl.InputError:
         return
+    except (KeyboardInterrupt, ValueError):
+        if action not in ("exception", "Ctrl-C"):
+            raise
 
 
 def _spoilt(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:

@@ -189,5 +189,55 @@ def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():
     rows = np.flatnonzero(recording.plane_of_station == 9)
     ranges[rows] += 0.01 * np.random.default_rng(1).normal(size=(len(rows), 3))
     update = session.add(plane(replace(recording, ranges=ranges), 9))
-    assert update.doubtful == ("J",)
+    assert update.doubtful == update.waiting == ("J",)
+    assert update.planes == ()
     assert update.moved is None
+    assert session.compare().largest < 0.01
+
+
+def test_a_plane_that_was_itself_moved_does_no_harm():
+    """Shifted by a centimetre in the middle of its stations: it waits, and later planes are as ever."""
+    recording, truth = knocked(planes=12, turn=0.0)
+    ranges = recording.ranges.copy()
+    rows = np.flatnonzero(recording.plane_of_station == 6)
+    ranges[rows[5:]] += 0.01
+    session, updates = fed(replace(recording, ranges=ranges))
+    assert updates[6].doubtful == ("G",)
+    assert all(update.moved is None for update in updates)
+    assert session.rejected == ()
+    assert session.waiting == ("G",)
+    beams = session.beams()
+    sigma = np.sqrt(np.diagonal(beams.covariance)).reshape(3, 8)[:, :3]
+    assert (np.abs(beams.locations - truth.locations) < 4.5 * sigma).all()
+    keep, _ = fed(replace(recording, ranges=ranges), options=hl.CalibrationOptions("none", "keep"))
+    assert keep.waiting == ()
+    assert keep.compare().largest < 0.01
+
+
+@pytest.mark.parametrize("degrees", [1.0, 5.0, 10.0, 30.0])
+def test_a_large_knock_is_named_too(degrees):
+    recording, truth = knocked(turn=math.radians(degrees))
+    session, updates = fed(recording)
+    for update in updates[6:]:
+        assert (update.moved.beam, update.moved.since) == ("2", "G")
+    session.forget("2", "G", 0.05, 1.0)
+    session.settle()
+    beams = session.beams()
+    assert session.compare().largest < 0.01
+    sigma = np.sqrt(np.diagonal(beams.covariance)).reshape(3, 8)[1, 3:6]
+    assert (np.abs(beams.directions[1] - truth.directions[1]) < 5.0 * sigma).all()
+
+
+@pytest.mark.parametrize("gone", ["ABC", "DEFGHIJ"])
+def test_the_planes_of_one_side_of_a_move_stay(gone):
+    session, _ = fed(knocked(before=3)[0])
+    session.forget("2", "D")
+    refused = 0
+    for name in gone:
+        try:
+            session.remove_plane(name)
+        except hl.InputError:
+            refused += 1
+        assert session.compare().largest < 0.01
+    assert refused
+    assert list(session.calibration().beams) == ["1", "2", "3", "2 until D"]

@@ -172,7 +172,7 @@ def _show(
     if fed is not None:
         from .incremental import comparison_line, update_table
 
-        console.print(update_table(fed.updates))
+        console.print(update_table(fed))
         if fed.comparison is not None:
             console.print(comparison_line(fed.comparison), soft_wrap=True)
     for part in calibration_tables(result, recording, reading):

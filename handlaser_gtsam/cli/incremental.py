@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from ..arrays import FloatArray
 from ..calibration import Calibration
 from ..noise import Noise
 from ..options import CalibrationOptions
@@ -57,41 +58,47 @@ def plane_by_plane(
         comparison = session.settle()
     result = session.calibration()
     if moved is not None:
+        by = f"by {np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm"
         words = (
-            f"beam {moved.beam} seems to have moved before plane {moved.since}, by "
-            f"{np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm: "
-            f"calibrate the planes before and after it by themselves, or tell a Session to forget"
+            f"beam {moved.beam} seems to have moved before plane {moved.since}, "
+            f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
+            f"themselves, or tell a Session to forget"
         )
         result = replace(result, warnings=(words, *result.warnings))
     return PlaneByPlane(result, session.recording(), told, comparison)
 
 
-def update_table(updates: tuple[tuple[str, Update], ...]) -> Table:
-    """Return what every plane taught, and how standard deviations fell."""
+def update_table(fed: PlaneByPlane) -> Table:
+    """Return what every plane taught, and how standard deviations fell; those of the result last."""
     table = Table(box=SIMPLE_HEAD, title="plane by plane", title_justify="left")
     table.add_column("plane")
     for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "left out"):
         table.add_column(name, justify="right")
     table.add_column("")
-    for name, update in updates:
-        sigma = update.sigma
+    for name, update in fed.updates:
         nats = f"{update.information:.2f}" if np.isfinite(update.information) else "-"
-        location, direction = "-", "-"
-        if sigma is not None:
-            location = f"{MM * sigma[:, :3].max():.4f}"
-            direction = f"{np.degrees(sigma[:, 3:6].max()):.4f}"
         count = str(len(update.rejected)) if update.rejected else ""
-        table.add_row(name, nats, location, direction, count, _remark(name, update))
+        table.add_row(name, nats, *_largest(update.sigma), count, _remark(name, update))
+    beams = fed.result.beams.values()
+    if fed.comparison is not None and all(beam.sigma is not None for beam in beams):
+        sigma = np.array([beam.sigma for beam in beams])
+        rejected = str(len(fed.result.fit.rejected) or "")
+        table.add_row("result", "", *_largest(sigma), rejected, fed.comparison.message)
     return table
+
+
+def _largest(sigma: FloatArray | None) -> tuple[str, str]:
+    if sigma is None:
+        return "-", "-"
+    return f"{MM * sigma[:, :3].max():.4f}", f"{np.degrees(sigma[:, 3:6].max()):.4f}"
 
 
 def comparison_line(comparison: Comparison) -> str:
     """Say how far plane by plane and all at once are apart."""
-    line = (
+    return (
         f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations, and to "
         f"{100.0 * comparison.largest_sigma:.2g} % in these"
     )
-    return f"{line} ({comparison.message})" if comparison.message else line
 
 
 def _remark(name: str, update: Update) -> str:
@@ -101,7 +108,7 @@ def _remark(name: str, update: Update) -> str:
     if update.moved is not None:
         words.append(f"beam {update.moved.beam} has moved before plane {update.moved.since}")
     if update.doubtful:
-        words.append("fits whatever has moved badly")
+        words.append("does not fit, and waits")
     if update.comparison is not None and update.comparison.message:
         words.append(update.comparison.message)
     return "; ".join(words)

@@ -51,9 +51,10 @@ class Moved:
     p_value : float
         Probability of so clear a sign if nothing has moved, all epochs and beams considered.
     shift : (3,)
-        By how much its location would have moved [m].
+        By how much its location would have moved [m]; NaN where it has moved so far that planes fit
+        only without it.
     turn : float
-        By how much its direction would have [rad].
+        By how much its direction would have [rad]; NaN likewise.
     """
 
     beam: str

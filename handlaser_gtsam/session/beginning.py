@@ -8,6 +8,7 @@ from ..calibration import Calibration
 from ..errors import InputError
 from ..noise import Noise
 from ..options import CalibrationOptions
+from ..sensor import Sensor
 from .contents import Contents
 from .setting import Setting
 
@@ -33,7 +34,7 @@ def refuse(noise: Noise, options: CalibrationOptions) -> None:
     options.require_pose_noise(noise)
 
 
-def setting_of(found: Calibration, noise: Noise) -> Setting:
+def setting_of(found: Calibration, noise: Noise, sensor: Sensor) -> Setting:
     """Return the setting of a session that begins with a calibration."""
     beams = found.beams.values()
     given = noise.range_sigma is not None
@@ -45,6 +46,7 @@ def setting_of(found: Calibration, noise: Noise) -> Setting:
         np.inf if given else float(max(found.fit.dof, 1)),
         noise,
         found.fit.poses,
+        sensor,
         reason=found.range_error_choice,
     )
 
@@ -60,6 +62,7 @@ def begun(contents: Contents, found: Calibration) -> Contents:
         rejected=(),
         numbers={},
         origins={},
+        aside={},
     )
     by_plane: dict[str, list[tuple[str, str, str]]] = {}
     plane_of = {

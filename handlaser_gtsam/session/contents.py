@@ -1,7 +1,7 @@
 """What has been put into a session, plane by plane; never changed, only replaced."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -36,6 +36,8 @@ class Contents:
         Number of every station, never given twice.
     names : mapping of str to str
         What a beam is called outside, where it has been renamed because it moved.
+    aside : mapping of str to str
+        Planes that fit no beams as they are, with the beam without which they would; empty if none.
     """
 
     stations: Mapping[str, Recording]
@@ -45,6 +47,7 @@ class Contents:
     origins: Mapping[str, FloatArray]
     station_numbers: dict[str, int]
     names: Mapping[str, str]
+    aside: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def empty(cls) -> "Contents":
@@ -143,6 +146,7 @@ class Contents:
             numbers=_except(self.numbers, (plane,)),
             origins=_except(self.origins, (plane,)),
             station_numbers=_except(self.station_numbers, gone),
+            aside=_except(self.aside, (plane,)),
         )
 
     def plane_of(self, station: str) -> str:
@@ -194,6 +198,20 @@ class Contents:
             numbers={**self.numbers, plane: number},
             origins={**self.origins, plane: origin},
         )
+
+    def put_aside(self, plane: str, beam: str) -> "Contents":
+        """Return the contents with a plane out of the graph that only fits without `beam`, or never."""
+        out = self.placed(plane, None, None)
+        return replace(out, aside={**self.aside, plane: beam})
+
+    def taken_back(self, planes: Iterable[str]) -> "Contents":
+        """Return the contents with planes that are not put aside any more."""
+        return replace(self, aside=_except(self.aside, planes))
+
+    def without_readings(self, names: Iterable[str]) -> list[str]:
+        """Return which of the beams have no reading in the graph."""
+        seen = {name for plane in self.numbers for name in self.used(plane).beam_names}
+        return [name for name in names if name not in seen]
 
     def split(self, beam: str, since: str, before: str) -> "Contents":
         """Return the contents with a beam named `before` in the planes that came before `since`."""

@@ -86,18 +86,13 @@ class FittedPlane:
         reference : Reference
             What it is counted from.
         """
-        dof = self.setting.sigma_dof
         white = self.whitening.apply(self.residual) / self.whitening.sigma
         values, axes = np.linalg.eigh(own.matrix)
         keep = values > 1.0
         here = reference.coordinates((self.at.locations, self.at.directions, self.at.range_errors))
         along = axes.T @ (own.vector - own.matrix @ here)
         fall = (along[keep] ** 2 / values[keep]).sum()
-        free = len(white) - 3 - int(keep.sum())
-        left = float(white @ white - fall)
-        if np.isfinite(dof):  # an estimated sigma may be wrong by so much
-            left /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
-        return free <= 0 or bool(chi2_distribution.sf(left, free) > UNLIKELY)
+        return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))
 
     def standardized(self, state: BeamState) -> FloatArray:
         """Return by how many standard deviations (N,) each reading is off what all others say of it.
@@ -118,6 +113,16 @@ class FittedPlane:
         G, e, K = self._normal(state)
         right = G.T @ e
         return float(e @ e - right @ K @ right)
+
+    def agrees(self, state: BeamState) -> bool:
+        """Tell whether the readings agree with the beams as they are."""
+        return self._likely(self.misfit(state), len(self.readings) - 3)
+
+    def _likely(self, chi2: float, free: int) -> bool:
+        dof = self.setting.sigma_dof
+        if np.isfinite(dof):  # an estimated sigma may be wrong by so much
+            chi2 /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
+        return free <= 0 or bool(chi2_distribution.sf(chi2, free) > UNLIKELY)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""

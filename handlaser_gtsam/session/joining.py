@@ -6,6 +6,7 @@ import numpy as np
 
 from ..diagnosis.drift import MOVES, History
 from ..recording import Recording
+from ..sensor import FLAT, within_incidence
 from ..solvers.incremental import BeamState, PlaneFactors
 from .contents import Contents
 from .fitted import FittedPlane, fit_plane, outliers
@@ -28,7 +29,8 @@ class Joining:
     planes : tuple of str
         That joined.
     doubtful : tuple of str
-        Those of them that do not fit, whichever beam has moved.
+        Planes that do not fit, whichever beam has moved a little. They are put aside, or join all the
+        same where nothing is to be left out.
     """
 
     contents: Contents
@@ -73,20 +75,57 @@ def join_planes(
             contents = contents.placed(plane, None, None)
             history = history.without_plane(plane)
             continue
+        contents, fitted = _within_incidence(fitted, contents, plane, used, state)
         if reject:
-            contents, fitted = _screened(fitted, contents, plane, used, state, history)
-            used = contents.used(plane)
+            contents, fitted = _screened(
+                fitted, contents, plane, contents.used(plane), state, history
+            )
+        used = contents.used(plane)
+        own = fitted.information(history.reference)
+        if not fitted.fits(own, history.reference):
+            history = history.without_plane(plane)
+            doubtful.append(plane)
+            if reject:
+                contents = contents.put_aside(plane, _culprit(fitted, used, state))
+                continue
+        else:
+            history = history.with_plane(plane, own)
+        contents = contents.taken_back((plane,))
         number = contents.numbers.get(plane, free + len(joined))
         contents = contents.placed(plane, number, fitted.origin)
         factors[number] = fitted.factors(number, contents.station_numbers, used)
         joined.append(plane)
-        own = fitted.information(history.reference)
-        if fitted.fits(own, history.reference):
-            history = history.with_plane(plane, own)
-        else:
-            history = history.without_plane(plane)
-            doubtful.append(plane)
     return Joining(contents, factors, history, tuple(joined), tuple(doubtful))
+
+
+def _within_incidence(
+    fitted: FittedPlane, contents: Contents, plane: str, used: Recording, state: BeamState
+) -> tuple[Contents, FittedPlane]:
+    """Leave out the readings that meet the plane flatter than the sensor allows."""
+    readings, setting = fitted.readings, fitted.setting
+    flat = np.ones(len(readings), dtype=bool)
+    flat[within_incidence(readings, fitted.at, setting.sensor)] = False
+    if not flat.any() or flat.all():
+        return contents, fitted
+    bad = np.zeros(used.ranges.shape, dtype=bool)
+    column = {name: i for i, name in enumerate(used.beam_names)}
+    for row in np.flatnonzero(flat).tolist():
+        bad[readings.station[row], column[setting.names[readings.beam[row]]]] = True
+    less = contents.leaving_out(plane, used, bad, FLAT)
+    again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
+    return (contents, fitted) if again is None or not again.determined() else (less, again)
+
+
+def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
+    """Return the only beam without which the plane would fit; empty where there is none."""
+    found = []
+    for name in used.beam_names if len(used.beam_names) > 1 else ():
+        bad = np.zeros(used.ranges.shape, dtype=bool)
+        bad[:, used.beam_names.index(name)] = True
+        rest = fit_plane(fitted.setting, used.without(bad), state.arrays, fitted.origin)
+        if rest is not None and rest.determined() and rest.agrees(state):
+            found.append(name)
+    return found[0] if len(found) == 1 else ""
 
 
 def _screened(

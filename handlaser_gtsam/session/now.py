@@ -82,7 +82,19 @@ class Now:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        return self.history.search(self.setting.sigma_dof, epochs)
+        found, far = self.history.search(self.setting.sigma_dof, epochs), self._moved_far()
+        if found is None or far is None or far.beam != found.beam:
+            return found or far
+        order = list(self.contents.stations)
+        return replace(found, since=min(found.since, far.since, key=order.index))
+
+    def _moved_far(self) -> Moved | None:
+        """Return the beam without which planes that were put aside would fit: it has moved far."""
+        for plane, beam in self.contents.aside.items():
+            if beam:
+                unknown = float("nan")
+                return Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
+        return None
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...], *, reject: bool
@@ -95,6 +107,9 @@ class Now:
             The beams would not be determined.
         """
         joining = join_planes(self.setting, self.state, self.history, contents, planes, reject)
+        lost = joining.contents.without_readings(self.setting.names)
+        if lost:
+            raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
         left = [n for p, n in self.contents.numbers.items() if p not in joining.contents.numbers]
         doubtful = (self.doubtful - set(planes)) | set(joining.doubtful)
         new = replace(
@@ -194,6 +209,8 @@ def fitted_planes(contents: Contents, setting: Setting, beams: Beams) -> Mapping
     """Return the planes that are determined beside `beams`."""
     found = {}
     for plane in contents.stations:
+        if plane in contents.aside:
+            continue
         fitted = fit_plane(setting, contents.used(plane), beams)
         if fitted is not None and fitted.determined():
             found[plane] = fitted

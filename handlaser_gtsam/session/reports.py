@@ -9,7 +9,10 @@ from ..sensor import Rejected
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The incremental estimate against the batch solution of the same readings.
+    """The incremental estimate against a batch solution.
+
+    Of the same readings, with the same range-error terms and range sigma; `Session.settle` compares
+    with a calibration that chooses all of these by itself.
 
     Attributes
     ----------
@@ -50,7 +53,8 @@ class Update:
     moved : Moved or None
         The beam that the planes so far show to have moved, and since when.
     doubtful : tuple of str
-        Planes whose new readings do not fit whichever beam has moved.
+        Planes that do not fit, whichever beam has moved a little. They wait, and take no part, unless
+        outliers are to be kept; `moved` names the beam without which they would fit, if there is one.
     comparison : Comparison or None
         With the batch solution, where it was due.
     """

@@ -79,7 +79,7 @@ class Session:
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Names of the planes that wait for more stations."""
+        """Names of the planes that wait for more stations, or fit the beams in no way."""
         contents = self._contents
         return tuple(name for name in contents.stations if name not in contents.numbers)
 
@@ -100,6 +100,8 @@ class Session:
 
     def add(self, recording: Recording) -> Update:
         """Add the stations of a recording; nothing has changed where an error is raised.
+
+        They see the beams as they are now, also before a plane that came before one has moved.
 
         Raises
         ------
@@ -172,15 +174,19 @@ class Session:
             names, contents, before = now.setting.names, now.contents, f"{beam} until {since}"
             if beam not in names or beam in contents.names:
                 raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
-            order = list(contents.numbers)
+            order = [
+                plane
+                for plane in contents.stations
+                if plane in {*contents.numbers, *contents.aside}
+            ]
             if since not in order[1:] or before in names:
                 raise InputError(
                     f"a move of beam {beam} before plane {since!r}",
                     "a plane with others before it, and every move once",
                 )
-            split = contents.split(beam, since, before)
+            split = contents.split(beam, since, before).taken_back(order[order.index(since) :])
             for name in (before, beam):
-                if not any(name in split.stations[p].beam_names for p in split.numbers):
+                if not any(name in split.stations[p].beam_names for p in order):
                     raise InputError(
                         f"no reading of beam {beam} on one side of plane {since}", "some on both"
                     )
@@ -292,7 +298,7 @@ class Session:
                 words = f"everything together does not converge: {found.message}"
                 return replace(now.inside().compared(now.state), message=words)
             contents = begun(now.contents, found)
-            setting = setting_of(found, self.noise)
+            setting = setting_of(found, self.noise, self.options.sensor)
             differing = setting.difference(now.setting)
             if set(contents.rejected) != set(now.contents.rejected):
                 differing.append("outliers chosen anew")
@@ -323,7 +329,9 @@ class Session:
             return Update((), self.waiting, float("nan"), None, None, found.message)
         at, contents = found.parameters(), begun(contents, found)
         beams = (at.locations, at.directions, at.range_errors)
-        fresh = begin(contents, setting_of(found, self.noise), beams, self.incremental)
+        fresh = begin(
+            contents, setting_of(found, self.noise, self.options.sensor), beams, self.incremental
+        )
         self._now = fresh
         return Update(
             tuple(fresh.contents.numbers),

@@ -1,6 +1,6 @@
 """What all planes of a session have in common until its graph is begun anew."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import gtsam
@@ -15,6 +15,7 @@ from ..keys import BeamKeys, beam_keys
 from ..noise import Noise
 from ..range_error import Choice
 from ..recording import Readings, Recording
+from ..sensor import Sensor
 from ..solvers.incremental import BeamStart, BeamState
 from ..weighting import Variances
 
@@ -95,6 +96,7 @@ class Setting:
         As given.
     poses : str
         How errors of the hand poses count.
+    sensor : Sensor
     links : tuple of Link
     reason : str
         Why these terms.
@@ -107,6 +109,7 @@ class Setting:
     sigma_dof: float
     noise: Noise
     poses: Literal["exact", "marginalised", "estimated"]
+    sensor: Sensor = field(default_factory=Sensor)
     links: tuple[Link, ...] = ()
     reason: str = ""
 
