@@ -11,6 +11,7 @@ from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.solvers.incremental import IncrementalOptions
 
 SIGMA, TURN = 1e-4, math.radians(0.3)
 NOISE, NONE = hl.Noise(SIGMA), hl.CalibrationOptions("none")
@@ -241,3 +242,14 @@ def test_the_planes_of_one_side_of_a_move_stay(gone):
         assert session.compare().largest < 0.01
     assert refused
     assert list(session.calibration().beams) == ["1", "2", "3", "2 until D"]
+
+
+def test_an_estimate_that_moves_far_is_compared_at_once():
+    recording, _ = knocked(planes=6, before=5, turn=math.radians(3.0))
+    options = hl.CalibrationOptions("none", outliers="keep")
+    session = hl.Session(NOISE, options, IncrementalOptions(compare_every=99))
+    session.add(recording.part(np.flatnonzero(recording.plane_of_station < 4)))
+    assert session.add(plane(recording, 4)).comparison is None
+    comparison = session.add(plane(recording, 5)).comparison
+    assert comparison is not None
+    assert comparison.largest < 0.01

@@ -142,11 +142,6 @@ def _screened(
     if bad is None or not bad.any():
         return contents, fitted
     known = history.without_plane(plane)
-    if known.search(setting.sigma_dof, known.recent()) is not None:
-        return (
-            contents,
-            fitted,
-        )  # a beam has moved, and nobody was told: it is the estimate that is off
     less = contents.leaving_out(plane, used, bad)
     again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
     if again is None or not again.determined():
