@@ -210,7 +210,11 @@ class Contents:
 
     def without_readings(self, names: Iterable[str]) -> list[str]:
         """Return which of the beams have no reading in the graph."""
-        seen = {name for plane in self.numbers for name in self.used(plane).beam_names}
+        seen = set()
+        for plane in self.numbers:
+            one = self.stations[plane]
+            read = ~np.isnan(one.ranges) & ~self.left_out[plane]
+            seen |= {one.beam_names[i] for i in np.flatnonzero(read.any(axis=0))}
         return [name for name in names if name not in seen]
 
     def split(self, beam: str, since: str, before: str) -> "Contents":

@@ -21,7 +21,6 @@ from ..poses import pose_priors
 from ..recording import Readings, Recording
 from ..solvers.incremental import BeamState, PlaneFactors
 from ..solvers.reduction import NormalEquations, whitened_normal_equations
-from ..starts.partial import PartialStart, grow
 from ..weighting import Whitening, whitening
 from .setting import Setting
 
@@ -214,9 +213,7 @@ def fit_plane(
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
     variances = setting.variances(len(recording.plane_labels))
-    start = PartialStart.empty(readings)
-    start.locations[:], start.directions[:], start.range_errors[:] = beams
-    at = grow(start, readings)
+    at = _through_spots(beams, readings)
     try:
         how = whitening(at, readings, variances)
         normal = whitened_normal_equations(at, readings, 2, how)
@@ -225,6 +222,19 @@ def fit_plane(
     except GrazingBeamError:
         return None
     return FittedPlane(setting, readings, at, e, how, normal, origin)
+
+
+def _through_spots(beams: Beams, readings: Readings) -> Parameters:
+    """Return the plane through the laser spots by total least squares, facing away from the beams."""
+    r, v, k = (array[readings.beam] for array in beams)
+    d, R = readings.distance, readings.world_R_hand
+    reach = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    spots = np.einsum("nij,nj->ni", R, r + reach[:, None] * v) + readings.world_t_hand
+    centre = spots.mean(axis=0)
+    local = spots - centre
+    n = np.linalg.eigh(local.T @ local)[1][:, 0]
+    n = n if np.einsum("nij,nj->i", R, v) @ n > 0.0 else -n
+    return Parameters(*beams, n[None], np.array([-n @ centre]))
 
 
 def _stepped(

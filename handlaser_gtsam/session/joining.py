@@ -75,12 +75,12 @@ def join_planes(
             contents = contents.placed(plane, None, None)
             history = history.without_plane(plane)
             continue
+        before = contents
         contents, fitted = _within_incidence(fitted, contents, plane, used, state)
         if reject:
-            contents, fitted = _screened(
-                fitted, contents, plane, contents.used(plane), state, history
-            )
-        used = contents.used(plane)
+            part = used if contents is before else contents.used(plane)
+            contents, fitted = _screened(fitted, contents, plane, part, state, history)
+        used = used if contents is before else contents.used(plane)
         own = fitted.information(history.reference)
         if not fitted.fits(own, history.reference):
             history = history.without_plane(plane)
@@ -103,6 +103,8 @@ def _within_incidence(
 ) -> tuple[Contents, FittedPlane]:
     """Leave out the readings that meet the plane flatter than the sensor allows."""
     readings, setting = fitted.readings, fitted.setting
+    if setting.sensor.max_incidence >= 0.5 * np.pi:
+        return contents, fitted
     flat = np.ones(len(readings), dtype=bool)
     flat[within_incidence(readings, fitted.at, setting.sensor)] = False
     if not flat.any() or flat.all():

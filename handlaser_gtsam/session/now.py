@@ -107,9 +107,10 @@ class Now:
             The beams would not be determined.
         """
         joining = join_planes(self.setting, self.state, self.history, contents, planes, reject)
-        lost = joining.contents.without_readings(self.setting.names)
-        if lost:
-            raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
+        if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
+            lost = joining.contents.without_readings(self.setting.names)
+            if lost:
+                raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
         left = [n for p, n in self.contents.numbers.items() if p not in joining.contents.numbers]
         doubtful = (self.doubtful - set(planes)) | set(joining.doubtful)
         new = replace(

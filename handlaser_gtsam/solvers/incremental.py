@@ -140,6 +140,7 @@ class IncrementalGraph:
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}
         self._blocks: dict[int, tuple[RangeBlock, ...]] = {}
+        self._limits = np.empty(0)
         self._lock = RLock()
 
     @property
@@ -187,6 +188,7 @@ class IncrementalGraph:
             new._blocks |= {number: one.blocks for number, one in added.items()}
             if not new._blocks:
                 raise RuntimeError("no plane is left")
+            new._limits = new._limits_of_all()
             new._add(added, old, beams)
             new._settle(WITH_THE_OTHERS if fine else 1.0)
             state = new.state()
@@ -286,6 +288,10 @@ class IncrementalGraph:
 
     def _has_moved(self, part: float) -> bool:
         """Tell whether a variable has left its linearisation point by a part of its threshold."""
+        return bool((np.abs(self._isam.getDelta().vector()) > part * self._limits).any())
+
+    def _limits_of_all(self) -> FloatArray:
+        """Return the thresholds of all variables in GTSAM's order: by letter, then by number."""
         count = {"p": len(self._blocks)}
         for beam in self.beams:
             for key in (beam.location, beam.direction, beam.range_error):
@@ -293,10 +299,9 @@ class IncrementalGraph:
                     count[_letter(key)] = count.get(_letter(key), 0) + 1
         blocks = (block for own in self._blocks.values() for block in own)
         count["x"] = len({block.pose for block in blocks if block.pose is not None})
-        # GTSAM sorts by key: by letter, then by number.
-        units = [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
-        moves = np.abs(self._isam.getDelta().vector())
-        return bool((moves > part * np.concatenate(units)).any())
+        return np.concatenate(
+            [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
+        )
 
     def _read(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
         k = np.zeros((len(self.beams), 2))
