@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from .propagation import measured_plane, spot
     from .recording import Readings, Recording, join
     from .sensor import Sensor
-    from .session import Session
+    from .session import Session, Update
+    from .solvers.incremental import IncrementalOptions
     from .solvers.levenberg import optimize
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "GrazingBeamError",
     "HandlaserError",
     "HoldOut",
+    "IncrementalOptions",
     "InputError",
     "JointCovariance",
     "Mounts",
@@ -58,6 +60,7 @@ __all__ = [
     "Sensor",
     "Session",
     "SolverError",
+    "Update",
     "Validation",
     "__version__",
     "bootstrap",
@@ -93,6 +96,7 @@ _HOME = {
     "GrazingBeamError": "errors",
     "HandlaserError": "errors",
     "HoldOut": "diagnosis.hold_out",
+    "IncrementalOptions": "solvers.incremental",
     "InputError": "errors",
     "JointCovariance": "joint",
     "Mounts": "mounts",
@@ -104,6 +108,7 @@ _HOME = {
     "Rig": "files.rig_toml",
     "Sensor": "sensor",
     "Session": "session",
+    "Update": "session",
     "SolverError": "errors",
     "Validation": "diagnosis.validation",
     "bootstrap": "diagnosis.bootstrap",
