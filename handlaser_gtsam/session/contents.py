@@ -219,17 +219,13 @@ class Contents:
 
     def split(self, beam: str, since: str, before: str) -> "Contents":
         """Return the contents with a beam named `before` in the planes that came before `since`."""
-        stations = dict(self.stations)
-        for plane in stations:
-            if plane == since:
-                break
-            stations[plane] = stations[plane].renamed(beam, before)
-        early = {n for p, one in stations.items() for n in one.station_names if p != since}
-        early &= {
-            n for one in stations.values() if before in one.beam_names for n in one.station_names
-        }
+        order = list(self.stations)
+        early = order[: order.index(since)]
+        renamed = {plane: self.stations[plane].renamed(beam, before) for plane in early}
+        stations = {**self.stations, **renamed}
+        own = {name for plane in early for name in self.stations[plane].station_names}
         rejected = tuple(
-            replace(one, beam=before) if one.beam == beam and one.station in early else one
+            replace(one, beam=before) if one.beam == beam and one.station in own else one
             for one in self.rejected
         )
         names = {**self.names, before: self.names.get(beam, beam)}

@@ -223,16 +223,6 @@ class IncrementalGraph:
         with self._lock:
             return self._isam.calculateEstimatePose3(key)
 
-    def plane_covariance(self, number: int) -> FloatArray:
-        """Return the covariance (4, 4) of (n, b) of a plane, in the frame of its blocks."""
-        with self._lock:
-            S = self._isam.marginalCovariance(plane_key(number))
-            basis = self._view.atOrientedPlane3(plane_key(number)).normal().basis()
-        lift = np.zeros((4, 3))
-        lift[:3, :2], lift[3, 2] = basis, 1.0
-        covariance: FloatArray = lift @ S @ lift.T
-        return covariance
-
     def _copy(self) -> "IncrementalGraph":
         new = object.__new__(IncrementalGraph)
         new.beams, new.terms, new._keys, new._lock = self.beams, self.terms, self._keys, self._lock
