@@ -297,7 +297,11 @@ def test_terms_that_differ_by_beam():
         if update.comparison is not None:
             messages.append(update.comparison.message)
     assert any("range-error terms chosen anew" in words for words in messages)
+        if index == 12:
+            words = f"chosen with {session._now.chosen_with} of 13 planes: settle() chooses anew"
+            assert any(words in warning for warning in session.calibration().warnings)
     session.settle()
+    assert not any("settle()" in words for words in session.calibration().warnings)
     assert session.beams().terms == (2, 1, 0)
     assert_batch(session)
 

@@ -38,7 +38,8 @@ def checked(now: Now, noise: Noise, options: CalibrationOptions) -> tuple[Now, C
     if max(comparison.largest, comparison.largest_sigma) > AGREED:
         words.append("begun anew from the batch solution, which it had left")
         now = begin(now.contents, now.setting, inside.batch_beams(), now.options)
-    now = replace(now, compared=now.state, changes=0)
+    planes = len(now.contents.numbers)
+    now = replace(now, compared=now.state, changes=0, chosen_with=planes)
     return now, replace(comparison, message="; ".join(words))
 
 

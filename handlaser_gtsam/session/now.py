@@ -45,6 +45,8 @@ class Now:
     history : History
     doubtful : frozenset of str
         Planes that do not fit, whatever has moved.
+    chosen_with : int
+        Planes behind the last choice of range-error terms and of a range sigma that was not given.
     """
 
     contents: Contents
@@ -57,6 +59,7 @@ class Now:
     changes: int
     history: History
     doubtful: frozenset[str]
+    chosen_with: int
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -155,7 +158,9 @@ class Now:
             raise InputError(
                 f"a change after which the beams are open ({error})", "planes that determine them"
             ) from error
-        return replace(found, compared=self.compared, changes=self.changes)
+        return replace(
+            found, compared=self.compared, changes=self.changes, chosen_with=self.chosen_with
+        )
 
     def reweighed(self) -> "Now":
         """Return the same with the weights of the present beams, where these have moved."""
@@ -197,7 +202,17 @@ def begin(contents: Contents, setting: Setting, beams: Beams, options: Increment
     start = setting.start(beams)
     graph, state = graph.changed(factors, (), start, fine=bool(doubtful))
     now = Now(
-        contents, setting, options, graph, state, beams, state, 0, history, frozenset(doubtful)
+        contents,
+        setting,
+        options,
+        graph,
+        state,
+        beams,
+        state,
+        0,
+        history,
+        frozenset(doubtful),
+        len(fitted),
     )
     for _ in range(ROUNDS):
         before, now = now, now.reweighed()

@@ -241,7 +241,16 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
-        return now.inside().calibration(now.contents)
+        found = now.inside().calibration(now.contents)
+        planes = len(now.contents.numbers)
+        found_here = self.options.range_error == "auto" or self.noise.range_sigma is None
+        if not found_here or now.chosen_with == planes or now.setting.links:
+            return found
+        words = (
+            f"range-error terms and range sigma were chosen with {now.chosen_with} of {planes} planes: "
+            f"settle() chooses anew"
+        )
+        return replace(found, warnings=(*found.warnings, words))
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes as they are now.
@@ -300,13 +309,17 @@ class Session:
             contents = begun(now.contents, found)
             setting = setting_of(found, self.noise, self.options.sensor)
             differing = setting.difference(now.setting)
-            if set(contents.rejected) != set(now.contents.rejected):
+            out = [{(r.station, r.beam) for r in c.rejected} for c in (contents, now.contents)]
+            if out[0] != out[1]:
                 differing.append("outliers chosen anew")
+            if now.contents.aside:
+                differing.append("planes that did not fit taken in again")
             if differing:
                 # From the estimate so far, not from what it is to be compared with.
                 order = [now.setting.names.index(name) for name in setting.names]
                 r, v, k = (array[order] for array in now.state.arrays)
-                now = self._now = begin(contents, setting, (r, v, k), self.incremental)
+                now = begin(contents, setting, (r, v, k), self.incremental)
+            now = self._now = replace(now, chosen_with=len(now.contents.numbers))
             return Comparison(*apart(now, found), "; ".join(differing))
 
     def _require(self) -> Now:
