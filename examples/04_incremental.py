@@ -26,7 +26,7 @@ session = hl.Session(hl.Noise(range_sigma=SIGMA), hl.CalibrationOptions("none"))
 print("plane  learnt   largest standard deviation of a location")
 for number, name in enumerate(before.plane_names):
     recording = before if number < KNOCKED else after
-    update = session.add(recording.part(np.flatnonzero(recording.plane_of_station == number)))
+    update = session.add(recording.plane(name))
     if update.sigma is None:
         print(f"{name:5}  waits: {update.message[:70]}")
         continue

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import gtsam
 
+from .errors import InputError
+
 
 @dataclass(frozen=True, slots=True)
 class BeamKeys:
@@ -21,11 +23,22 @@ class BeamKeys:
         Key of a Unit3: where the beam points, hand frame.
     range_error : int, optional
         Key of a vector (k1,) or (k1, k2), units 1 and 1/m. None: the readings are taken as true.
+
+    Raises
+    ------
+    InputError
+        Keys that are no integers, or the same key twice.
     """
 
     location: int
     direction: int
     range_error: int | None = None
+
+    def __post_init__(self) -> None:
+        keys = [self.location, self.direction]
+        keys += [] if self.range_error is None else [self.range_error]
+        if not all(isinstance(key, int) for key in keys) or len(set(keys)) < len(keys):
+            raise InputError(f"keys {keys}", "different integers: gtsam.symbol('l', 0), ...")
 
 
 def beam_keys(index: int, terms: int) -> BeamKeys:

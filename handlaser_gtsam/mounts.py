@@ -67,6 +67,11 @@ class Mounts:
             calibration.fit.range_sigma,
         )
 
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (B, 8) of (x, y, z, vx, vy, vz, k1, k2)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+
     def arranged(self, names: tuple[str, ...]) -> "Mounts":
         """Return the mounts of the named beams, in that order.
 

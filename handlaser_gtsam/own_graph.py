@@ -61,6 +61,8 @@ def read_graph(
         A key without a value of the right type, a beam without range factors or under two names, values
         without some of the graph's variables or that are no numbers, or constrained noise models.
     """
+    if not isinstance(values, gtsam.Values):
+        raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
     wanted = _wanted(graph, values, beams, planes)
     linear = graph.linearize(values)
     unknowns = linear.gradientAtZero().vector().size
@@ -190,7 +192,10 @@ def _judged(
 ) -> tuple[Status, str, tuple[FloatArray, FloatArray] | None]:
     """Return status and message, and (covariance, eigenvalues) where there is a covariance."""
     if information is None:
-        words = "the graph leaves variables open: give every pose a prior, odometry or a fix"
+        words = (
+            "the graph leaves variables open: anchor at least one pose, tie every pose to others by a "
+            "prior, odometry or a fix, and check that all lengths are metres"
+        )
         return "unobservable", words, None
     matrix, vector = information
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -199,7 +204,8 @@ def _judged(
         share = (axes[:, weak] ** 2).sum(axis=1)
         open_ = [one.words for one in wanted if share[one.columns].sum() > 0.1]
         words = (
-            f"the graph does not determine {', '.join(open_)}: add stations in other orientations"
+            f"the graph does not determine {', '.join(open_)}: add stations in other orientations, "
+            f"and check that all lengths are metres"
         )
         return "unobservable", words, None
     covariance = (axes / values) @ axes.T

@@ -175,15 +175,38 @@ class Recording:
             len(self.plane_names),
         )
 
-    def part(self, stations: ArrayLike) -> "Recording":
-        """Return some stations (K,) by index, with the beams that read anything there.
+    def plane(self, name: str) -> "Recording":
+        """Return the stations of one plane, with the beams that read anything there.
 
         Raises
         ------
         InputError
-            No beam read anything there.
+            No such plane.
         """
-        rows = np.asarray(stations, dtype=np.intp)
+        if name not in self.plane_names:
+            raise InputError(f"plane {name!r}", f"one of {', '.join(self.plane_names)}")
+        return self.part(np.array(self.plane_labels) == name)
+
+    def part(self, stations: ArrayLike) -> "Recording":
+        """Return some stations, (K,) indices or (M,) of bool, with the beams that read anything there.
+
+        Raises
+        ------
+        InputError
+            No beam read anything there, or no such stations.
+        """
+        rows = np.asarray(stations)
+        count = len(self.plane_labels)
+        if rows.dtype == bool and rows.shape == (count,):
+            rows = np.flatnonzero(rows)
+        if (
+            rows.ndim != 1
+            or rows.dtype.kind not in "iu"
+            or not ((rows >= 0) & (rows < count)).all()
+        ):
+            raise InputError(
+                f"stations {rows.tolist()}", f"indices from 0 to {count - 1}, or {count} bools"
+            )
         rows = rows[~np.isnan(self.ranges[rows]).all(axis=1)]
         if not rows.size:
             raise InputError("no readings in this part", "at least one")

@@ -253,3 +253,17 @@ def test_an_estimate_that_moves_far_is_compared_at_once():
     comparison = session.add(plane(recording, 5)).comparison
     assert comparison is not None
     assert comparison.largest < 0.01
+
+
+@pytest.mark.parametrize("degrees", [20.0, 45.0])
+def test_a_far_move_that_was_told_raises_no_alarm(degrees):
+    """What was assumed of the move is no sign of another, and no start is near enough."""
+    recording, truth = knocked(planes=9, turn=math.radians(degrees), stations=10)
+    session, _ = fed(recording, stop=7)
+    session.forget("2", "G")
+    for index in (7, 8):
+        assert session.add(plane(recording, index)).moved is None
+    assert session.waiting == ()
+    assert session.compare().largest < 0.01
+    sigma = session.beams().sigma[1, 3:6]
+    assert (np.abs(session.beams().directions[1] - truth.directions[1]) < 5.0 * sigma + 2e-3).all()

@@ -407,9 +407,8 @@ def test_graphs_that_cannot_be_read_or_solved_are_refused(walk):
     two = {"a": BEAM, "b": hl.BeamKeys(BEAM.location, BEAM.direction)}
     with pytest.raises(hl.InputError, match="two names for one beam"):
         hl.read_graph(graph, values, two, PLANES)
-    wrong = hl.BeamKeys(BEAM.location, BEAM.direction, BEAM.location)
-    with pytest.raises(hl.InputError, match="range"):
-        hl.read_graph(graph, values, {"laser": wrong}, PLANES)
+    with pytest.raises(hl.InputError, match="different integers"):
+        hl.BeamKeys(BEAM.location, BEAM.direction, BEAM.location)
     graph.push_back(gtsam.PriorFactorPoint3(BEAM.location, R, gtsam.noiseModel.Constrained.All(3)))
     with pytest.raises(hl.InputError, match="constrained"):
         hl.read_graph(graph, hl.optimize(graph, values).values, {"laser": BEAM}, PLANES)
@@ -417,3 +416,14 @@ def test_graphs_that_cannot_be_read_or_solved_are_refused(walk):
         hl.optimize(gtsam.NonlinearFactorGraph(), gtsam.Values())
     with pytest.raises(hl.InputError, match="no start of"):
         hl.optimize(walk[0], gtsam.Values())
+
+
+def test_arguments_of_another_kind_are_told(walk):
+    graph, start = walk
+    with pytest.raises(hl.InputError, match=r"the result's \.values"):
+        hl.read_graph(graph, hl.optimize(graph, start), {"laser": BEAM}, PLANES)
+    with pytest.raises(hl.InputError, match="Values and NonlinearFactorGraph"):
+        hl.optimize(start, graph)
+    for keys in ((1, 1), ("l0", "u0")):
+        with pytest.raises(hl.InputError, match="different integers"):
+            hl.BeamKeys(*keys)

@@ -88,3 +88,16 @@ def test_errors_come_back_from_other_processes():
         again = pickle.loads(pickle.dumps(error))
         assert str(again) == str(error)
         assert type(again) is type(error)
+
+
+def test_planes_and_parts_by_name_index_and_mask():
+    recording = Recording(
+        np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 3)), np.ones((3, 1)), ("A", "B", "A"), ("1",)
+    )
+    assert recording.plane("A").station_names == ("1", "3")
+    assert recording.part([False, True, False]).plane_names == ("B",)
+    with pytest.raises(InputError, match="one of A, B"):
+        recording.plane("C")
+    for wrong in ([3], [-1], ["A"], [True]):
+        with pytest.raises(InputError, match="indices from 0 to 2"):
+            recording.part(wrong)

@@ -425,3 +425,23 @@ def test_stations_never_share_a_number():
     numbers = list(session._now.contents.station_numbers.values())
     assert len(set(numbers)) == len(numbers)
     assert_batch(session)
+
+
+def test_arguments_of_another_kind_are_refused():
+    with pytest.raises(hl.InputError, match=r"hl\.Noise"):
+        hl.Session(3e-5)
+    with pytest.raises(hl.InputError, match=r"hl\.CalibrationOptions"):
+        hl.Session(EXACT, "none")
+    with pytest.raises(hl.InputError, match="a Recording"):
+        hl.Session(EXACT).add("recording.csv")
+
+
+def test_what_a_batch_would_not_call_determined_is_refused(handlaser, tmp_path):
+    handlaser("simulate", tmp_path)
+    recording = hl.read_recording(tmp_path / "recording.csv")
+    session = hl.Session()
+    assert session.add(recording.plane("A")).message
+    session.add(recording.plane("B"))
+    with pytest.raises(hl.InputError, match="the beams are open"):
+        session.remove_plane("B")
+    assert session.planes == ("A", "B")

@@ -47,15 +47,16 @@ def plane_by_plane(
     session, updates = Session(noise, options), []
     with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
         task = bar.add_task("planes", total=len(recording.plane_names) + 1)
-        for index, name in enumerate(recording.plane_names):
-            part = recording.part(np.flatnonzero(recording.plane_of_station == index))
-            updates.append((name, session.add(part)))
+        for name in recording.plane_names:
+            updates.append((name, session.add(recording.plane(name))))
             bar.advance(task)
         told = tuple(updates)
         if not session.started or session.waiting:
             return PlaneByPlane(calibrate(recording, noise, options), recording, told, None)
         moved = session.moved()
         comparison = session.settle()
+        if "range" in comparison.message:  # what had moved may have been a range error left out
+            moved = session.moved()
     result = session.calibration()
     if moved is not None:
         by = f"by {np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm"
@@ -74,7 +75,7 @@ def update_table(fed: PlaneByPlane) -> Table:
     table.add_column("plane")
     for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "left out"):
         table.add_column(name, justify="right")
-    table.add_column("")
+    table.add_column("notes")
     for name, update in fed.updates:
         nats = f"{update.information:.2f}" if np.isfinite(update.information) else "-"
         count = str(len(update.rejected)) if update.rejected else ""
@@ -96,8 +97,8 @@ def _largest(sigma: FloatArray | None) -> tuple[str, str]:
 def comparison_line(comparison: Comparison) -> str:
     """Say how far plane by plane and all at once are apart."""
     return (
-        f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations, and to "
-        f"{100.0 * comparison.largest_sigma:.2g} % in these"
+        f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations; the "
+        f"standard deviations agree to {100.0 * comparison.largest_sigma:.2g} %"
     )
 
 

@@ -275,7 +275,11 @@ class History:
             epochs = np.arange(1, count)
         if not epochs.size:
             return None
-        whole = self.totals[-1] + self.known
+        whole = self.totals[-1]
+        if np.linalg.eigvalsh(whole.matrix)[0] < MOST_SIGMA**-2:
+            whole = (
+                whole + self.known
+            )  # else what is assumed of a move would count as a sign of one
         try:
             x = np.linalg.solve(whole.matrix, whole.vector)
             covariance = np.linalg.inv(whole.matrix)

@@ -136,10 +136,18 @@ class Inside:
             float(np.abs(own[seen] / sigma[seen] - 1.0).max()),
         )
 
+    def determined(self) -> bool:
+        """Tell whether the readings determine everything, as a batch calibration judges it."""
+        readings = self.own()
+        variances = self.setting.variances(len(self.recording.plane_labels))
+        how = whitening(self.at, readings, variances)
+        terms, options = self.setting.terms, ObservabilityOptions()
+        return observability(self.at, readings, terms, how.sigma, options, how).full
+
     def calibration(self, rejected: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
         problem, marginal = self.problem(self.at, self.poses)
-        result = evaluated(problem, "the present estimate of iSAM2")
+        result = evaluated(problem, "the incremental estimate")
         at, setting = self.at, self.setting
         found = observability(
             at, self.own(), setting.terms, marginal.sigma, ObservabilityOptions(), marginal

@@ -129,9 +129,14 @@ class Now:
             graph, state = self.graph.changed(
                 joining.factors, left, None, self.setting.determines, fine=bool(doubtful)
             )
-            return replace(new, graph=graph, state=state).reweighed(), joining
+            new = replace(new, graph=graph, state=state).reweighed()
         except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
-            return new.solved_at_once(), joining
+            new = new.solved_at_once()
+        if left and not self.setting.links and not new.inside().determined():
+            raise InputError(
+                "a change after which the beams are open", "planes that determine them"
+            )
+        return new, joining
 
     def solved_at_once(self) -> "Now":
         """Return the same from a batch solution of the contents, beside the present beams.

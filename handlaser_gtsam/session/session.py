@@ -12,14 +12,14 @@ from threading import RLock
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnosis.drift import Moved
-from ..errors import InputError
+from ..diagnosis.drift import Beams, Moved
+from ..errors import GrazingBeamError, InputError
 from ..mounts import Mounts
 from ..noise import Noise
 from ..options import CalibrationOptions
 from ..parameters import Parameters
 from ..pipeline import calibrate
-from ..recording import Readings, Recording
+from ..recording import Readings, Recording, join
 from ..sensor import Rejected
 from ..solvers.incremental import IncrementalOptions
 from .beginning import begun, refuse, setting_of
@@ -27,7 +27,7 @@ from .checking import apart, checked
 from .contents import Contents
 from .now import Now, begin
 from .reports import Comparison, Update
-from .setting import Link
+from .setting import Link, Setting
 
 
 class Session:
@@ -55,6 +55,9 @@ class Session:
         options: CalibrationOptions | None = None,
         incremental: IncrementalOptions | None = None,
     ) -> None:
+        for given, kind in ((noise, Noise), (options, CalibrationOptions)):
+            if given is not None and not isinstance(given, kind):
+                raise InputError(f"{type(given).__name__} {given!r}", f"hl.{kind.__name__}(...)")
         self.noise, self.options = noise or Noise(), options or CalibrationOptions()
         self.incremental = incremental or IncrementalOptions()
         refuse(self.noise, self.options)
@@ -108,6 +111,10 @@ class Session:
         InputError
             A station name that is there already, or a new beam that its readings do not determine.
         """
+        if not isinstance(recording, Recording):
+            raise InputError(
+                f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
+            )
         with self._lock:
             now = self._now
             contents = self._contents.added(recording, self.options.sensor)
@@ -203,16 +210,38 @@ class Session:
                 links=(*old, link),
             )
             at = tuple(np.vstack((a, a[index])) for a in now.state.arrays)
-            try:
-                self._now = begin(split, setting, (at[0], at[1], at[2]), self.incremental)
-            except RuntimeError as error:
-                words = f"process noise of {location_sigma:g} m and {direction_sigma:g} rad"
-                raise InputError(
-                    f"{words}, with which GTSAM calls the beams indeterminate", "less extreme noise"
-                ) from error
+            self._now = self._split(split, setting, (at[0], at[1], at[2]))
+
+    def _split(self, split: Contents, setting: Setting, at: Beams) -> Now:
+        """Begin anew with a beam that has moved; from nowhere where it has moved too far."""
+        try:
+            return begin(split, setting, at, self.incremental)
+        except (RuntimeError, GrazingBeamError) as error:
+            recording = join([split.used(plane) for plane in split.stations])
+            options = replace(self.options, outliers="keep")
+            found = calibrate(recording, replace(self.noise, range_sigma=setting.sigma), options)
+            if found.status == "converged":
+                own = found.parameters()
+                order = [list(found.beams).index(name) for name in setting.names]
+                k = np.where(
+                    np.arange(2) < np.array(setting.terms)[:, None], own.range_errors[order], 0
+                )
+                try:
+                    beams = (own.locations[order], own.directions[order], k)
+                    return begin(split, setting, beams, self.incremental)
+                except (RuntimeError, GrazingBeamError):
+                    pass
+            noise = setting.links[-1]
+            raise InputError(
+                f"a move that process noise of {noise.location_sigma:g} m and "
+                f"{noise.direction_sigma:g} rad does not settle ({error})",
+                "noise as large as the move, or more planes after it",
+            ) from error
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
+
+        A range sigma that was not given is that of the last comparison, or of `settle`.
 
         Raises
         ------

@@ -171,6 +171,10 @@ def optimize(
     InputError
         An empty graph, or a variable without a start.
     """
+    kinds, wanted = (type(graph), type(values)), (gtsam.NonlinearFactorGraph, gtsam.Values)
+    if not all(issubclass(kind, one) for kind, one in zip(kinds, wanted, strict=True)):
+        found = " and ".join(kind.__name__ for kind in kinds)
+        raise InputError(found, "a gtsam.NonlinearFactorGraph, then gtsam.Values")
     keys = graph.keyVector()
     if not keys:
         raise InputError("an empty graph", "factors")
