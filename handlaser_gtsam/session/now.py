@@ -20,6 +20,8 @@ from .setting import Setting
 MOVED = 3e-3
 """Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
 the typical range, a relative change of the range."""
+TRUSTED = 4
+"""Planes inside from which others may be put aside."""
 ROUNDS = 5
 """Of new weights after a new beginning."""
 
@@ -65,6 +67,17 @@ class Now:
     def current(self) -> tuple[str, ...]:
         """Names of the beams as they are, without those that were before a move."""
         return tuple(name for name in self.setting.names if name not in self.contents.names)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether planes that were put aside are rather at fault than the beams as they are.
+
+        A few planes may have begun with the wrong beams; many that agree on one beam speak for a move.
+        """
+        inside, aside = len(self.contents.numbers), self.contents.aside
+        culprits = set(aside.values())
+        agree = len(culprits) == 1 and "" not in culprits
+        return inside >= TRUSTED and (len(aside) <= 0.5 * inside or agree)
 
     def inside(self) -> Inside:
         """Return what is in the graph as one problem, at the present estimate."""

@@ -47,7 +47,7 @@ class Update:
         Standard deviations of the beams (x, y, z, vx, vy, vz, k1, k2) now, and before; None where there
         is no calibration.
     message : str
-        Why there is no calibration yet; empty where there is one.
+        Why there is no calibration yet, or that it was begun anew; empty otherwise.
     rejected : tuple of Rejected
         New readings that the others contradict; they are kept, and not used.
     moved : Moved or None

@@ -29,6 +29,10 @@ from .now import Now, begin
 from .reports import Comparison, Update
 from .setting import Link, Setting
 
+BEGUN_ANEW = (
+    "begun anew from everything: the planes so far did not fit the calibration they began with"
+)
+
 
 class Session:
     """A calibration to which planes and stations are added, and from which they are removed.
@@ -385,6 +389,16 @@ class Session:
             moved=fresh.moved(),
         )
 
+    def _from_nowhere(self, contents: Contents) -> Now | None:
+        """Begin anew from a batch calibration of everything; None where that does not converge."""
+        found = calibrate(contents.everything(), self.noise, self.options)
+        if found.status != "converged":
+            return None
+        at = found.parameters()
+        setting = setting_of(found, self.noise, self.options.sensor)
+        beams = (at.locations, at.directions, at.range_errors)
+        return begin(begun(contents, found), setting, beams, self.incremental)
+
     def _removed(self, contents: Contents, plane: str) -> Update:
         now = self._now
         if now is None:
@@ -396,21 +410,25 @@ class Session:
         """Bring the session to `contents`, in which only `planes` differ from what is in."""
         reject = self.options.outliers == "reject"
         new, joining = now.changed(contents, planes, reject=reject)
-        gain = 0.5 * (new.state.information - now.state.information)
+        gain, words = 0.5 * (new.state.information - now.state.information), ""
+        if joining.doubtful and reject and not (new.trusted or new.setting.links):
+            fresh = self._from_nowhere(new.contents)
+            if fresh is not None:
+                new, gain, words = fresh, float("nan"), BEGUN_ANEW
         new, comparison = checked(new, self.noise, self.options)
         if comparison is not None and comparison.message:
             gain = float("nan")
         self._now = new
         old = set(now.contents.rejected)
         return Update(
-            joining.planes,
+            tuple(new.contents.numbers) if words else joining.planes,
             self.waiting,
             gain,
             new.state.sigmas(),
-            now.state.sigmas(),
-            "",
+            now.state.sigmas() if new.setting.names == now.setting.names else None,
+            words,
             tuple(one for one in new.contents.rejected if one not in old),
             new.moved(recently=True),
-            joining.doubtful,
+            () if words else joining.doubtful,
             comparison,
         )
