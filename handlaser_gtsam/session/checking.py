@@ -33,9 +33,9 @@ def checked(now: Now, noise: Noise, options: CalibrationOptions) -> tuple[Now, C
     if setting != now.setting:
         words += setting.difference(now.setting)
         now = begin(now.contents, setting, now.state.arrays, now.options)
-    if now.contents.aside:  # they may fit by now
         aside = tuple(now.contents.aside)
-        now, _ = now.changed(now.contents.taken_back(aside), aside, reject=True)
+        if aside:  # they may fit the new terms
+            now, _ = now.changed(now.contents.taken_back(aside), aside, reject=True)
     inside = now.inside()
     comparison = inside.compared(now.state)
     if max(comparison.largest, comparison.largest_sigma) > AGREED:
