@@ -1,6 +1,7 @@
 """The house: data flows one way, and what talks to the outside stands in one place."""
 
 import ast
+import tomllib
 from pathlib import Path
 
 from helpers import ROOT
@@ -179,3 +180,10 @@ def test_custom_factors_are_made_in_one_place():
 def test_the_link_to_the_factors_is_there():
     assert (PACKAGE / "factors").is_symlink()
     assert (PACKAGE / "factors").resolve() == ROOT / "factors"
+
+
+def test_every_package_is_shipped():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    listed = set(settings["tool"]["setuptools"]["packages"])
+    folders = {path.parent for path in PACKAGE.rglob("__init__.py")} | {PACKAGE / "factors"}
+    assert listed == {".".join(folder.relative_to(ROOT).parts) for folder in folders}
