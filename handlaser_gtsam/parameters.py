@@ -9,6 +9,9 @@ from .arrays import FloatArray, frozen
 Terms = int | tuple[int, ...]
 """Range-error terms, 0 (none), 1 (k1) or 2 (k1, k2): of every beam, or one number a beam."""
 
+Beams = tuple[FloatArray, FloatArray, FloatArray]
+"""Locations (B, 3) [m], directions (B, 3) and range errors (B, 2) of some beams."""
+
 
 def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
     """Return the range-error terms of each of `beams` beams."""
@@ -47,6 +50,11 @@ class Parameters:
         arrays = (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
         if [a.shape for a in arrays] != shapes:
             raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
+
+    @property
+    def beams(self) -> Beams:
+        """The beams without the planes."""
+        return self.locations, self.directions, self.range_errors
 
     def seen_from(self, origins: FloatArray) -> "Parameters":
         """Return the parameters with every plane in a frame whose origin is at `origins` (P, 3)."""

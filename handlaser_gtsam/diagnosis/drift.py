@@ -23,6 +23,7 @@ from scipy.stats import f as f_distribution
 
 from .. import model
 from ..arrays import FloatArray, IntArray
+from ..parameters import Beams
 from ..solvers.reduction import NormalEquations
 
 RANK = 1e-12
@@ -32,9 +33,6 @@ MOVES = 5
 """Of the unknowns of a beam, those of a mount: its range error belongs to the sensor."""
 FALSE_ALARMS = 2e-5
 """How often a search may find something where nothing has moved."""
-
-Beams = tuple[FloatArray, FloatArray, FloatArray]
-"""Locations (B, 3), directions (B, 3), range errors (B, 2)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from ..arrays import FloatArray, IntArray
 from ..joint import beam_lift
 from ..mounts import Mounts
 from ..noise import Noise
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 from ..recording import Readings, Recording
 from ..solvers.reduction import apply_step, whitened_normal_equations
 from ..starts.partial import PartialStart, grow
@@ -132,9 +132,7 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
 
 
 def fit_planes(
-    beams: tuple[FloatArray, FloatArray, FloatArray],
-    readings: Readings,
-    variances: Variances,
+    beams: Beams, readings: Readings, variances: Variances
 ) -> tuple[Parameters, Whitening]:
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
     start = PartialStart.empty(readings)

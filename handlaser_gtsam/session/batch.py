@@ -9,11 +9,10 @@ from ..arrays import BoolArray, FloatArray
 from ..assemble import assemble
 from ..calibration import Calibration
 from ..covariance import covariance
-from ..diagnosis.drift import Beams
-from ..diagnosis.observability import ObservabilityOptions, observability
+from ..diagnosis.observability import Observability, ObservabilityOptions, observability
 from ..graph import CalibrationGraph, build_graph, read_parameters
 from ..ordering import Order
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 from ..poses import PosePriors, pose_priors
 from ..range_error import Choice
 from ..recording import Readings, Recording
@@ -114,59 +113,44 @@ class Inside:
     def batch_beams(self) -> Beams:
         """Return the beams of the batch solution."""
         problem, result = self.solved()
-        found = read_parameters(problem, result.values)
-        return found.locations, found.directions, found.range_errors
+        return read_parameters(problem, result.values).beams
 
     def compared(self, state: BeamState) -> Comparison:
         """Compare the beams with the batch solution."""
         problem, result = self.solved()
         S = covariance(problem, result.values).matrix(planes=[])
-        found = read_parameters(problem, result.values)
-        sigma, own = np.sqrt(np.diagonal(S)).reshape(-1, 8), state.sigmas()
-        difference = np.hstack(
-            (
-                state.locations - found.locations,
-                state.directions - found.directions,
-                state.range_errors - found.range_errors,
-            )
-        )
-        seen = sigma > 0.0
-        return Comparison(
-            float((np.abs(difference[seen]) / sigma[seen]).max()),
-            float(np.abs(own[seen] / sigma[seen] - 1.0).max()),
-        )
+        sigmas = np.sqrt(np.diagonal(S)).reshape(-1, 8)
+        return Comparison(*state.apart(read_parameters(problem, result.values).beams, sigmas))
 
     def determined(self) -> bool:
         """Tell whether the readings determine everything, as a batch calibration judges it."""
-        readings = self.own()
-        variances = self.setting.variances(len(self.recording.plane_labels))
-        how = whitening(self.at, readings, variances)
-        terms, options = self.setting.terms, ObservabilityOptions()
-        return observability(self.at, readings, terms, how.sigma, options, how).full
+        return self._observability(self.problem(self.at, self.poses)[1]).full
 
-    def calibration(self, rejected: Contents) -> Calibration:
+    def _observability(self, how: Whitening) -> Observability:
+        terms, options = self.setting.terms, ObservabilityOptions()
+        return observability(self.at, self.own(), terms, how.sigma, options, how)
+
+    def calibration(self, contents: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
         problem, marginal = self.problem(self.at, self.poses)
         result = evaluated(problem, "the incremental estimate")
-        at, setting = self.at, self.setting
-        found = observability(
-            at, self.own(), setting.terms, marginal.sigma, ObservabilityOptions(), marginal
-        )
-        variances = setting.variances(len(self.recording.plane_labels))
-        differ = unequal(at, self.own(), variances)
+        variances = self.setting.variances(len(self.recording.plane_labels))
+        differ = unequal(self.at, self.own(), variances)
         weights = (variances, marginal) if differ else (None, None)
-        solution = Solution(problem, result, at, found, *weights)
-        e = result.residual
-        start = Start(at, METHOD, ((METHOD, float(np.sqrt(np.mean(e**2)))),))
-        outside, flat = (self._because(rejected, reason) for reason in (OUTSIDE, FLAT))
-        choice = Choice(solution, setting.reason)
-        selection = Selection(self.used, outside, flat, start, METHOD, choice)
-        stations, beams, planes = (
-            np.arange(count)
-            for count in (len(self.recording.plane_labels), len(setting.names), len(self.origins))
+        found = self._observability(marginal)
+        solution = Solution(problem, result, self.at, found, *weights)
+        rms = float(np.sqrt(np.mean(result.residual**2)))
+        selection = Selection(
+            self.used,
+            self._because(contents, OUTSIDE),
+            self._because(contents, FLAT),
+            Start(self.at, METHOD, ((METHOD, rms),)),
+            METHOD,
+            Choice(solution, self.setting.reason),
         )
-        order = Order(stations, beams, planes)
-        noise = setting.noise
+        sizes = (len(self.recording.plane_labels), len(self.setting.names), len(self.origins))
+        order = Order(*(np.arange(size) for size in sizes))
+        noise = self.setting.noise
         return assemble(self.recording, self.readings, order, self.origins, noise, selection)
 
     def _because(self, contents: Contents, reason: str) -> BoolArray:

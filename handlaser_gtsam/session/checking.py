@@ -32,7 +32,7 @@ def checked(now: Now, noise: Noise, options: CalibrationOptions) -> tuple[Now, C
     setting = _chosen(now, noise, options)
     if setting != now.setting:
         words += setting.difference(now.setting)
-        now = begin(now.contents, setting, now.state.arrays, now.options)
+        now = begin(now.contents, setting, now.state.beams, now.options)
         aside = tuple(now.contents.aside)
         if aside:  # they may fit the new terms
             now, _ = now.changed(now.contents.taken_back(aside), aside, reject=True)
@@ -57,18 +57,12 @@ def _chosen(now: Now, noise: Noise, options: CalibrationOptions) -> Setting:
 
 def apart(now: Now, found: Calibration) -> tuple[float, float]:
     """Return how far a calibration of the same beams is, in its sigmas, and how its sigmas differ."""
-    state, names = now.state, now.setting.names
-    at, order = found.parameters(), [list(found.beams).index(name) for name in names]
-    other = np.hstack((at.locations, at.directions, at.range_errors))[order]
-    sigma = np.array([found.beams[name].sigma for name in names])
-    seen = sigma > 0.0
-    difference = np.abs(np.hstack(state.arrays) - other)[seen] / sigma[seen]
-    return float(difference.max()), float(np.abs(state.sigmas()[seen] / sigma[seen] - 1.0).max())
+    names, at = now.setting.names, found.parameters()
+    order = [list(found.beams).index(name) for name in names]
+    r, v, k = (array[order] for array in at.beams)
+    return now.state.apart((r, v, k), np.array([found.beams[name].sigma for name in names]))
 
 
 def standard_deviations(state: BeamState, other: BeamState) -> float:
     """Return how many standard deviations of the other estimate the beams have moved since."""
-    before = np.hstack(other.arrays)
-    sigma = other.sigmas()
-    seen = sigma > 0.0
-    return float((np.abs(np.hstack(state.arrays) - before)[seen] / sigma[seen]).max())
+    return state.apart(other.beams, other.sigmas())[0]

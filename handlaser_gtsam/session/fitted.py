@@ -11,12 +11,12 @@ from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..diagnosis.drift import Beams, Information, Reference, plane_information
+from ..diagnosis.drift import Information, Reference, plane_information
 from ..errors import GrazingBeamError
 from ..graph import station_blocks
 from ..joint import beam_lift
 from ..keys import plane_key, pose_key
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 from ..poses import pose_priors
 from ..recording import Readings, Recording
 from ..solvers.incremental import BeamState, PlaneFactors
@@ -72,8 +72,7 @@ class FittedPlane:
 
     def information(self, reference: Reference) -> Information:
         """Return what the plane knows of the beams."""
-        at = self.at.locations, self.at.directions, self.at.range_errors
-        return plane_information(self.normal, self.whitening.sigma, at, reference)
+        return plane_information(self.normal, self.whitening.sigma, self.at.beams, reference)
 
     def fits(self, own: Information, reference: Reference) -> bool:
         """Tell whether its readings agree with each other, whatever the beams are.
@@ -88,7 +87,7 @@ class FittedPlane:
         white = self.whitening.apply(self.residual) / self.whitening.sigma
         values, axes = np.linalg.eigh(own.matrix)
         keep = values > 1.0
-        here = reference.coordinates((self.at.locations, self.at.directions, self.at.range_errors))
+        here = reference.coordinates(self.at.beams)
         along = axes.T @ (own.vector - own.matrix @ here)
         fall = (along[keep] ** 2 / values[keep]).sum()
         return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))
@@ -278,12 +277,8 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
         if bad.sum() + 1 > MOST_LEFT_OUT * total:
             return None
         bad[now.readings.station[worst], beam_of[now.readings.beam[worst]]] = True
-        again = fit_plane(
-            fitted.setting,
-            recording.without(bad),
-            (fitted.at.locations, fitted.at.directions, fitted.at.range_errors),
-            fitted.origin,
-        )
+        rest = recording.without(bad)
+        again = fit_plane(fitted.setting, rest, fitted.at.beams, fitted.origin)
         if again is None or not again.determined():
             return None
         now = again

@@ -70,7 +70,7 @@ def join_planes(
             history = history.without_plane(plane)
             continue
         used, origin = contents.used(plane), contents.origins.get(plane)
-        fitted = fit_plane(setting, used, state.arrays, origin)
+        fitted = fit_plane(setting, used, state.beams, origin)
         if fitted is None or not fitted.determined():
             contents = contents.placed(plane, None, None)
             history = history.without_plane(plane)
@@ -114,7 +114,7 @@ def _within_incidence(
     for row in np.flatnonzero(flat).tolist():
         bad[readings.station[row], column[setting.names[readings.beam[row]]]] = True
     less = contents.leaving_out(plane, used, bad, FLAT)
-    again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
+    again = fit_plane(setting, less.used(plane), state.beams, fitted.origin)
     return (contents, fitted) if again is None or not again.determined() else (less, again)
 
 
@@ -124,7 +124,7 @@ def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
     for name in used.beam_names if len(used.beam_names) > 1 else ():
         bad = np.zeros(used.ranges.shape, dtype=bool)
         bad[:, used.beam_names.index(name)] = True
-        rest = fit_plane(fitted.setting, used.without(bad), state.arrays, fitted.origin)
+        rest = fit_plane(fitted.setting, used.without(bad), state.beams, fitted.origin)
         if rest is not None and rest.determined() and rest.agrees(state):
             found.append(name)
     return found[0] if len(found) == 1 else ""
@@ -145,7 +145,7 @@ def _screened(
         return contents, fitted
     known = history.without_plane(plane)
     less = contents.leaving_out(plane, used, bad)
-    again = fit_plane(setting, less.used(plane), state.arrays, fitted.origin)
+    again = fit_plane(setting, less.used(plane), state.beams, fitted.origin)
     if again is None or not again.determined():
         return contents, fitted
     moved = _rather_moved(fitted, again, known, plane, state)

@@ -159,13 +159,13 @@ class Now:
         InputError
             The beams are not determined.
         """
-        fitted = fitted_planes(self.contents, self.setting, self.state.arrays)
+        fitted = fitted_planes(self.contents, self.setting, self.state.beams)
         try:
             if not fitted:
                 raise RuntimeError("no plane is left")
             contents = _placed(self.contents, fitted)
             planes = [one.at for one in fitted.values()]
-            r, v, k = self.state.arrays
+            r, v, k = self.state.beams
             normals = np.concatenate([one.normals for one in planes])
             at = Parameters(r, v, k, normals, np.concatenate([one.offsets for one in planes]))
             beams = Inside.of(contents, self.setting, at).batch_beams()
@@ -183,17 +183,17 @@ class Now:
     def reweighed(self) -> "Now":
         """Return the same with the weights of the present beams, where these have moved."""
         setting, state = self.setting, self.state
-        if not setting.weights_depend or setting.apart(state.arrays, self.weighed) < MOVED:
+        if not setting.weights_depend or setting.apart(state.beams, self.weighed) < MOVED:
             return self
         factors = {}
         for plane, number in self.contents.numbers.items():
             used = self.contents.used(plane)
-            fitted = fit_plane(setting, used, state.arrays, self.contents.origins[plane])
+            fitted = fit_plane(setting, used, state.beams, self.contents.origins[plane])
             if fitted is None:
                 return self
             factors[number] = fitted.factors(number, self.contents.station_numbers, used)
         graph, found = self.graph.changed(factors, fine=bool(self.doubtful))
-        return replace(self, graph=graph, state=found, weighed=state.arrays)
+        return replace(self, graph=graph, state=found, weighed=state.beams)
 
 
 def begin(contents: Contents, setting: Setting, beams: Beams, options: IncrementalOptions) -> Now:

@@ -213,7 +213,7 @@ class Session:
                 terms=(*now.setting.terms, now.setting.terms[index]),
                 links=(*old, link),
             )
-            at = tuple(np.vstack((a, a[index])) for a in now.state.arrays)
+            at = tuple(np.vstack((a, a[index])) for a in now.state.beams)
             self._now = self._split(split, setting, (at[0], at[1], at[2]))
 
     def _split(self, split: Contents, setting: Setting, at: Beams) -> Now:
@@ -255,7 +255,7 @@ class Session:
         now = self._require()
         mounts = Mounts(
             now.setting.names,
-            *now.state.arrays,
+            *now.state.beams,
             now.setting.terms,
             now.state.covariance,
             now.setting.sigma,
@@ -350,7 +350,7 @@ class Session:
             if differing:
                 # From the estimate so far, not from what it is to be compared with.
                 order = [now.setting.names.index(name) for name in setting.names]
-                r, v, k = (array[order] for array in now.state.arrays)
+                r, v, k = (array[order] for array in now.state.beams)
                 now = begin(contents, setting, (r, v, k), self.incremental)
             now = self._now = replace(now, chosen_with=len(now.contents.numbers))
             return Comparison(*apart(now, found), "; ".join(differing))

@@ -7,12 +7,13 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..diagnosis.drift import Beams, History, Reference
+from ..diagnosis.drift import History, Reference
 from ..errors import InputError
 from ..factors import beam_drift
 from ..fit import sizes
 from ..keys import BeamKeys, beam_keys
 from ..noise import Noise
+from ..parameters import Beams
 from ..range_error import Choice
 from ..recording import Readings, Recording
 from ..sensor import Sensor
@@ -123,11 +124,6 @@ class Setting:
                 keys = replace(keys, range_error=gtsam.symbol(TWO_TERMS, i))
             found.append(keys)
         return tuple(found)
-
-    @property
-    def known_noise(self) -> Noise:
-        """The noise with the range sigma behind the weights."""
-        return replace(self.noise, range_sigma=self.sigma)
 
     @property
     def weights_depend(self) -> bool:

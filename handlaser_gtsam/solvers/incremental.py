@@ -25,7 +25,7 @@ from ..arrays import FloatArray
 from ..factors import RangeBlock, gathered, range_factor
 from ..joint import beam_lift
 from ..keys import BeamKeys, plane_key
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 
 BEAMS_LAST = 1
 ROUNDS = 15
@@ -76,13 +76,27 @@ class BeamState:
     information: float
 
     @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Locations, directions and range errors."""
+    def beams(self) -> Beams:
+        """The estimate without its covariance."""
         return self.locations, self.directions, self.range_errors
 
     def sigmas(self) -> FloatArray:
         """Return the standard deviations (B, 8)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+
+    def apart(self, beams: Beams, sigmas: FloatArray) -> tuple[float, float]:
+        """Return how far another estimate is: largest difference of a coordinate and of a sigma.
+
+        Parameters
+        ----------
+        beams : Beams
+        sigmas : (B, 8)
+            Of that estimate: the unit of the first number; the second is relative to them.
+        """
+        seen = sigmas > 0.0
+        difference = np.abs(np.hstack(self.beams) - np.hstack(beams))[seen] / sigmas[seen]
+        relative = np.abs(self.sigmas()[seen] / sigmas[seen] - 1.0)
+        return float(difference.max()), float(relative.max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +307,7 @@ class IncrementalGraph:
             [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
         )
 
-    def _read(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _read(self, values: gtsam.Values) -> Beams:
         k = np.zeros((len(self.beams), 2))
         for i, (beam, terms) in enumerate(zip(self.beams, self.terms, strict=True)):
             if beam.range_error is not None:
