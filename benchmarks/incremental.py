@@ -18,9 +18,9 @@ from rich.progress import track
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.covariance import covariance
+from handlaser_gtsam.estimation.solution import solve
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
-from handlaser_gtsam.solving import solve
 
 SIGMA, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 SHOWN = (10, 20, 50, 100, 200, 500, 1000)
@@ -31,7 +31,7 @@ def batch_seconds(session: hl.Session, noise: hl.Noise, options: hl.CalibrationO
     """Return how long one batch solution from the present estimate takes."""
     readings, at = session.estimate()
     begin = time.perf_counter()
-    found = solve(readings, at, 0, noise, options)
+    found = solve(readings, at, noise, options)
     covariance(found.problem, found.result.values)
     return time.perf_counter() - begin
 

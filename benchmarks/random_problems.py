@@ -24,9 +24,9 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.calibration import Calibration
+from handlaser_gtsam.estimation.solution import solve
 from handlaser_gtsam.options import RangeError
 from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.solving import solve
 
 from .problems import Problem, solvable
 from .unsolvable import true_null_space, unsolvable
@@ -54,13 +54,13 @@ def judge_solvable(seed: int) -> Verdict:
     problem = solvable(np.random.default_rng(seed))
     begin = time.perf_counter()
     options = hl.CalibrationOptions(TERMS[problem.terms], outliers="keep")
-    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma), options)
+    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma, 0.0, 0.0), options)
     seconds = time.perf_counter() - begin
     readings = problem.recording.readings()
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
-    noise = hl.Noise(problem.range_sigma)
-    best = solve(readings.seen_from(origins), truth, problem.terms, noise, options).chi2
+    noise = hl.Noise(problem.range_sigma, 0.0, 0.0)
+    best = solve(readings.seen_from(origins), truth, noise, options).chi2
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
     if found.fit.chi2 > best + SAME_CHI2:
@@ -75,7 +75,7 @@ def judge_unsolvable(seed: int) -> Verdict:
     problem = unsolvable(np.random.default_rng(seed))
     begin = time.perf_counter()
     options = hl.CalibrationOptions(TERMS[problem.terms], outliers="keep")
-    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma), options)
+    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma, 0.0, 0.0), options)
     seconds = time.perf_counter() - begin
     if found.status == "converged":
         return Verdict(seed, problem.kind, "converged", False, seconds)

@@ -6,6 +6,7 @@ from .beam_drift import beam_drift
 from .block import RangeBlock, range_factor
 from .evaluation import Evaluation
 from .gathering import gathered
+from .range_error_prior import range_error_prior
 from .range_to_plane import range_to_plane
 from .range_to_plane_from_pose import range_to_plane_from_pose
 from .shared import SharedEvaluation
@@ -17,6 +18,7 @@ __all__ = [
     "SharedEvaluation",
     "beam_drift",
     "gathered",
+    "range_error_prior",
     "range_factor",
     "range_to_plane",
     "range_to_plane_from_pose",

@@ -1,5 +1,6 @@
 """From a solution to the result people see: covariances, fit, status and words."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -7,11 +8,14 @@ import numpy as np
 from .arrays import FloatArray
 from .calibration import (
     Beam,
+    BeamMixture,
     Calibration,
     Determined,
     Fit,
     NoiseComponent,
     Plane,
+    RangeErrorScales,
+    ScaledSolution,
     StartReport,
     Status,
 )
@@ -33,16 +37,17 @@ from .diagnosis.words import (
     undetermined,
     weakest,
 )
-from .evidence import Evidence
+from .estimation.posterior import ScaleEstimate
+from .estimation.scales import RANGE
+from .estimation.solution import Solution
 from .fit import fit_of, robust_sigma
 from .joint import JointCovariance
 from .losses import GAUSSIAN
 from .noise import Noise
 from .ordering import Order
+from .parameters import Parameters
 from .recording import Readings, Recording
 from .selection import Selection
-from .solving import Solution
-from .variance_components import RANGE, Part
 from .weighting import Variances
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
@@ -72,38 +77,41 @@ def assemble(
     selection : Selection
         Which readings were used, and their solution.
     """
-    choice, solution = selection.choice, selection.choice.solution
+    solution = selection.solution
     names = _names(recording, order)
     used = readings.subset(np.flatnonzero(selection.used))
     fit, why = fit_of(recording, readings, order, origins, noise, selection, names)
     local = used.seen_from(origins)
     determined = _determined(names, local, solution, fit)
-    wrong = misfit(recording, used, solution.parameters, fit)
+    wrong = misfit(recording, used, solution.best, fit)
     status = _status(solution, determined, wrong)
     joint = None
     if _trusted(status, solution, fit):
         joint = _covariance(solution, fit, origins).arranged(names.beams, names.planes)
-    beams, planes = _estimates(names, solution, choice.evidence, origins, joint)
+    beams, planes = _estimates(names, solution, origins, joint)
     return Calibration(
         status,
         _message(status, solution, determined, wrong),
         _ways(recording, used, fit, solution, wrong)
         + ((wrong,) if wrong else ())
         + _label_warnings(recording, order, names, why)
-        + doubts(used, solution.parameters, fit, noise, solution.variances)
+        + doubts(used, solution.best, fit, noise, solution.variances)
         + poorly_told(_noise_estimate(solution, names)),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
         determined,
         StartReport(selection.method, selection.start.tried),
-        choice.reason,
         solution.result.iterations,
         solution.result.status == "interrupted",
         _variances(solution, order, fit),
         _noise_estimate(solution, names),
         joint if solution.observability.full else None,
         () if joint is None or not solution.observability.full else strong_correlations(joint),
+        _scales(solution),
+        _mixture(solution, names, joint),
+        _at_scales(solution, names, origins, fit, joint),
+        None if solution.posterior is None else solution.posterior.learned,
     )
 
 
@@ -123,7 +131,7 @@ def _variances(solution: Solution, order: Order, fit: Fit) -> Variances | None:
         return None
     ranges, pose = np.empty_like(found.range_sigma), None
     ranges[order.beams] = found.range_sigma
-    if not fit.range_sigma_given and solution.components is None:
+    if not fit.range_sigma_given and not solution.scales_estimated:
         ranges[:] = fit.range_sigma
     if found.pose is not None:
         pose = np.zeros((len(order.stations), 6, 6))
@@ -132,19 +140,19 @@ def _variances(solution: Solution, order: Order, fit: Fit) -> Variances | None:
 
 
 def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, ...]:
-    found = solution.components
-    if found is None:
+    """Name the scales of the noise that were estimated, beams in the order of the recording."""
+    if solution.posterior is None:
         return ()
-    at = {part: number for number, part in enumerate(found.parts)}
-    labels: dict[Part, str] = {(RANGE, i): f"{RANGE} of beam {name}" for name, i in names.beams}
-    order = [part for part in labels if part in at]
-    order += [part for part in found.parts if part not in labels]
-    return tuple(
-        NoiseComponent(
-            labels.get(part, part[0]), float(found.sigmas[at[part]]), float(found.errors[at[part]])
-        )
-        for part in order
-    )
+    beams = {i: (number, name) for number, (name, i) in enumerate(names.beams)}
+
+    def of(one: ScaleEstimate) -> tuple[int, str]:
+        if one.scale.beam is None:
+            return (-1 if one.scale.name == RANGE else len(beams)), one.scale.name
+        number, name = beams[one.scale.beam]
+        return number, f"{RANGE} of beam {name}"
+
+    ordered = sorted(solution.posterior.scales, key=lambda one: of(one)[0])
+    return tuple(NoiseComponent(of(one)[1], one.sigma, one.error) for one in ordered)
 
 
 def _label_warnings(
@@ -170,7 +178,7 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(used, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
-    elif not found.full and observability(parameters, used, found.terms, range_sigma=0.0).full:
+    elif not found.full and _motion_determines(solution, used):
         help_ = (noise_advice(fit),)
     return Determined(
         found.rank,
@@ -182,6 +190,48 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
         found.indices(),
         weakest(found, parameters, names),
     )
+
+
+def _motion_determines(solution: Solution, used: Readings) -> bool:
+    at, terms = solution.parameters, solution.observability.terms
+    return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
+
+
+def _scales(solution: Solution) -> RangeErrorScales | None:
+    found = solution.posterior
+    if found is None or found.range_error_scales is None:
+        return None
+    k1, k2 = found.range_error_scales.tolist()
+    return RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
+
+
+def _mixture(solution: Solution, names: Names, joint: JointCovariance | None) -> BeamMixture | None:
+    found = solution.posterior
+    if found is None or joint is None:
+        return None
+    beams = [i for _, i in names.beams]
+    means, sigmas = (
+        array.reshape(len(found.weight), -1, 8)[:, beams] for array in (found.means, found.sigmas)
+    )
+    return BeamMixture(found.weight, means, sigmas, found.members)
+
+
+def _at_scales(
+    solution: Solution,
+    names: Names,
+    origins: FloatArray,
+    fit: Fit,
+    joint: JointCovariance | None,
+) -> ScaledSolution | None:
+    if solution.posterior is None or joint is None:
+        return None
+    at = solution.parameters.seen_from(-origins)
+    i, p = [index for _, index in names.beams], [index for _, index in names.planes]
+    parameters = Parameters(
+        at.locations[i], at.directions[i], at.range_errors[i], at.normals[p], at.offsets[p]
+    )
+    found = _covariance(replace(solution, posterior=None), fit, origins)
+    return ScaledSolution(parameters, found.arranged(names.beams, names.planes), solution.prior)
 
 
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
@@ -221,12 +271,11 @@ def _message(status: Status, solution: Solution, determined: Determined, wrong: 
 def _estimates(
     names: Names,
     solution: Solution,
-    evidence: tuple[Evidence, ...],
     origins: FloatArray,
     joint: JointCovariance | None,
 ) -> tuple[list[Beam], list[Plane]]:
     """Return beams and planes; `joint` is in the order of `names`."""
-    parameters = solution.parameters.seen_from(-origins)
+    parameters = solution.best.seen_from(-origins)
     beam: list[Uncertainty] = [(None, None)] * len(names.beams)
     plane: list[Uncertainty] = [(None, None)] * len(names.planes)
     if joint is not None:
@@ -243,7 +292,6 @@ def _estimates(
             parameters.range_errors[i],
             solution.problem.terms[i],
             *beam[number],
-            evidence[i] if evidence else None,
         )
         for number, (name, i) in enumerate(names.beams)
     ]
@@ -275,7 +323,10 @@ def _trusted(status: Status, solution: Solution, fit: Fit) -> bool:
 def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovariance:
     """Return the covariance of what is determined, in the sorted order and in the world frame."""
     problem, loss = solution.problem, solution.problem.loss
-    known = fit.range_sigma_given or solution.components is not None
+    if solution.posterior is not None and solution.observability.full:
+        joint = solution.posterior.joint
+        return replace(joint, origins=joint.origins + origins)
+    known = fit.range_sigma_given or solution.scales_estimated
     sigma = problem.range_sigma if known else robust_sigma(solution) or fit.sigma0
     if loss != GAUSSIAN:
         standardized = solution.result.white / problem.range_sigma

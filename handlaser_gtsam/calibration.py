@@ -8,19 +8,23 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from .arrays import FloatArray
+from .arrays import FloatArray, IntArray
 from .diagnosis.correlations import Correlation
 from .diagnosis.observability import Indices
 from .diagnosis.words import OpenPart
-from .evidence import Evidence
+from .estimation.learned import LearnedScales
+from .estimation.mixture import mixture_quantiles
 from .joint import JointCovariance
 from .losses import LossName
 from .noise import Noise
-from .parameters import Parameters
+from .parameters import Parameters, RangeErrorPrior
 from .sensor import Rejected
 from .weighting import Variances
 
 Status = Literal["converged", "unobservable", "not_converged"]
+
+POOR_SIGMA = 0.5
+"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +41,13 @@ class Beam:
     range_error : (2,)
         k1 [1], k2 [1/m]: the true range is d + k1 d + k2 d^2 for a reading d.
     terms : int
-        How many of k1, k2 were estimated; the others are zero.
+        How many of k1, k2 are in the model; the others are zero.
     covariance : (8, 8) or None
         Over (x, y, z, vx, vy, vz, k1, k2) in SI units, the direction in ambient coordinates (its
         row along v is zero). None unless all of the beam is determined.
     sigma : (8,) or None
         Standard deviations of the same coordinates, infinite where the recording leaves one open;
         None where nothing is known: a solver that gave up, or a second solution.
-    evidence : Evidence or None
-        Why this many terms; None where they were not compared.
     """
 
     name: str
@@ -55,7 +57,6 @@ class Beam:
     terms: int
     covariance: FloatArray | None
     sigma: FloatArray | None
-    evidence: Evidence | None = None
 
     @property
     def location_sigma(self) -> FloatArray | None:
@@ -176,12 +177,71 @@ class Fit:
 class NoiseComponent:
     """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
 
-    The latter is infinite where the readings cannot tell the component from zero.
+    `prior_carries` says that the recording hardly tells the sigma: what is expected of such a robot or
+    sensor decides about it.
     """
 
     name: str
     sigma: float
     error: float
+
+    @property
+    def prior_carries(self) -> bool:
+        """Whether the sigma is hardly determined by the recording."""
+        return not self.error < POOR_SIGMA * self.sigma
+
+
+@dataclass(frozen=True, slots=True)
+class RangeErrorScales:
+    """What the range errors of all beams typically are, learned from them.
+
+    Attributes
+    ----------
+    k1, k2_per_m : float
+        Standard deviations of the zero-mean prior of k1 [1] and k2 [1/m]: posterior medians.
+    linearity : float
+        Scale of the half-Cauchy prior of both, as a part of the reading.
+    """
+
+    k1: float
+    k2_per_m: float
+    linearity: float
+
+
+@dataclass(frozen=True, slots=True)
+class BeamMixture:
+    """The posterior of the beams as a mixture of Gaussians, one a set of scales.
+
+    Attributes
+    ----------
+    weight : (C,)
+    means, sigmas : (C, B, 8)
+        Of (x, y, z, vx, vy, vz, k1, k2); means counted from the estimate.
+    members : (C, 2) of int
+        Which points and scales of `Calibration.learned` are behind each.
+    """
+
+    weight: FloatArray
+    means: FloatArray
+    sigmas: FloatArray
+    members: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledSolution:
+    """The solution at the most probable scales, over which nothing is integrated: others can repeat it.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        In the order of the recording, world frame.
+    covariance : JointCovariance
+    range_error_prior : RangeErrorPrior or None
+    """
+
+    parameters: Parameters
+    covariance: JointCovariance
+    range_error_prior: RangeErrorPrior | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,8 +300,6 @@ class Calibration:
     fit : Fit
     observability : Determined
     start : StartReport
-    range_error_choice : str
-        Why this many range-error terms.
     iterations : int
         Steps of the final solution.
     interrupted : bool
@@ -255,6 +313,16 @@ class Calibration:
         Of all beams and planes together; None unless everything is determined.
     correlations : tuple of Correlation
         Unknowns of the beams that the recording hardly tells apart.
+    range_error_scales : RangeErrorScales or None
+        Learned scales of the range errors; None where they have no prior.
+    mixture : BeamMixture or None
+        Of the beams, where scales were integrated over.
+    at_scales : ScaledSolution or None
+        The solution at the most probable scales, where they were.
+    learned : LearnedScales or None
+        The scales that were integrated over.
+    systematic : tuple of SystematicError
+        What the recording says of errors that the model leaves out.
     """
 
     status: Status
@@ -265,13 +333,17 @@ class Calibration:
     fit: Fit
     observability: Determined
     start: StartReport
-    range_error_choice: str
     iterations: int
     interrupted: bool = False
     variances: Variances | None = None
     noise_estimate: tuple[NoiseComponent, ...] = ()
     covariance: JointCovariance | None = None
     correlations: tuple[Correlation, ...] = ()
+    range_error_scales: RangeErrorScales | None = None
+    mixture: BeamMixture | None = None
+    at_scales: ScaledSolution | None = None
+    learned: LearnedScales | None = None
+    systematic: tuple["SystematicError", ...] = ()
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""
@@ -286,29 +358,48 @@ class Calibration:
 
     def noise(self, given: Noise) -> Noise:
         """Return `given` with what was estimated in its place, for readings of the same kind."""
-        pose = None if self.variances is None else self.variances.pose
-        estimated = any(one.name.startswith("pose") for one in self.noise_estimate)
         found = replace(given, range_sigma=self.fit.range_sigma)
-        if not estimated or pose is None:
+        if given.pose_covariance is not None and given.pose_covariance.ndim == 3:
             return found
+        pose = self.pose_covariance
+        if pose is None:
+            exact = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
+            return replace(found, **exact, pose_covariance=None)
         return replace(
             found,
             pose_translation_sigma=None,
             pose_rotation_sigma=None,
-            pose_covariance=pose[int(np.flatnonzero(pose.any(axis=(1, 2)))[0])],
+            pose_covariance=pose,
         )
+
+    @property
+    def pose_covariance(self) -> FloatArray | None:
+        """What hand poses err by (6, 6): that of the first station that was used; None if exact."""
+        if self.variances is None or self.variances.pose is None:
+            return None
+        pose = self.variances.pose
+        used = np.flatnonzero(pose.any(axis=(1, 2)))
+        return pose[used[0]] if used.size else None
 
     def intervals(self, beam: str, level: float = 0.95) -> FloatArray | None:
         """Return where each coordinate of a beam lies with probability `level`, (8, 2).
 
-        Student's t where the sigmas come from the residuals. None where there are no standard
-        deviations; infinite where the recording leaves a coordinate open.
+        Quantiles of the mixture where scales were integrated over; else Gaussian, or Student's t where
+        the range sigma comes from the residuals. None where there are no standard deviations; infinite
+        where the recording leaves a coordinate undetermined.
         """
         found = self.beams[beam]
         if found.sigma is None:
             return None
+        value = np.concatenate((found.location, found.direction, found.range_error))
+        if self.mixture is not None:
+            mixture, i = self.mixture, list(self.beams).index(beam)
+            sides = [
+                mixture_quantiles(mixture.weight, mixture.means[:, i], mixture.sigmas[:, i], tail)
+                for tail in (0.5 * (1.0 - level), 0.5 * (1.0 + level))
+            ]
+            return value[:, None] + np.stack(sides, axis=1)
         known = self.fit.range_sigma_given and not self.noise_estimate
         tail = 0.5 * (1.0 + level)
         factor = float(norm.ppf(tail) if known else student.ppf(tail, max(self.fit.dof, 1)))
-        value = np.concatenate((found.location, found.direction, found.range_error))
         return np.stack((value - factor * found.sigma, value + factor * found.sigma), axis=1)

@@ -6,13 +6,13 @@ from .arrays import FloatArray
 from .calibration import Fit
 from .diagnosis.reasons import Reasons, reasons
 from .diagnosis.words import Names
+from .estimation.solution import Solution
 from .losses import GAUSSIAN
 from .noise import Noise
 from .ordering import Order
 from .recording import Readings, Recording
 from .selection import Selection
 from .sensor import FLAT, OUTSIDE, Rejected
-from .solving import Solution
 from .weighting import reading_sigmas
 
 
@@ -26,12 +26,12 @@ def fit_of(
     names: Names,
 ) -> tuple[Fit, Reasons]:
     """Return the fit, and the reasons for what was left out, in the order of the recording."""
-    solution = selection.choice.solution
+    solution = selection.solution
     e = solution.result.residual
     squares = float(e @ e)
     given = noise.range_sigma is not None
-    dof = len(e) - solution.observability.rank
-    chi2, sigma0, sigma = sizes(solution, dof, given=given)
+    dof = solution.dof
+    chi2, sigma0, sigma = sizes(solution, given=given)
     station, beam = order.stations[readings.station], order.beams[readings.beam]
     table = np.full(recording.ranges.shape, np.nan)
     table[station[selection.used], beam[selection.used]] = e
@@ -39,7 +39,7 @@ def fit_of(
     worst = of_used[int(np.abs(e).argmax())]
     far = _in_sigmas(solution, readings.subset(of_used).seen_from(origins), sigma)
     farthest = int(far.argmax())
-    parameters = solution.parameters.seen_from(-origins)
+    parameters = solution.best.seen_from(-origins)
     fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
     why = reasons(readings, ~selection.outliers(), parameters, fitted, names)
     fit = Fit(
@@ -69,9 +69,10 @@ def fit_of(
     return fit, why
 
 
-def sizes(solution: Solution, dof: int, *, given: bool) -> tuple[float, float, float]:
+def sizes(solution: Solution, *, given: bool) -> tuple[float, float, float]:
     """Return chi2, sigma0 and the range sigma [m] behind the covariances; see `Fit`."""
-    unit, known = solution.problem.range_sigma, given or solution.components is not None
+    unit, known = solution.problem.range_sigma, given or solution.scales_estimated
+    dof = solution.dof
     chi2 = solution.chi2 if known else solution.chi2 * unit**2
     sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
     typical = 1.0

@@ -1,15 +1,16 @@
 """From readings and a start to a GTSAM factor graph; builds, does not solve."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from .arrays import IntArray
-from .factors import RangeBlock, range_factor
+from .factors import RangeBlock, range_error_prior, range_factor
 from .keys import BeamKeys, beam_keys, plane_key, pose_key
 from .losses import GAUSSIAN, Loss
-from .parameters import Parameters, Terms, per_beam
+from .parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from .poses import PosePriors
 from .recording import Readings
 from .weighting import Whitening
@@ -22,7 +23,7 @@ class CalibrationGraph:
     Attributes
     ----------
     graph : gtsam.NonlinearFactorGraph
-        Range factors, then the priors of hand poses that are variables.
+        Range factors, then the priors of range errors and of hand poses that are variables.
     values : gtsam.Values
         The start.
     blocks : RangeBlocks
@@ -55,6 +56,8 @@ class CalibrationGraph:
     loss: Loss
     rows: IntArray
     whitening: Whitening | None
+    prior_rows: int = 0
+    """Rows of the priors."""
 
 
 def build_graph(
@@ -64,6 +67,7 @@ def build_graph(
     noise: float | Whitening,
     loss: Loss = GAUSSIAN,
     priors: PosePriors | None = None,
+    range_errors: RangeErrorPrior | None = None,
 ) -> CalibrationGraph:
     """Return the graph of all readings.
 
@@ -82,6 +86,7 @@ def build_graph(
         Weighs every whitened residual by itself.
     priors : PosePriors, optional
         Makes the hand pose of every station a variable; needs a whitening.
+    range_errors : RangeErrorPrior, optional
     """
     counts = per_beam(terms, readings.beams)
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
@@ -98,11 +103,15 @@ def build_graph(
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
         graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+    for factor in range_error_priors(beams, counts, range_errors):
+        graph.push_back(factor)
+    prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
     if priors is not None:
         poses = tuple(pose_key(j) for j in priors.stations.tolist())
         priors.join(graph, values, poses)
+        prior_rows += 6 * len(poses)
     return CalibrationGraph(
         graph,
         values,
@@ -116,7 +125,21 @@ def build_graph(
         loss,
         rows,
         None if whitening is None else whitening.reordered(rows),
+        prior_rows,
     )
+
+
+def range_error_priors(
+    beams: Sequence[BeamKeys], terms: Sequence[int], prior: RangeErrorPrior | None
+) -> list[gtsam.NonlinearFactor]:
+    """Return a prior factor for the range error of every beam that has one."""
+    found = []
+    for i, (beam, count) in enumerate(zip(beams, terms, strict=True)):
+        if prior is None or beam.range_error is None or np.isinf(prior.sigma[i, :count]).any():
+            continue
+        mean = np.zeros(count) if prior.mean is None else prior.mean[i, :count]
+        found.append(range_error_prior(beam.range_error, prior.sigma[i, :count], mean))
+    return found
 
 
 def _ordering(

@@ -26,6 +26,8 @@ class Mounts:
         Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
     range_sigma : float
         Standard deviation of a reading behind it [m].
+    pose_covariance : (6, 6) or None
+        What hand poses err by behind it (rx, ry, rz, x, y, z); None for exact poses.
     """
 
     names: tuple[str, ...]
@@ -35,6 +37,7 @@ class Mounts:
     terms: tuple[int, ...]
     covariance: FloatArray
     range_sigma: float
+    pose_covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("locations", "directions", "range_errors", "covariance"):
@@ -65,6 +68,7 @@ class Mounts:
             tuple(beam.terms for beam in beams),
             calibration.covariance.matrix(planes=[]),
             calibration.fit.range_sigma,
+            calibration.pose_covariance,
         )
 
     @property
@@ -93,4 +97,5 @@ class Mounts:
             tuple(self.terms[i] for i in at),
             self.covariance[np.ix_(rows, rows)],
             self.range_sigma,
+            self.pose_covariance,
         )

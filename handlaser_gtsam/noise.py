@@ -1,4 +1,4 @@
-"""What is known about the errors of sensor and robot."""
+"""What is known about the errors of sensor and robot, and what is expected of what is not."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,16 +14,16 @@ LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Standard deviations; None where unknown.
+    """Standard deviations; None where unknown: then they are estimated.
 
     Attributes
     ----------
     range_sigma : float, optional
-        Standard deviation of a reading at right angles [m]. Unknown: estimated from the residuals.
+        Standard deviation of a reading at right angles [m].
     pose_translation_sigma : float, optional
-        Standard deviation of the hand position an axis [m].
+        Standard deviation of the hand position an axis [m]; zero for a robot that is exact.
     pose_rotation_sigma : float, optional
-        Standard deviation of the hand rotation about each axis [rad].
+        Standard deviation of the hand rotation about each axis [rad]; zero likewise.
     incidence_sigma : float
         What the incidence angle adds to a reading [m]: at the angle a its variance is
         range_sigma^2 + (incidence_sigma tan a)^2, as for a spot of that half width.
@@ -31,6 +31,9 @@ class Noise:
         Instead of the two pose sigmas: of the hand pose, or of every station's in the order of the
         recording, about and along its own axes (rx, ry, rz, x, y, z) [rad, m]: the hand frame, and the
         order of `gtsam.Pose3`.
+    pose_translation_prior, pose_rotation_prior : float
+        Scales of the half-Cauchy priors of the pose sigmas that are not given [m], [rad]: what an
+        industrial arm errs by.
 
     Raises
     ------
@@ -44,6 +47,8 @@ class Noise:
     pose_rotation_sigma: float | None = None
     incidence_sigma: float = 0.0
     pose_covariance: FloatArray | None = None
+    pose_translation_prior: float = 1e-4
+    pose_rotation_prior: float = math.radians(0.02)
 
     def __post_init__(self) -> None:
         sigma = self.range_sigma
@@ -56,6 +61,10 @@ class Noise:
             value = getattr(self, name)
             if value is not None and not 0.0 <= value <= MOST_SIGMA:
                 raise InputError(f"{name} {value:g}", f"zero to {MOST_SIGMA:g}")
+        for name in ("pose_translation_prior", "pose_rotation_prior"):
+            value = getattr(self, name)
+            if not LEAST_SIGMA <= value <= MOST_SIGMA:
+                raise InputError(f"{name} {value:g}", f"{LEAST_SIGMA:g} to {MOST_SIGMA:g}")
         if self.pose_covariance is not None:
             if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
@@ -75,6 +84,13 @@ class Noise:
         if self.pose_covariance is not None:
             return bool(self.pose_covariance.any())
         return bool(self.pose_translation_sigma or self.pose_rotation_sigma)
+
+    @property
+    def poses_exact(self) -> bool:
+        """Whether the hand poses are stated to have no errors."""
+        if self.pose_covariance is not None:
+            return not self.pose_covariance.any()
+        return self.pose_translation_sigma == 0.0 and self.pose_rotation_sigma == 0.0
 
     def pose_covariances(self, stations: int) -> FloatArray:
         """Return the covariance (M, 6, 6) of every station's pose, (rx, ry, rz, x, y, z).

@@ -1,6 +1,6 @@
 """How to calibrate: one frozen set of options, with defaults that work."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from .arrays import IntArray
@@ -20,6 +20,9 @@ LEAST_READINGS = 15
 """Of a beam whose own range sigma is estimated: fewer would tell it to worse than a third."""
 
 
+RANGE_ERROR_TERMS: dict[RangeError, int] = {"auto": 2, "none": 0, "k1": 1, "k1k2": 2}
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationOptions:
     """Options of `calibrate`.
@@ -27,22 +30,25 @@ class CalibrationOptions:
     Attributes
     ----------
     range_error : {"auto", "none", "k1", "k1k2"}
-        Range-error terms of every beam; `auto` chooses by evidence.
+        Range-error terms of every beam. `auto` keeps both under a zero-mean prior whose scales are
+        learned from all beams and integrated over; the others are free.
     outliers : {"reject", "keep"}
-        Whether readings that the others contradict are left out, and listed.
+        Whether readings that the others contradict are rejected, and listed.
     loss : {"gaussian", "huber", "cauchy", "tukey"}
-        Loss of the final estimate, reading by reading; the covariance follows it.
+        Loss of the final estimate, reading by reading; the covariance follows it. With a robust loss
+        unknown scales are estimated, but not integrated over.
     poses : {"auto", "exact", "marginalised", "estimated"}
         How errors of the hand poses count: not at all, in the weights of the readings of a station
-        together, or as a variable a station. `auto` is `marginalised` where the noise says that
-        poses err, else `exact`.
+        together, or as a variable a station. `auto` is `exact` where the noise says that poses do not
+        err, else `marginalised`. Pose sigmas that the noise does not give are estimated.
     range_sigma_by_beam : bool
         Whether the range sigma of every beam is estimated by itself.
     estimate_noise : bool
-        Whether the sigmas of ranges, hand translations and hand rotations are estimated from
-        the residuals; those of the noise are then where the estimates start.
+        Whether the sigmas of ranges, hand translations and hand rotations are estimated though they are
+        given; those given are then the scales of their priors.
     sensor : Sensor
-        Readings outside its limits are left out, and listed.
+        Readings outside its limits are rejected, and listed; its linearity is the scale of the prior
+        of the range errors' scales.
     solver : LevenbergOptions
     observability : ObservabilityOptions
     """
@@ -57,25 +63,22 @@ class CalibrationOptions:
     solver: LevenbergOptions = field(default_factory=LevenbergOptions)
     observability: ObservabilityOptions = field(default_factory=ObservabilityOptions)
 
-    def treats_poses(self, noise: Noise) -> bool:
+    @property
+    def terms(self) -> int:
+        """Range-error terms of every beam."""
+        return RANGE_ERROR_TERMS[self.range_error]
+
+    @property
+    def linearity(self) -> float | None:
+        """Scale of the prior of the range errors' scales; None where range errors have no prior."""
+        return self.sensor.linearity if self.range_error == "auto" else None
+
+    def counts_poses(self, noise: Noise) -> bool:
         """Tell whether errors of the hand poses are counted."""
-        return self.poses != "exact" and (noise.poses_uncertain or self.estimate_noise)
+        return self.poses != "exact" and not noise.poses_exact
 
-    def estimates_variances(self, noise: Noise) -> bool:
-        """Tell whether variances are estimated while the weights are found.
-
-        A common factor of all variances is not: sigma0 finds it without any effort.
-        """
-        several = self.treats_poses(noise) or noise.incidence_sigma > 0.0
-        unknown = noise.range_sigma is None and several
-        return self.estimate_noise or self.range_sigma_by_beam or unknown
-
-    def without_variances(self) -> "CalibrationOptions":
-        """Return the options for exact poses and one range sigma."""
-        return replace(self, poses="exact", estimate_noise=False, range_sigma_by_beam=False)
-
-    def require_pose_noise(self, noise: Noise) -> None:
-        """Refuse to count errors of the poses that are not stated.
+    def require_consistent(self, noise: Noise) -> None:
+        """Refuse options that contradict each other or the noise.
 
         Raises
         ------
@@ -85,11 +88,10 @@ class CalibrationOptions:
             raise InputError(
                 "estimate_noise with exact poses", "another treatment of poses: their noise counts"
             )
-        counted = self.poses in ("marginalised", "estimated")
-        if counted and not (noise.poses_uncertain or self.estimate_noise):
+        if self.poses in ("marginalised", "estimated") and noise.poses_exact:
             raise InputError(
-                f"poses {self.poses} without a pose sigma above zero",
-                "a pose sigma or covariance, or the noise to be estimated",
+                f"poses {self.poses} with pose sigmas of zero",
+                "pose sigmas above zero, or none at all: they are estimated then",
             )
 
     def require_readings(self, count: IntArray, names: tuple[str, ...]) -> None:

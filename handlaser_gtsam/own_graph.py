@@ -87,7 +87,6 @@ def read_graph(
         fit,
         _determined(found, wanted, message if status == "unobservable" else ""),
         StartReport(METHOD, ()),
-        "as in the graph",
         0,
         covariance=told,
         correlations=() if told is None else strong_correlations(told),

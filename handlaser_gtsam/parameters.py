@@ -13,6 +13,31 @@ Beams = tuple[FloatArray, FloatArray, FloatArray]
 """Locations (B, 3) [m], directions (B, 3) and range errors (B, 2) of some beams."""
 
 
+@dataclass(frozen=True, slots=True)
+class RangeErrorPrior:
+    """What is known of range errors before any reading: independent Gaussians.
+
+    Attributes
+    ----------
+    sigma : (B, 2)
+        Standard deviations of k1 [1] and k2 [1/m]; infinite where nothing is known.
+    mean : (B, 2) or None
+        Means; zero where not given.
+    """
+
+    sigma: FloatArray
+    mean: FloatArray | None = None
+
+    def chi2(self, range_errors: FloatArray) -> float:
+        """Return the sum of squares of range errors (B, 2) in units of the prior."""
+        off = range_errors if self.mean is None else range_errors - self.mean
+        return float(((off / self.sigma) ** 2).sum())
+
+    def rows(self, terms: int) -> int:
+        """Return how many of the first `terms` range errors of all beams something is known of."""
+        return int(np.isfinite(self.sigma[:, :terms]).sum())
+
+
 def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
     """Return the range-error terms of each of `beams` beams."""
     return (terms,) * beams if isinstance(terms, int) else terms

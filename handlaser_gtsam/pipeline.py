@@ -44,7 +44,7 @@ def calibrate(
         of a beam with few readings.
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
-    options.require_pose_noise(noise)
+    options.require_consistent(noise)
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
     # 1. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)

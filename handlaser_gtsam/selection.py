@@ -4,7 +4,6 @@ Readings outside the sensor's range are left out first, then outliers, then thos
 too flat. Outliers are tested again with the final model, for range errors may have looked like them.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,20 +12,17 @@ from . import sensor as limits
 from .arrays import BoolArray, IntArray
 from .consensus import Consensus, find_consensus
 from .diagnosis.outliers import cut, enough, judge, residuals, test
+from .estimation.solution import Progress, Solution, solve
 from .noise import Noise
 from .options import CalibrationOptions
 from .parameters import Parameters
-from .range_error import MOST_TERMS, Choice, choose_terms
 from .recording import Readings, Recording
-from .solvers.levenberg import Trial
 from .starts import Start, find_start
 from .weighting import reading_sigmas
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation over the median absolute residual, if Gaussian."""
-
-Progress = Callable[[Trial], None] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +37,7 @@ class Selection:
     start : Start
     method : str
         Of the start that led to the solution.
-    choice : Choice
+    solution : Solution
         Of the readings `used`, in their order.
     """
 
@@ -50,7 +46,7 @@ class Selection:
     flat: BoolArray
     start: Start
     method: str
-    choice: Choice
+    solution: Solution
 
     def outliers(self) -> BoolArray:
         """Return which readings (N,) were left out because the others contradict them."""
@@ -79,24 +75,24 @@ def select(
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
-    def solve(start: Parameters) -> Choice:
+    def solved(start: Parameters) -> Solution:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
-        return choose_terms(chosen, start, noise, options, progress, first.scale)
+        return solve(chosen, start, noise, options, progress, first.scale)
 
-    choice = solve(first.parameters)
+    solution = solved(first.parameters)
     for _ in range(ROUNDS):
         before = used.copy()
         if options.outliers == "reject":
-            used = _tested(readings, inside & ~flat, used, choice, noise)
-        steep = limits.within_incidence(readings, choice.solution.parameters, options.sensor)
+            used = _tested(readings, inside & ~flat, used, solution, noise)
+        steep = limits.within_incidence(readings, solution.parameters, options.sensor)
         flat = inside.copy()
         flat[steep] = False
         used &= ~flat
         if (used == before).all():
             break
-        choice = solve(choice.solution.parameters)
-    return Selection(used, ~inside, flat, first.start, first.method, choice)
+        solution = solved(solution.parameters)
+    return Selection(used, ~inside, flat, first.start, first.method, solution)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +107,14 @@ class _First:
 
 
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
-    terms = MOST_TERMS[options.range_error]
+    terms = options.terms
     reject = options.outliers == "reject"
-    equal = noise.incidence_sigma == 0.0 and not options.treats_poses(noise)
-    sigma = noise.range_sigma if equal else None
-    start = find_start(readings, sigma, terms, thorough=not reject)
+    # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
+    certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
+    sigma = noise.range_sigma
+    start = find_start(readings, sigma, terms, thorough=not reject, certain=certain)
     if reject:
-        found = find_consensus(readings, start, sigma, terms)
+        found = find_consensus(readings, start, sigma if certain else None, terms)
     else:
         everything = np.ones(len(readings), dtype=bool)
         found = Consensus(everything, start.parameters, start.method, None)
@@ -136,10 +133,9 @@ def _scale(readings: Readings, parameters: Parameters) -> float | None:
 
 
 def _tested(
-    readings: Readings, allowed: BoolArray, used: BoolArray, choice: Choice, noise: Noise
+    readings: Readings, allowed: BoolArray, used: BoolArray, solution: Solution, noise: Noise
 ) -> BoolArray:
     """Return which allowed readings agree with the solution of those `used`."""
-    solution = choice.solution
     rows: IntArray = np.flatnonzero(allowed)
     part, kept = readings.subset(rows), used[rows]
     terms = max(solution.problem.terms)
@@ -151,7 +147,7 @@ def _tested(
         # The last stations may have no reading among those used.
         variances = solution.variances.for_stations(int(part.station.max()) + 1)
         sigmas = reading_sigmas(solution.parameters, part, variances)
-        known = solution.components is None
+        known = not solution.scales_estimated
         sigma, t = judge(part, kept, solution.parameters, terms, sigmas, known=known)
     agreeing = np.abs(t) <= cut(part, kept, sigma)
     if not enough(part, agreeing, terms):

@@ -1,4 +1,4 @@
-"""What a sensor can measure, and which readings that leaves."""
+"""What a sensor can measure, how linear it is, and which readings that leaves."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,10 +11,13 @@ from .errors import InputError
 from .parameters import Parameters
 from .recording import Readings, Recording
 
+LEAST_LINEARITY, MOST_LINEARITY = 1e-6, 0.3
+"""No sensor is more or less linear."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Limits of a sensor.
+    """Limits of a sensor, and its linearity.
 
     Attributes
     ----------
@@ -22,11 +25,15 @@ class Sensor:
         Readings outside are no readings [m].
     max_incidence : float
         Largest angle between beam and plane normal at which a reading counts [rad].
+    linearity : float
+        What its data sheet calls linearity, as a part of the reading: the scale of the half-Cauchy
+        prior of what range errors typically are.
     """
 
     range_min: float = 0.0
     range_max: float = math.inf
     max_incidence: float = math.pi / 2.0
+    linearity: float = 0.01
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.range_min < self.range_max:
@@ -35,6 +42,9 @@ class Sensor:
         if not 0.0 < self.max_incidence <= math.pi / 2.0:
             found = f"max_incidence {math.degrees(self.max_incidence):g} deg"
             raise InputError(found, "an angle above 0 and up to 90 degrees")
+        if not LEAST_LINEARITY <= self.linearity <= MOST_LINEARITY:
+            expected = f"{LEAST_LINEARITY:g} to {MOST_LINEARITY:g}: a part of the reading"
+            raise InputError(f"linearity {self.linearity:g}", expected)
 
 
 OUTSIDE = "outside the sensor's range"

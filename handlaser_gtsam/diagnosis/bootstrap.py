@@ -1,7 +1,9 @@
 """Standard deviations by parametric bootstrap: calibrate again what the calibration itself would read.
 
 Nothing is linearised: hand poses and readings are drawn with their sigmas, and each draw is solved from
-the calibration. What the covariance leaves out shows in the difference.
+the calibration. What the covariance leaves out shows in the difference. Where scales were integrated
+over, every draw takes those of a component of the mixture; a prior of range errors is a measurement
+like the readings, and is drawn with them.
 """
 
 from collections.abc import Callable
@@ -14,13 +16,16 @@ from .. import model
 from ..arrays import FloatArray
 from ..calibration import Calibration
 from ..errors import GrazingBeamError, InputError
+from ..estimation.learned import LearnedScales
+from ..estimation.solution import solve
 from ..noise import Noise
-from ..options import CalibrationOptions
-from ..parameters import Parameters
+from ..options import CalibrationOptions, RangeError
+from ..parameters import Parameters, RangeErrorPrior
 from ..recording import Readings, Recording
 from ..simulate import read_back
-from ..solving import solve
 from ..weighting import Variances
+
+TERMS: dict[int, RangeError] = {0: "none", 1: "k1", 2: "k1k2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ def bootstrap(
     recording : Recording
         Whose readings were used, and from which stations.
     noise : Noise
-        The one of the calibration; estimated sigmas are taken as known.
+        The one of the calibration.
     rng : numpy.random.Generator
     count : int
     step : callable, optional
@@ -75,24 +80,10 @@ def bootstrap(
     variances = calibration.variances
     if variances is None:
         variances = Variances(np.full(readings.beams, calibration.fit.range_sigma))
-    terms = tuple(beam.terms for beam in calibration.beams.values())
-    known = Noise(
-        float(np.median(variances.range_sigma)),
-        incidence_sigma=noise.incidence_sigma,
-        pose_covariance=variances.pose,
-    )
-    poses = calibration.fit.poses
-    options = CalibrationOptions(poses="auto" if poses == "exact" else poses)
     draws = []
     for _ in range(count):
-        try:
-            drawn = _drawn(readings, at, variances, rng)
-            found = solve(drawn, at, terms, known, options)
-        except (GrazingBeamError, InputError):
-            continue
-        if found.result.status == "converged" and found.observability.full:
-            p = found.parameters
-            draws.append(np.hstack((p.locations, p.directions, p.range_errors)))
+        one = _one_draw(calibration, readings, at, (variances, noise), rng)
+        draws += [] if one is None else [one]
         if step is not None:
             step()
     if len(draws) < 2:
@@ -101,6 +92,58 @@ def bootstrap(
     spread = np.std(draws, axis=0, ddof=1)
     ratio = np.divide(spread, sigma, out=np.full_like(spread, np.nan), where=sigma > 0.0)
     return Bootstrap(np.array(draws), count - len(draws), ratio)
+
+
+def _one_draw(
+    calibration: Calibration,
+    readings: Readings,
+    at: Parameters,
+    noise: tuple[Variances, Noise],
+    rng: np.random.Generator,
+) -> FloatArray | None:
+    """Return the beams (B, 8) of one draw; None where it is not solved."""
+    variances, given = noise
+    learned, mixture, prior, shift = calibration.learned, calibration.mixture, None, None
+    if learned is not None and mixture is not None:
+        c = int(rng.choice(len(mixture.weight), p=mixture.weight))
+        j, g = mixture.members[c]
+        variances, shift = _variances(learned, variances, learned.points[j]), mixture.means[c]
+        if learned.linearity is not None:
+            sigma = learned.grid.scale[g] / np.array([1.0, learned.length])
+            spread = np.tile(sigma, (readings.beams, 1))
+            mean = at.range_errors + spread * rng.standard_normal(spread.shape)
+            prior = RangeErrorPrior(spread, mean)
+    ranges = variances.range_sigma
+    known = Noise(
+        float(np.median(ranges)),
+        0.0 if variances.pose is None else None,
+        0.0 if variances.pose is None else None,
+        given.incidence_sigma,
+        variances.pose,
+    )
+    terms = max(beam.terms for beam in calibration.beams.values())
+    poses = calibration.fit.poses
+    options = CalibrationOptions(TERMS[terms], poses="auto" if poses == "exact" else poses)
+    try:
+        drawn = _drawn(readings, at, variances, rng)
+        found = solve(drawn, at, known, options, prior=prior)
+    except (GrazingBeamError, InputError):
+        return None
+    if found.result.status != "converged" or not found.observability.full:
+        return None
+    p = found.parameters
+    beams = np.hstack((p.locations, p.directions, p.range_errors))
+    return beams if shift is None else beams + shift
+
+
+def _variances(learned: LearnedScales, used: Variances, u: FloatArray) -> Variances:
+    """Return `used`, those of the most probable scales, for logarithms u of the scales instead."""
+    now, then = learned.scales.noise(u), learned.scales.noise(learned.mode)
+    ranges = used.range_sigma * float(np.median(now.range_sigma / then.range_sigma))
+    if used.pose is None:
+        return Variances(ranges, used.incidence_sigma)
+    factor = np.divide(now.pose, then.pose, out=np.ones(6), where=then.pose > 0.0)
+    return Variances(ranges, used.incidence_sigma, used.pose * np.outer(factor, factor))
 
 
 def _used(calibration: Calibration, recording: Recording) -> tuple[Readings, Parameters]:

@@ -40,6 +40,8 @@ class CrossCheck:
 def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     """Solve the readings of `calibration` again with SciPy, from a start found anew.
 
+    Where scales were integrated over, the solution at the most probable ones is compared.
+
     Raises
     ------
     InputError
@@ -57,12 +59,19 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     variances, noise = calibration.variances, None
     if variances is not None:
         noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
-    reference = solve_reference(used, start, terms, noise=noise)
+    scaled = calibration.at_scales
+    prior = None if scaled is None else scaled.range_error_prior
+    reference = solve_reference(used, start, terms, noise=noise, prior=prior)
+    own = calibration.parameters() if scaled is None else scaled.parameters
+    joint = calibration.covariance if scaled is None else scaled.covariance
+    if joint is None:
+        raise InputError("a calibration without covariance", "a converged one")
+    of_beams, of_planes = joint.all_beams(), joint.all_planes()
     found = reference.parameters
     variance = calibration.fit.range_sigma**2 if variances is None else 1.0
     rows: list[tuple[str, float, float]] = []
     for i, beam in enumerate(calibration.beams.values()):
-        mine = np.concatenate((beam.location, beam.direction, beam.range_error))
+        mine = np.concatenate((own.locations[i], own.directions[i], own.range_errors[i]))
         other = np.concatenate((found.locations[i], found.directions[i], found.range_errors[i]))
         covariance = variance * reference.beam_covariances[i]
         for label, part in (
@@ -71,14 +80,14 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
             ("range error", slice(6, 6 + beam.terms)),
         ):
             rows += _compare(
-                f"beam {beam.name} {label}", mine - other, beam.covariance, covariance, part
+                f"beam {beam.name} {label}", mine - other, of_beams[i], covariance, part
             )
     for p, plane in enumerate(calibration.planes.values()):
-        difference = np.append(plane.normal - found.normals[p], plane.offset - found.offsets[p])
+        difference = np.append(own.normals[p] - found.normals[p], own.offsets[p] - found.offsets[p])
         covariance = variance * reference.plane_covariances[p]
         for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
             rows += _compare(
-                f"plane {plane.name} {label}", difference, plane.covariance, covariance, part
+                f"plane {plane.name} {label}", difference, of_planes[p], covariance, part
             )
     worst = max(rows, key=lambda row: row[1])
     worst_sigma = max(rows, key=lambda row: row[2])
@@ -88,7 +97,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
 def _compare(
     name: str,
     difference: FloatArray,
-    mine: FloatArray | None,
+    mine: FloatArray,
     other: FloatArray,
     part: slice,
 ) -> list[tuple[str, float, float]]:
@@ -96,7 +105,7 @@ def _compare(
 
     Axes without variance (along a unit vector) are left out.
     """
-    if mine is None or part.start == part.stop:
+    if part.start == part.stop:
         return []
     variances, axes = np.linalg.eigh(mine[part, part])
     keep = variances > 1e-12 * variances[-1]

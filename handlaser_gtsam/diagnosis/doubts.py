@@ -23,8 +23,6 @@ FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
-POOR_SIGMA = 0.5
-"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
 UNLIKELY = 1e-3
 """Probability below which chi2 contradicts the given range sigma."""
 FAR_BEAM = 3.0
@@ -127,12 +125,12 @@ def doubts(
 
 def poorly_told(components: tuple[NoiseComponent, ...]) -> tuple[str, ...]:
     """Name estimated sigmas that the recording hardly tells."""
-    poor = [one.name for one in components if not one.error < POOR_SIGMA * one.sigma]
+    poor = [one.name for one in components if one.prior_carries]
     if not poor:
         return ()
     return (
-        f"the sigma of {', '.join(poor)} is hardly told by this recording: the standard deviations "
-        "rest on it; state what you know of it, or add stations",
+        f"the sigma of {', '.join(poor)} is hardly determined by this recording: what is expected of "
+        "such machines decides; give it if you know it, or add stations",
     )
 
 

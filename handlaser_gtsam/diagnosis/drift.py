@@ -150,12 +150,12 @@ def plane_information(
     L = (normal.beam[0][np.ix_(active, active)] * np.outer(unit, unit) - E @ plane @ E.T) / sigma**2
     own = plane @ (normal.plane_gradient[0, 0] * plane_unit)
     g = (normal.beam_gradient[0][active] * unit - E @ own) / sigma**2
-    turn = _turns(beams[1], reference)
+    turn = turns(beams[1], reference)
     L = turn.T @ L @ turn
     return Information(L, L @ reference.coordinates(beams) - turn.T @ g)
 
 
-def _turns(directions: FloatArray, reference: Reference) -> FloatArray:
+def turns(directions: FloatArray, reference: Reference) -> FloatArray:
     """Return the matrix from unknowns in the bases of the reference to those in the bases here."""
     here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
     turns = np.tile(np.eye(7), (len(directions), 1, 1))

@@ -9,7 +9,7 @@ for, from starts all around, and the one that leaves most open is taken.
 import numpy as np
 
 from ..errors import GrazingBeamError
-from ..parameters import Parameters
+from ..parameters import Parameters, RangeErrorPrior
 from ..recording import Readings
 from ..solvers.refine import refine_many
 from ..starts.directions import direction_starts, random_starts
@@ -29,6 +29,7 @@ def least_observed(
     terms: int,
     range_sigma: float,
     options: ObservabilityOptions,
+    prior: RangeErrorPrior | None = None,
 ) -> tuple[Parameters, Observability]:
     """Return the solution, among some that fit as well as `parameters`, that leaves most open.
 
@@ -43,13 +44,19 @@ def least_observed(
     range_sigma : float
         [m]
     options : ObservabilityOptions
+    prior : RangeErrorPrior, optional
+        Other solutions are sought without range errors where these have a prior.
     """
     if len(readings) > ENOUGH:
         return parameters, found
     partial = random_starts(readings, RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, SWEPT)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    refined = [one for one in refine_many(starts, readings, terms, STEPS) if one is not None]
+    refined = [
+        one
+        for one in refine_many(starts, readings, 0 if prior else terms, STEPS)
+        if one is not None
+    ]
     if not refined:
         return parameters, found
     limit = min(one.squares for one in refined) + CHI2_MARGIN * range_sigma**2
@@ -58,7 +65,7 @@ def least_observed(
         if one.squares > limit:
             continue
         try:
-            seen = observability(one.parameters, readings, terms, range_sigma, options)
+            seen = observability(one.parameters, readings, terms, range_sigma, options, prior=prior)
         except GrazingBeamError:
             continue
         if seen.rank < least.rank:

@@ -106,7 +106,7 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
         Its beams must be among those of `mounts`; its planes may be any.
     noise : Noise, optional
         An unknown range sigma is that of the calibration, and what the recording shows where it has
-        readings enough.
+        readings enough. Unknown errors of the poses are those of the calibration.
 
     Raises
     ------
@@ -120,9 +120,11 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     readings = recording.readings()
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     sigma = noise.range_sigma or mounts.range_sigma
-    pose = None
+    stations, pose = len(recording.plane_labels), None
     if noise.poses_uncertain:
-        pose = noise.pose_covariances(len(recording.plane_labels))
+        pose = noise.pose_covariances(stations)
+    elif not noise.poses_exact and mounts.pose_covariance is not None:
+        pose = np.broadcast_to(mounts.pose_covariance, (stations, 6, 6))
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)

@@ -7,12 +7,12 @@ undetermined when its standard deviation exceeds `most_sigma`, or when its infor
 rounding. Both follow from the noise: better sensors determine more.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..parameters import Parameters, Terms, per_beam
+from ..parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..recording import Readings
 from ..solvers.reduction import (
     NormalEquations,
@@ -20,6 +20,9 @@ from ..solvers.reduction import (
     whitened_normal_equations,
 )
 from ..weighting import Whitening
+
+LEAST_PRIOR = 1e-12
+"""Of a prior's information, as a part of the largest; above what rounding loses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +161,7 @@ def observability(
     range_sigma: float,
     options: ObservabilityOptions | None = None,
     whitening: Whitening | None = None,
+    prior: RangeErrorPrior | None = None,
 ) -> Observability:
     """Diagnose `parameters` for readings with standard deviation `range_sigma` [m].
 
@@ -171,6 +175,8 @@ def observability(
     options : ObservabilityOptions, optional
     whitening : Whitening, optional
         Where readings differ in weight or are correlated.
+    prior : RangeErrorPrior, optional
+        Its range errors are never undetermined.
 
     Raises
     ------
@@ -189,6 +195,8 @@ def observability(
         normal = whitened_normal_equations(parameters, readings, most, whitening)
     normal = _scaled(normal, beam_unit, plane_unit)
     active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
+    if prior is not None:
+        normal = _with_prior(normal, prior.sigma[:, :most] / beam_unit[5 : 5 + most], range_sigma)
     plane_null, eliminate = _eliminate_planes(normal.plane, range_sigma, options)
     E = np.swapaxes(normal.border, 0, 1).reshape(len(beam_unit), -1)
     W = eliminate @ np.swapaxes(normal.border, 1, 2)
@@ -237,6 +245,19 @@ def _scaled(
         normal.plane_gradient[0] * plane_unit,
         normal.centres[0],
     )
+
+
+def _with_prior(normal: NormalEquations, sigma: FloatArray, range_sigma: float) -> NormalEquations:
+    """Add the prior of every beam's range errors, sigmas (B, T) in natural units.
+
+    Beside readings without noise it would be lost; it counts for a little all the same.
+    """
+    beam = normal.beam.copy()
+    beams, terms = sigma.shape
+    rows = (np.arange(beams)[:, None] * (5 + terms) + 5 + np.arange(terms)).ravel()
+    least = LEAST_PRIOR * float(np.diagonal(beam).max())
+    beam[rows, rows] += np.maximum((range_sigma / sigma.ravel()) ** 2, least)
+    return replace(normal, beam=beam)
 
 
 def _least_information(largest: float, range_sigma: float, options: ObservabilityOptions) -> float:

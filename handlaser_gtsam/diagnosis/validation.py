@@ -153,7 +153,7 @@ def _without(
         if found.status != "converged":
             return PlaneLeftOut(plane, None, found.message)
         own, seen = _part(recording, noise, mine)
-        seen = found.noise(seen) if options.estimates_variances(noise) else seen
+        seen = found.noise(seen) if found.noise_estimate else seen
         return PlaneLeftOut(plane, hold_out(Mounts.of(found), own, seen), "")
     except InputError as error:
         return PlaneLeftOut(plane, None, str(error))

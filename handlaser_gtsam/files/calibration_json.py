@@ -43,8 +43,14 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
             "range_sigma_m": fit.range_sigma,
             "range_sigma_given": fit.range_sigma_given,
             "poses": fit.poses,
+            "pose_covariance": _pose_covariance(calibration),
             "noise_estimate": [
-                {"name": one.name, "sigma": one.sigma, "error": _finite(one.error)}
+                {
+                    "name": one.name,
+                    "sigma": one.sigma,
+                    "error": _finite(one.error),
+                    "prior_carries": one.prior_carries,
+                }
                 for one in calibration.noise_estimate
             ],
             "rejected": [
@@ -65,7 +71,9 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
             {"first": c.first, "second": c.second, "coefficient": c.coefficient, "advice": c.advice}
             for c in calibration.correlations
         ],
-        "range_error_choice": calibration.range_error_choice,
+        "range_error_scales": None
+        if calibration.range_error_scales is None
+        else asdict(calibration.range_error_scales),
         "start": {
             "method": calibration.start.method,
             "tried": [
@@ -144,21 +152,31 @@ def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> dict[s
     covariance: Json = None
     if beam.covariance is not None:
         covariance = [_list(row) for row in beam.covariance]
-    evidence: Json = None
-    if beam.evidence is not None:
-        evidence = {
-            "bic": _list(beam.evidence.criterion),
-            "likelihood_ratio": _list(beam.evidence.likelihood_ratio),
-        }
     mount = _mount(beam.name, beam.location, beam.direction, beam.range_error)
     return mount | {
         "range_error_terms": beam.terms,
-        "range_error_evidence": evidence,
+        "range_error_excludes_zero": _excludes_zero(calibration, beam),
         "sigma": sigma,
         "interval_95": _intervals(calibration, beam.name),
         "covariance": covariance,
         "spot": _spot(calibration, beam.name, reading),
     }
+
+
+def _excludes_zero(calibration: Calibration, beam: Beam) -> Json:
+    """Tell of k1 and k2 whether their 95 % intervals exclude zero; null where not estimated."""
+    found = calibration.intervals(beam.name)
+    if found is None:
+        return None
+    names = ("k1", "k2_per_m")[: beam.terms]
+    rows = found[6 : 6 + beam.terms]
+    return {name: bool(low > 0.0 or high < 0.0) for name, (low, high) in zip(names, rows, strict=True)}
+
+
+def _pose_covariance(calibration: Calibration) -> Json:
+    """Return what hand poses err by (rx, ry, rz, x, y, z), hand frame; null for exact poses."""
+    pose = calibration.pose_covariance
+    return None if pose is None else [_list(row) for row in pose]
 
 
 def _beam_covariance(calibration: Calibration) -> Json:

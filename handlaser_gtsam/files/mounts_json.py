@@ -7,8 +7,10 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from ..arrays import FloatArray
 from ..errors import InputError
 from ..mounts import Mounts
+from ..noise import Noise
 
 SYMMETRIC = 1e-6
 UNIT = 1e-6
@@ -33,6 +35,7 @@ class _Beam(_Model):
 
 class _Fit(_Model):
     range_sigma_m: float
+    pose_covariance: list[list[float]] | None = None
 
 
 class _File(_Model):
@@ -94,4 +97,14 @@ def _mounts(file: _File) -> Mounts:
         tuple(beam.range_error_terms for beam in file.beams),
         covariance,
         file.fit.range_sigma_m,
+        _pose_covariance(file.fit.pose_covariance),
     )
+
+
+def _pose_covariance(rows: list[list[float]] | None) -> FloatArray | None:
+    if rows is None:
+        return None
+    if [len(row) for row in rows] != [6] * 6:
+        raise InputError("a pose covariance of another shape", "6 rows of 6 numbers")
+    found = Noise(pose_covariance=np.array(rows)).pose_covariance  # refuses what is none
+    return found

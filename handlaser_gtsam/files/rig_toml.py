@@ -1,8 +1,10 @@
 """Rig files: what is known about sensors and robot, in the units people use.
 
     [noise]   range_sigma_mm, incidence_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg,
-              or instead of the latter two pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units
-    [sensor]  range_mm = [min, max], max_incidence_deg
+              or instead of the latter two pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units;
+              pose_translation_prior_mm, pose_rotation_prior_deg: what pose sigmas that are not given
+              are expected to be
+    [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
 
 Every table and field is optional.
@@ -34,11 +36,14 @@ class _Noise(_Table):
     pose_translation_sigma_mm: float | None = None
     pose_rotation_sigma_deg: float | None = None
     pose_covariance: list[list[float]] | None = None
+    pose_translation_prior_mm: float | None = None
+    pose_rotation_prior_deg: float | None = None
 
 
 class _Sensor(_Table):
     range_mm: list[float] | None = None
     max_incidence_deg: float | None = None
+    linearity_percent: float | None = None
 
 
 class _Limits(_Table):
@@ -94,6 +99,8 @@ def _to_si(rig: _Rig) -> Rig:
         span = [0.0, math.inf]
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
+    given = Noise(), Sensor()
+    linearity = rig.sensor.linearity_percent
     return Rig(
         Noise(
             _scaled(rig.noise.range_sigma_mm, mm),
@@ -101,8 +108,15 @@ def _to_si(rig: _Rig) -> Rig:
             _scaled(rig.noise.pose_rotation_sigma_deg, deg),
             (rig.noise.incidence_sigma_mm or 0.0) * mm,
             _matrix(rig.noise.pose_covariance),
+            _scaled(rig.noise.pose_translation_prior_mm, mm) or given[0].pose_translation_prior,
+            _scaled(rig.noise.pose_rotation_prior_deg, deg) or given[0].pose_rotation_prior,
         ),
-        Sensor(span[0] * mm, span[1] * mm, math.radians(90.0 if incidence is None else incidence)),
+        Sensor(
+            span[0] * mm,
+            span[1] * mm,
+            math.radians(90.0 if incidence is None else incidence),
+            given[1].linearity if linearity is None else 0.01 * linearity,
+        ),
         Limits(
             _scaled(rig.limits.rms_mm, mm),
             _scaled(rig.limits.location_sigma_mm, mm),

@@ -10,17 +10,19 @@ from ..assemble import assemble
 from ..calibration import Calibration
 from ..covariance import covariance
 from ..diagnosis.observability import Observability, ObservabilityOptions, observability
+from ..estimation.information import Information
+from ..estimation.learned import LearnedScales, ScaleProblem
+from ..estimation.posterior import posterior
+from ..estimation.solution import SETTLED, Solution
 from ..graph import CalibrationGraph, build_graph, read_parameters
 from ..ordering import Order
 from ..parameters import Beams, Parameters
 from ..poses import PosePriors, pose_priors
-from ..range_error import Choice
 from ..recording import Readings, Recording
 from ..selection import Selection
 from ..sensor import FLAT, OUTSIDE
 from ..solvers.incremental import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
-from ..solving import SETTLED, Solution
 from ..starts import Start
 from ..weighting import Whitening, unequal, whitening
 from .contents import Contents
@@ -90,7 +92,9 @@ class Inside:
         if setting.poses == "estimated" and variances.pose is not None:
             how = whitening(at, readings, variances.without_poses())
             priors = pose_priors(readings, variances.pose, poses)
-        problem = build_graph(readings, at, setting.terms, how, priors=priors)
+        problem = build_graph(
+            readings, at, setting.terms, how, priors=priors, range_errors=setting.prior
+        )
         for link in setting.links:
             for factor in link.factors(problem.beams, setting.terms):
                 problem.graph.push_back(factor)
@@ -116,11 +120,56 @@ class Inside:
         return read_parameters(problem, result.values).beams
 
     def compared(self, state: BeamState) -> Comparison:
-        """Compare the beams with the batch solution."""
+        """Compare the beams, scales integrated over, with the batch solution."""
         problem, result = self.solved()
-        S = covariance(problem, result.values).matrix(planes=[])
-        sigmas = np.sqrt(np.diagonal(S)).reshape(-1, 8)
-        return Comparison(*state.apart(read_parameters(problem, result.values).beams, sigmas))
+        at = read_parameters(problem, result.values)
+        if self.setting.learned is not None:
+            found = posterior(self.scale_problem(at), self.setting.learned)
+            at, joint = found.parameters, found.joint
+        else:
+            joint = covariance(problem, result.values)
+        sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, 8)
+        return Comparison(*state.apart(at.beams, sigmas))
+
+    def scale_problem(self, at: Parameters) -> ScaleProblem:
+        """Return the scales of the session as a problem about some parameters."""
+        setting, readings = self.setting, self.own()
+        learned = setting.learned
+        if learned is None:
+            raise ValueError("no scales are learned")
+        variances = learned.base
+        if variances.pose is not None:
+            stations = int(readings.station.max()) + 1
+            pose = np.broadcast_to(variances.pose[0], (stations, 6, 6))
+            variances = replace(variances, pose=pose)
+        found = setting.history(at.beams).known
+        known = Information(found.matrix[None], found.vector[None], np.zeros(1))
+        return ScaleProblem(
+            at,
+            readings,
+            learned.terms,
+            variances,
+            learned.scales,
+            learned.linearity,
+            known,
+            setting.members,
+            learned.length,
+        )
+
+    def learned(self) -> LearnedScales | None:
+        """Return the scales that the readings in the session call for, about the present estimate."""
+        if self.setting.learned is None:
+            return None
+        problem = self.scale_problem(self.at)
+        return problem.learned(problem.mode(self.setting.learned.mode))
+
+    def range_sigma(self) -> tuple[float, int]:
+        """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
+        problem, marginal = self.problem(self.at, self.poses)
+        result = evaluated(problem, METHOD)
+        solution = Solution(problem, result, self.at, self._observability(marginal))
+        white = float(result.white @ result.white) / problem.range_sigma**2
+        return self.setting.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
 
     def determined(self) -> bool:
         """Tell whether the readings determine everything, as a batch calibration judges it."""
@@ -128,7 +177,8 @@ class Inside:
 
     def _observability(self, how: Whitening) -> Observability:
         terms, options = self.setting.terms, ObservabilityOptions()
-        return observability(self.at, self.own(), terms, how.sigma, options, how)
+        prior = self.setting.prior
+        return observability(self.at, self.own(), terms, how.sigma, options, how, prior)
 
     def calibration(self, contents: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
@@ -136,9 +186,14 @@ class Inside:
         result = evaluated(problem, "the incremental estimate")
         variances = self.setting.variances(len(self.recording.plane_labels))
         differ = unequal(self.at, self.own(), variances)
-        weights = (variances, marginal) if differ else (None, None)
-        found = self._observability(marginal)
-        solution = Solution(problem, result, self.at, found, *weights)
+        found, learned = self._observability(marginal), self.setting.learned
+        own, how = (variances, marginal) if differ else (None, None)
+        prior = self.setting.prior
+        solution = Solution(problem, result, self.at, found, own, how, prior)
+        if learned is not None:
+            whole = posterior(self.scale_problem(self.at), learned)
+            unknown = bool(learned.scales.unknown)
+            solution = replace(solution, posterior=whole, scales_estimated=unknown)
         rms = float(np.sqrt(np.mean(result.residual**2)))
         selection = Selection(
             self.used,
@@ -146,7 +201,7 @@ class Inside:
             self._because(contents, FLAT),
             Start(self.at, METHOD, ((METHOD, rms),)),
             METHOD,
-            Choice(solution, self.setting.reason),
+            solution,
         )
         sizes = (len(self.recording.plane_labels), len(self.setting.names), len(self.origins))
         order = Order(*(np.arange(size) for size in sizes))

@@ -31,7 +31,7 @@ def refuse(noise: Noise, options: CalibrationOptions) -> None:
             raise InputError(found, "sigmas that are given: estimate them with calibrate")
     if options.loss != "gaussian":
         raise InputError(f"loss {options.loss} while planes are added", "the gaussian loss")
-    options.require_pose_noise(noise)
+    options.require_consistent(noise)
 
 
 def setting_of(found: Calibration, noise: Noise, sensor: Sensor) -> Setting:
@@ -47,7 +47,7 @@ def setting_of(found: Calibration, noise: Noise, sensor: Sensor) -> Setting:
         noise,
         found.fit.poses,
         sensor,
-        reason=found.range_error_choice,
+        learned=found.learned,
     )
 
 

@@ -178,8 +178,10 @@ class FittedPlane:
         names = recording.station_names
         own = np.array([stations[name] for name in names])
         variances = self.setting.variances(len(names))
+        if variances.pose is None:
+            raise ValueError("estimated poses without a covariance")
         how = whitening(self.at, readings, variances.without_poses())
-        local = pose_priors(readings, self.setting.noise.pose_covariances(len(names)))
+        local = pose_priors(readings, variances.pose)
         priors = replace(local, stations=own[local.stations])
         here = replace(readings, station=own[readings.station])
         keys_of_poses = (self.setting.beams, plane, priors)

@@ -1,6 +1,7 @@
 """Planes that join: fitted beside the beams, judged, and made into factors; nothing is changed yet."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +32,8 @@ class Joining:
     doubtful : tuple of str
         Planes that do not fit, whichever beam has moved a little. They are put aside, or join all the
         same where nothing is to be left out.
+    fitted : mapping of str to FittedPlane
+        Those that joined.
     """
 
     contents: Contents
@@ -38,6 +41,7 @@ class Joining:
     history: History
     planes: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    fitted: Mapping[str, FittedPlane] = field(default_factory=dict)
 
 
 def join_planes(
@@ -62,7 +66,7 @@ def join_planes(
         Whether readings that the others contradict are left out.
     """
     factors: dict[int, PlaneFactors] = {}
-    joined: list[str] = []
+    joined: dict[str, FittedPlane] = {}
     doubtful: list[str] = []
     free = max(contents.numbers.values(), default=-1) + 1
     for plane in planes:
@@ -94,8 +98,8 @@ def join_planes(
         number = contents.numbers.get(plane, free + len(joined))
         contents = contents.placed(plane, number, fitted.origin)
         factors[number] = fitted.factors(number, contents.station_numbers, used)
-        joined.append(plane)
-    return Joining(contents, factors, history, tuple(joined), tuple(doubtful))
+        joined[plane] = fitted
+    return Joining(contents, factors, history, tuple(joined), tuple(doubtful), joined)
 
 
 def _within_incidence(

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from ..diagnosis.drift import Beams, History, Moved
+from ..diagnosis.drift import History, Moved
 from ..errors import HandlaserError, InputError
 from ..keys import pose_key
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 from ..solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions, PlaneFactors
 from .batch import Inside
 from .contents import Contents
 from .fitted import FittedPlane, fit_plane
+from .integration import ScaleSums
 from .joining import Joining, join_planes
 from .setting import Setting
 
@@ -47,8 +48,10 @@ class Now:
     history : History
     doubtful : frozenset of str
         Planes that do not fit, whatever has moved.
-    chosen_with : int
-        Planes behind the last choice of range-error terms and of a range sigma that was not given.
+    learned_with : int
+        Planes behind the scales that were learned last, and a range sigma that was not given.
+    sums : ScaleSums or None
+        What the planes say for all scales; None where none are integrated over.
     """
 
     contents: Contents
@@ -61,7 +64,12 @@ class Now:
     changes: int
     history: History
     doubtful: frozenset[str]
-    chosen_with: int
+    learned_with: int
+    sums: ScaleSums | None = None
+
+    def integrated(self) -> BeamState:
+        """Return the beams with all scales integrated over."""
+        return self.state if self.sums is None else self.sums.integrated(self.state)
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -135,6 +143,7 @@ class Now:
             history=joining.history,
             changes=self.changes + 1,
             doubtful=doubtful,
+            sums=_summed(self.sums, joining),
         )
         if not (joining.factors or left):
             return new, joining
@@ -177,7 +186,7 @@ class Now:
                 f"a change after which the beams are open ({error})", "planes that determine them"
             ) from error
         return replace(
-            found, compared=self.compared, changes=self.changes, chosen_with=self.chosen_with
+            found, compared=self.compared, changes=self.changes, learned_with=self.learned_with
         )
 
     def reweighed(self) -> "Now":
@@ -185,15 +194,17 @@ class Now:
         setting, state = self.setting, self.state
         if not setting.weights_depend or setting.apart(state.beams, self.weighed) < MOVED:
             return self
-        factors = {}
+        factors, all_fitted = {}, {}
         for plane, number in self.contents.numbers.items():
             used = self.contents.used(plane)
             fitted = fit_plane(setting, used, state.beams, self.contents.origins[plane])
             if fitted is None:
                 return self
             factors[number] = fitted.factors(number, self.contents.station_numbers, used)
+            all_fitted[plane] = fitted
         graph, found = self.graph.changed(factors, fine=bool(self.doubtful))
-        return replace(self, graph=graph, state=found, weighed=state.beams)
+        sums = _sums(setting, state.beams, all_fitted)
+        return replace(self, graph=graph, state=found, weighed=state.beams, sums=sums)
 
 
 def begin(contents: Contents, setting: Setting, beams: Beams, options: IncrementalOptions) -> Now:
@@ -231,12 +242,35 @@ def begin(contents: Contents, setting: Setting, beams: Beams, options: Increment
         history,
         frozenset(doubtful),
         len(fitted),
+        _sums(setting, beams, fitted),
     )
     for _ in range(ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
             break
     return replace(now, compared=now.state)
+
+
+def _sums(setting: Setting, beams: Beams, fitted: Mapping[str, FittedPlane]) -> ScaleSums | None:
+    """Return what planes say for all scales, counted from `beams`; None where none are learned."""
+    if setting.learned is None:
+        return None
+    found = ScaleSums.empty(setting.learned, setting.history(beams), setting.members)
+    for plane, one in fitted.items():
+        found = found.with_plane(plane, one)
+    return found
+
+
+def _summed(sums: ScaleSums | None, joining: Joining) -> ScaleSums | None:
+    """Return the sums after planes have joined, changed and left."""
+    if sums is None:
+        return None
+    for plane in tuple(sums.pieces):
+        if plane not in joining.contents.numbers:
+            sums = sums.without_plane(plane)
+    for plane, fitted in joining.fitted.items():
+        sums = sums.with_plane(plane, fitted)
+    return sums
 
 
 def fitted_planes(contents: Contents, setting: Setting, beams: Beams) -> Mapping[str, FittedPlane]:

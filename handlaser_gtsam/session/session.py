@@ -12,12 +12,12 @@ from threading import RLock
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnosis.drift import Beams, Moved
+from ..diagnosis.drift import Moved
 from ..errors import GrazingBeamError, InputError
 from ..mounts import Mounts
 from ..noise import Noise
 from ..options import CalibrationOptions
-from ..parameters import Parameters
+from ..parameters import Beams, Parameters
 from ..pipeline import calibrate
 from ..recording import Readings, Recording, join
 from ..sensor import Rejected
@@ -43,8 +43,7 @@ class Session:
         An unknown range sigma is that of the first calibration, and of every comparison with the batch.
         One pose covariance for all stations.
     options : CalibrationOptions, optional
-        Of the first calibration; range-error terms chosen by evidence are looked at again in every
-        comparison with the batch.
+        Of the first calibration; unknown scales are learned anew in every comparison with the batch.
     incremental : IncrementalOptions, optional
 
     Raises
@@ -212,6 +211,9 @@ class Session:
                 names=(*names, before),
                 terms=(*now.setting.terms, now.setting.terms[index]),
                 links=(*old, link),
+                learned=None
+                if now.setting.learned is None
+                else now.setting.learned.for_beams(len(names) + 1),
             )
             at = tuple(np.vstack((a, a[index])) for a in now.state.beams)
             self._now = self._split(split, setting, (at[0], at[1], at[2]))
@@ -253,11 +255,12 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
+        state = now.integrated()
         mounts = Mounts(
             now.setting.names,
-            *now.state.beams,
+            *state.beams,
             now.setting.terms,
-            now.state.covariance,
+            state.covariance,
             now.setting.sigma,
         )
         return mounts if now.current == mounts.names else mounts.arranged(now.current)
@@ -276,12 +279,12 @@ class Session:
         now = self._require()
         found = now.inside().calibration(now.contents)
         planes = len(now.contents.numbers)
-        found_here = self.options.range_error == "auto" or self.noise.range_sigma is None
-        if not found_here or now.chosen_with == planes or now.setting.links:
+        learns = now.setting.learned is not None or self.noise.range_sigma is None
+        if not learns or now.learned_with == planes or now.setting.links:
             return found
         words = (
-            f"range-error terms and range sigma were chosen with {now.chosen_with} of {planes} planes: "
-            f"settle() chooses anew"
+            f"the scales of noise and range errors were learned from {now.learned_with} of {planes} "
+            f"planes: settle() learns them anew"
         )
         return replace(found, warnings=(*found.warnings, words))
 
@@ -307,7 +310,7 @@ class Session:
             There is no calibration yet.
         """
         now = self._require()
-        return now.inside().compared(now.state)
+        return now.inside().compared(now.integrated())
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was.
@@ -321,10 +324,10 @@ class Session:
         return now.moved()
 
     def settle(self) -> Comparison:
-        """Calibrate everything so far at once, and compare; choose again what that chooses otherwise.
+        """Calibrate everything so far at once, and compare; take over what that finds otherwise.
 
-        That is range-error terms, outliers and an unknown range sigma. The same happens, outliers
-        aside, in every comparison that is due. After a beam was told to have moved, nothing is.
+        That is scales of noise and range errors, and outliers. The same happens, outliers aside, in
+        every comparison that is due; but not once a beam is known to have moved.
 
         Raises
         ------
@@ -334,11 +337,11 @@ class Session:
         with self._lock:
             now = self._require()
             if now.setting.links:
-                return now.inside().compared(now.state)
+                return now.inside().compared(now.integrated())
             found = calibrate(now.contents.everything(), self.noise, self.options)
             if found.status != "converged":
                 words = f"everything together does not converge: {found.message}"
-                return replace(now.inside().compared(now.state), message=words)
+                return replace(now.inside().compared(now.integrated()), message=words)
             contents = begun(now.contents, found)
             setting = setting_of(found, self.noise, self.options.sensor)
             differing = setting.difference(now.setting)
@@ -352,7 +355,7 @@ class Session:
                 order = [now.setting.names.index(name) for name in setting.names]
                 r, v, k = (array[order] for array in now.state.beams)
                 now = begin(contents, setting, (r, v, k), self.incremental)
-            now = self._now = replace(now, chosen_with=len(now.contents.numbers))
+            now = self._now = replace(now, learned_with=len(now.contents.numbers))
             return Comparison(*apart(now, found), "; ".join(differing))
 
     def _require(self) -> Now:
@@ -383,7 +386,7 @@ class Session:
             tuple(fresh.contents.numbers),
             self.waiting,
             float("nan"),
-            fresh.state.sigmas(),
+            fresh.integrated().sigmas(),
             None,
             rejected=fresh.contents.rejected,
             moved=fresh.moved(),
@@ -415,7 +418,7 @@ class Session:
             fresh = self._from_nowhere(new.contents)
             if fresh is not None:
                 new, gain, words = fresh, float("nan"), BEGUN_ANEW
-        new, comparison = checked(new, self.noise, self.options)
+        new, comparison = checked(new)
         if comparison is not None and comparison.message:
             gain = float("nan")
         self._now = new
@@ -424,8 +427,8 @@ class Session:
             tuple(new.contents.numbers) if words else joining.planes,
             self.waiting,
             gain,
-            new.state.sigmas(),
-            now.state.sigmas() if new.setting.names == now.setting.names else None,
+            new.integrated().sigmas(),
+            now.integrated().sigmas() if new.setting.names == now.setting.names else None,
             words,
             tuple(one for one in new.contents.rejected if one not in old),
             new.moved(recently=True),

@@ -6,15 +6,15 @@ from typing import Literal
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..diagnosis.drift import History, Reference
 from ..errors import InputError
+from ..estimation.learned import LearnedScales
 from ..factors import beam_drift
-from ..fit import sizes
+from ..graph import range_error_priors
 from ..keys import BeamKeys, beam_keys
 from ..noise import Noise
-from ..parameters import Beams
-from ..range_error import Choice
+from ..parameters import Beams, RangeErrorPrior
 from ..recording import Readings, Recording
 from ..sensor import Sensor
 from ..solvers.incremental import BeamStart, BeamState
@@ -22,6 +22,8 @@ from ..weighting import Variances
 
 MOST_SIGMA = 0.1
 """Beams are determined when all their standard deviations are below this part of their units."""
+SAME_SCALE = 0.02
+"""Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
 SAME_SIGMA = 0.005
 """An estimated range sigma that changes by a smaller part stays as it is."""
 TWO_TERMS = "q"
@@ -99,8 +101,8 @@ class Setting:
         How errors of the hand poses count.
     sensor : Sensor
     links : tuple of Link
-    reason : str
-        Why these terms.
+    learned : LearnedScales or None
+        Scales that are integrated over; None where all are given but the range sigma.
     """
 
     names: tuple[str, ...]
@@ -112,7 +114,7 @@ class Setting:
     poses: Literal["exact", "marginalised", "estimated"]
     sensor: Sensor = field(default_factory=Sensor)
     links: tuple[Link, ...] = ()
-    reason: str = ""
+    learned: LearnedScales | None = None
 
     @property
     def beams(self) -> tuple[BeamKeys, ...]:
@@ -128,7 +130,12 @@ class Setting:
     @property
     def weights_depend(self) -> bool:
         """Whether weights depend on the solution."""
-        return max(self.terms) > 0 or self.poses != "exact" or self.noise.incidence_sigma > 0.0
+        return (
+            self.learned is not None
+            or max(self.terms) > 0
+            or self.poses != "exact"
+            or self.noise.incidence_sigma > 0.0
+        )
 
     def determines(self, state: BeamState) -> bool:
         """Tell whether the beams are known to a part of their natural units."""
@@ -142,31 +149,43 @@ class Setting:
         stretch = np.abs(one[2] - other[2]) @ [1.0, self.length]
         return max(shift, turn, float(stretch.max()))
 
-    def chosen(self, choice: Choice, readings: int) -> "Setting":
-        """Return the setting with the terms of a choice, and its range sigma if none was given."""
-        solution = choice.solution
-        terms = solution.problem.terms
-        if not solution.observability.full or solution.result.status != "converged":
-            return self
-        if self.noise.range_sigma is not None:
-            return self if terms == self.terms else replace(self, terms=terms, reason=choice.reason)
-        dof = readings - solution.observability.rank
-        _, _, sigma = sizes(solution, dof, given=False)
-        if terms == self.terms and abs(sigma / self.sigma - 1.0) < SAME_SIGMA:
-            return self
-        return replace(self, terms=terms, sigma=sigma, sigma_dof=float(dof), reason=choice.reason)
-
     def difference(self, other: "Setting") -> list[str]:
-        """Say what was chosen differently in another setting."""
-        words = []
-        if self.terms != other.terms:
-            words.append(f"range-error terms chosen anew: {self.reason}")
+        """Say what is estimated differently in another setting."""
+        if self.learned is not None and other.learned is not None:
+            apart = self.learned.apart(other.learned)
+            return ["scales learned anew"] if apart >= SAME_SCALE else []
         if abs(self.sigma / other.sigma - 1.0) >= SAME_SIGMA:
-            words.append(f"range sigma {1e3 * self.sigma:.3g} mm")
-        return words
+            return [f"range sigma {1e3 * self.sigma:.3g} mm"]
+        return []
+
+    @property
+    def members(self) -> IntArray:
+        """Beams whose range errors have the prior of all: not those that were before a move."""
+        before = {link.before for link in self.links}
+        return np.array([i for i in range(len(self.names)) if i not in before], dtype=np.intp)
+
+    @property
+    def prior(self) -> RangeErrorPrior | None:
+        """Of the range errors."""
+        if self.learned is None:
+            return None
+        return self.learned.prior(self.members, len(self.names))
+
+    @property
+    def known(self) -> tuple[gtsam.NonlinearFactor, ...]:
+        """Factors of the beams alone: links, and priors of range errors."""
+        links = [one for link in self.links for one in link.factors(self.beams, self.terms)]
+        return (*links, *range_error_priors(self.beams, self.terms, self.prior))
 
     def variances(self, stations: int) -> Variances:
         """Return what makes up the covariance of the readings of that many stations."""
+        if self.learned is not None:
+            found = self.learned.variances()
+            pose = None
+            if found.pose is not None:
+                pose = np.broadcast_to(found.pose[0], (stations, 6, 6))
+            ranges = np.full(len(self.names), found.range_sigma[0])
+            return Variances(ranges, found.incidence_sigma, pose)
         pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
         ranges = np.full(len(self.names), self.sigma)
         return Variances(ranges, self.noise.incidence_sigma, pose)
@@ -187,8 +206,7 @@ class Setting:
             values.insert(beam.direction, gtsam.Unit3(at[1][i]))
             if beam.range_error is not None:
                 values.insert(beam.range_error, at[2][i, :terms])
-        factors = [one for link in self.links for one in link.factors(self.beams, self.terms)]
-        return BeamStart(values, tuple(factors))
+        return BeamStart(values, self.known)
 
     def history(self, at: Beams) -> History:
         """Return a history without planes, counted from these beams."""

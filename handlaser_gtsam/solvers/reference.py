@@ -18,11 +18,11 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.sparse import block_diag, csr_array
+from scipy.sparse import block_diag, csr_array, vstack
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters
+from ..parameters import Parameters, RangeErrorPrior
 from ..recording import Recording
 
 DENSE_UNKNOWNS = 200
@@ -130,10 +130,16 @@ class ReferenceProblem:
         Also chooses which component of each unit vector follows from the others.
     terms : int, or one a beam
         Range-error terms.
+    prior : RangeErrorPrior, optional
+        Of the range errors, beside weighted residuals.
     """
 
     def __init__(
-        self, recording: Recording, start: Parameters, terms: int | tuple[int, ...]
+        self,
+        recording: Recording,
+        start: Parameters,
+        terms: int | tuple[int, ...],
+        prior: RangeErrorPrior | None = None,
     ) -> None:
         self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
         self.terms = (terms,) * self.beams if isinstance(terms, int) else terms
@@ -150,6 +156,13 @@ class ReferenceProblem:
         self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel()))
         self.split = int(self.active.sum())
         self.whiten: csr_array | None = None
+        # One more row for every range error of which something is known: k / its sigma.
+        known = self.active[:, 5:] & (prior is not None)
+        number = np.full((self.beams, 7), -1)
+        number[self.active] = np.arange(self.split)
+        self.prior_at = number[:, 5:][known]
+        sigma = np.ones((self.beams, 2)) if prior is None else prior.sigma
+        self.prior_sigma = sigma[known]
 
     def _beams(self, x: FloatArray) -> FloatArray:
         full = np.zeros((self.beams, 7))
@@ -174,7 +187,9 @@ class ReferenceProblem:
         residual = self._ranges(x, self.R, self.t)[0] - self.d * (
             1.0 + beam[:, 5] + beam[:, 6] * self.d
         )
-        return residual if self.whiten is None else np.asarray(self.whiten @ residual)
+        if self.whiten is None:
+            return residual
+        return np.concatenate((self.whiten @ residual, x[self.prior_at] / self.prior_sigma))
 
     def _ranges(self, x: FloatArray, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ranges [m] and cosines of incidence from given hand poses."""
@@ -224,7 +239,13 @@ class ReferenceProblem:
         seen = columns.ravel() >= 0
         shape = (len(self.d), len(self.x0))
         depends = csr_array((np.ones(seen.sum()), (rows[seen], columns.ravel()[seen])), shape=shape)
-        return depends if self.whiten is None else csr_array(abs(self.whiten) @ depends)
+        if self.whiten is None:
+            return depends
+        more = np.arange(len(self.prior_at))
+        prior = csr_array(
+            (np.ones(len(more)), (more, self.prior_at)), shape=(len(more), len(self.x0))
+        )
+        return csr_array(vstack((abs(self.whiten) @ depends, prior)))
 
     def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray]:
         """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4).
@@ -277,14 +298,15 @@ def solve_reference(
     terms: int | tuple[int, ...],
     differences: Differences = "3-point",
     noise: ReferenceNoise | None = None,
+    prior: RangeErrorPrior | None = None,
 ) -> ReferenceSolution:
     """Solve `recording` from `start` with `terms` range-error terms, and its covariances.
 
     Central differences cost twice as much as forward ones and agree with exact derivatives to a
     millionth of a standard deviation and better. With `noise`, covariances and squares are in its
-    units, without it for a range sigma of 1 m.
+    units, without it for a range sigma of 1 m. A `prior` of the range errors needs `noise`.
     """
-    problem = ReferenceProblem(recording, start, terms)
+    problem = ReferenceProblem(recording, start, terms, prior)
     solution = minimize(problem, differences)
     for _ in range(ROUNDS if noise is not None else 0):
         if noise is not None:

@@ -84,7 +84,7 @@ class Together(Work):
         """Take the rounding of positions and readings into account."""
         problem, rows = self.problem, len(self.shared.distance)
         rounding = 4.0 * np.finfo(float).eps * self.shared.reach() / problem.range_sigma
-        free = max(rows + 6 * len(problem.poses) - problem.values.dim(), 1)
+        free = max(rows + problem.prior_rows - problem.values.dim(), 1)
         return Stopping(tolerance, least_damping, rows * float(rounding) ** 2, free)
 
 

@@ -88,7 +88,12 @@ Seeds = list[tuple[str, PartialStart]]
 
 
 def find_start(
-    readings: Readings, range_sigma: float | None = None, terms: int = 2, *, thorough: bool = True
+    readings: Readings,
+    range_sigma: float | None = None,
+    terms: int = 2,
+    *,
+    thorough: bool = True,
+    certain: bool = True,
 ) -> Start:
     """Return the best start for `readings`.
 
@@ -101,10 +106,12 @@ def find_start(
         Most range-error terms the solution will have.
     thorough : bool
         Whether random starts follow where nothing else is believed.
+    certain : bool
+        Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     """
     terms = usable_terms(readings, terms)
     part = part_of(readings)
-    start = _search(part.readings, range_sigma, terms, thorough)
+    start = _search(part.readings, range_sigma, terms, thorough, certain)
     if part.is_whole:
         return start
     grown = part.extended(start.parameters)
@@ -121,17 +128,23 @@ def usable_terms(readings: Readings, terms: int) -> int:
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
-def _search(readings: Readings, range_sigma: float | None, terms: int, thorough: bool) -> Start:
+def _search(
+    readings: Readings, range_sigma: float | None, terms: int, thorough: bool, certain: bool
+) -> Start:
+    upper = range_sigma if certain else None
     found: list[Candidate] = []
     believed = False
     for seeds in _rounds(readings, terms, thorough):
         before = found[0].squares if found else np.inf
         found += _refined(seeds, readings, terms)
         found.sort(key=lambda candidate: candidate.squares)
-        believed = bool(found) and _believed(found, readings, range_sigma, terms)
+        believed = bool(found) and (
+            _fits(found[0].squares, readings, range_sigma, terms)
+            or _believed(found, readings, upper, terms)
+        )
         if seeds and seeds[0][0] == "random" and before <= SAME_COST * found[0].squares:
             enough = _agreeing(found) >= AGREEING
-            believed = believed or (enough and not _hopeless(found, readings, range_sigma))
+            believed = believed or (enough and not _hopeless(found, readings, upper))
         if believed:
             break
     if not found:

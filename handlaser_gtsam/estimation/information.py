@@ -1,0 +1,266 @@
+r"""What readings say about the beams for several sets of noise scales at once, planes eliminated.
+
+At one linearisation, with the Jacobians G (beams), H (planes) and Q (hand poses) and the residuals e of
+the readings, a set of noise scales gives every station the covariance C = D + Q S Q' of its readings:
+D of the sensor, S of the hand pose. With inv(C) by Woodbury's identity a station costs one inverse of
+6 x 6 a set, whatever the number of its beams. Planes are independent given the beams, so they are
+eliminated one by one, and what they say of the beams is added up:
+
+    log L(x) = c + b' x - x' A x / 2,    x the beams' step from the linearisation,
+
+c including the determinants of C and of the planes' information: the restricted likelihood of the
+scales. Locations and offsets are in units of the typical range, and so is the inverse of k2.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..parameters import Parameters
+from ..recording import Readings
+from ..weighting import Variances, own_variances, slopes
+
+LARGEST_CHUNK = 6_000_000
+"""Numbers of the largest intermediate array."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSet:
+    """One set of noise scales.
+
+    Attributes
+    ----------
+    range_sigma : (B,)
+        Of each beam [m].
+    pose : (6,)
+        Factors of the roots of the pose covariances: rotations, then translations.
+    """
+
+    range_sigma: FloatArray
+    pose: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What the readings say of the beams for J sets of noise scales; sums over planes.
+
+    Attributes
+    ----------
+    matrix : (J, n, n)
+        A, in natural units.
+    vector : (J, n)
+        b.
+    constant : (J,)
+        c.
+    """
+
+    matrix: FloatArray
+    vector: FloatArray
+    constant: FloatArray
+
+    def __add__(self, other: "Information") -> "Information":
+        return Information(
+            self.matrix + other.matrix,
+            self.vector + other.vector,
+            self.constant + other.constant,
+        )
+
+    def __sub__(self, other: "Information") -> "Information":
+        return Information(
+            self.matrix - other.matrix,
+            self.vector - other.vector,
+            self.constant - other.constant,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneResponse:
+    """What became of the planes that were eliminated, for J sets of noise scales, natural units.
+
+    Attributes
+    ----------
+    inverse : (J, P, 3, 3)
+        Covariances for known beams.
+    step : (J, P, 3)
+        Steps for beams that stay.
+    response : (J, P, 3, n)
+        A step x of the beams moves a plane by -response x.
+    """
+
+    inverse: FloatArray
+    step: FloatArray
+    response: FloatArray
+
+
+class LinearReadings:
+    """Readings linearised at parameters, sorted by plane and station.
+
+    Parameters
+    ----------
+    at : Parameters
+        Planes in the frames of the readings.
+    readings : Readings
+    terms : int
+        Range-error terms of every beam.
+    length : float
+        The typical range [m]: the natural unit of lengths.
+    variances : Variances
+        Its range sigmas do not matter; of the poses it gives the covariances that are scaled.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam grazes its plane.
+    """
+
+    def __init__(
+        self,
+        at: Parameters,
+        readings: Readings,
+        terms: int,
+        length: float,
+        variances: Variances,
+    ) -> None:
+        order = np.lexsort((readings.beam, readings.station, readings.plane))
+        readings = readings.subset(order)
+        lin = model.linearize(model.scene(at, readings), readings.distance, with_pose=True)
+        self.centres = readings.plane_means(lin.normal / lin.offset[:, None])
+        local = lin.normal - lin.offset[:, None] * self.centres[readings.plane]
+        v_basis = model.tangent_basis(at.directions)[readings.beam]
+        n_basis = model.tangent_basis(at.normals)[readings.plane]
+        unit = np.array([length] * 3 + [1.0] * 3 + [1.0 / length])[: 5 + terms]
+        self.beam_rows = unit * np.hstack(
+            (
+                lin.location,
+                np.einsum("ni,nij->nj", lin.direction, v_basis),
+                lin.range_error[:, :terms],
+            )
+        )
+        self.plane_rows = np.hstack(
+            (
+                np.einsum("ni,nij->nj", local, n_basis),
+                length * lin.offset[:, None],
+                lin.residual[:, None],
+            )
+        )
+        self.beam, self.beams = readings.beam, readings.beams
+        self.squared_slope = slopes(at, readings) ** 2
+        bare = Variances(np.zeros(readings.beams), variances.incidence_sigma)
+        self.fixed = own_variances(at, readings, bare)
+        change = (np.diff(readings.station) != 0) | (np.diff(readings.plane) != 0)
+        self.first: IntArray = np.flatnonzero(np.concatenate(([True], change))).astype(np.intp)
+        self.station = np.cumsum(np.concatenate(([0], change))).astype(np.intp)
+        plane = readings.plane[self.first]
+        self.first_station = np.searchsorted(plane, np.unique(plane))
+        self.first_row = self.first[self.first_station]
+        self.pose_rows = lin.pose
+        self.root: FloatArray | None = None
+        if variances.pose is not None:
+            self.root = _roots(variances.pose[readings.station[self.first]])
+
+    def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, PlaneResponse]:
+        """Return what the readings say for each set of noise scales."""
+        parts = []
+        if self.fixed.any() or any(np.ptp(one.range_sigma) > 0.0 for one in sets):
+            for one in sets:
+                weight = 1.0 / (one.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed)
+                parts.append(_Sums(self, weight).information(np.ones(1), one.pose[None]))
+        else:
+            sums = _Sums(self, 1.0 / self.squared_slope)
+            factor = np.array([one.range_sigma[0] for one in sets]) ** -2
+            pose = np.array([one.pose for one in sets])
+            size = len(self.first) * 6 * self.beams * self.beam_rows.shape[1]
+            chunk = max(LARGEST_CHUNK // size, 1)
+            for a in range(0, len(sets), chunk):
+                parts.append(sums.information(factor[a : a + chunk], pose[a : a + chunk]))
+        both = [
+            [np.concatenate([getattr(part[k], name) for part in parts]) for name in names]
+            for k, names in enumerate(
+                (("matrix", "vector", "constant"), ("inverse", "step", "response"))
+            )
+        ]
+        return Information(*both[0]), PlaneResponse(*both[1])
+
+
+class _Sums:
+    """Weighted sums over readings, for weights that a set of scales multiplies by one factor."""
+
+    def __init__(self, rows: LinearReadings, weight: FloatArray) -> None:
+        self.rows, self.log_weight = rows, float(np.log(weight).sum())
+        stations, beams, width = len(rows.first), rows.beams, rows.beam_rows.shape[1]
+        self.size = beams * width
+        own = rows.beam_rows * weight[:, None]
+        mixed = np.zeros((stations, beams, width, 4))
+        mixed[rows.station, rows.beam] = own[:, :, None] * rows.plane_rows[:, None, :]
+        mixed = np.add.reduceat(mixed, rows.first_station)
+        self.beam_plane = mixed.reshape(-1, self.size, 4)
+        squares = weight[:, None, None] * rows.plane_rows[:, :, None] * rows.plane_rows[:, None, :]
+        self.plane_plane = np.add.reduceat(squares, rows.first_row)
+        self.beam_beam = np.zeros((self.size, self.size))
+        for i in range(beams):
+            mine, at = rows.beam == i, slice(i * width, i * width + width)
+            self.beam_beam[at, at] = own[mine].T @ rows.beam_rows[mine]
+        if rows.root is None:
+            return
+        q = rows.pose_rows
+        wq = weight[:, None] * q
+        self.pose_pose = np.add.reduceat(wq[:, :, None] * q[:, None, :], rows.first)
+        grid = np.zeros((stations, beams, width, 6))
+        grid[rows.station, rows.beam] = rows.beam_rows[:, :, None] * wq[:, None, :]
+        self.beam_pose = grid.reshape(stations, self.size, 6)
+        self.plane_pose = np.add.reduceat(rows.plane_rows[:, :, None] * wq[:, None, :], rows.first)
+
+    def information(
+        self, factor: FloatArray, pose: FloatArray
+    ) -> tuple[Information, PlaneResponse]:
+        """Return the information for weights times `factor` (J,) and pose factors (J, 6)."""
+        f = factor[:, None, None]
+        beam_beam = f * self.beam_beam
+        beam_plane = f[..., None] * self.beam_plane
+        plane_plane = f[..., None] * self.plane_plane
+        log_det = -len(self.rows.beam) * np.log(factor) - self.log_weight
+        if self.rows.root is not None and pose.any():
+            starts, root = self.rows.first_station, pose[:, None, :, None] * self.rows.root
+            back = np.swapaxes(root, 2, 3)
+            inner = np.eye(6) + f[..., None] * (back @ self.pose_pose @ root)
+            K = (f**2)[..., None] * (root @ np.linalg.inv(inner) @ back)
+            log_det = log_det + np.linalg.slogdet(inner)[1].sum(axis=1)
+            KB = K @ np.swapaxes(self.beam_pose, 1, 2)
+            KC = K @ np.swapaxes(self.plane_pose, 1, 2)
+            flat = np.swapaxes(self.beam_pose, 0, 1).reshape(self.size, -1)
+            beam_beam = beam_beam - flat @ KB.reshape(len(f), -1, self.size)
+            beam_plane = beam_plane - np.add.reduceat(self.beam_pose @ KC, starts, axis=1)
+            plane_plane = plane_plane - np.add.reduceat(self.plane_pose @ KC, starts, axis=1)
+        return _planes_eliminated(beam_beam, beam_plane, plane_plane, log_det)
+
+
+def _planes_eliminated(
+    beam_beam: FloatArray, beam_plane: FloatArray, plane_plane: FloatArray, log_det: FloatArray
+) -> tuple[Information, PlaneResponse]:
+    """Eliminate planes from (J, n, n), (J, P, n, 4) and (J, P, 4, 4); residuals stand last."""
+    H, g = plane_plane[..., :3, :3], plane_plane[..., :3, 3]
+    inverse: FloatArray = np.linalg.inv(H)
+    E = beam_plane[..., :3]
+    response = inverse @ np.swapaxes(E, 2, 3)
+    step = -np.einsum("jpab,jpb->jpa", inverse, g)
+    sets, _, size = E.shape[:3]
+    flat = np.swapaxes(E, 1, 2).reshape(sets, size, -1)
+    matrix = beam_beam - flat @ response.reshape(sets, -1, size)
+    vector = -beam_plane[..., 3].sum(axis=1) - np.einsum("jpna,jpa->jn", E, step)
+    squares = plane_plane[..., 3, 3].sum(axis=1) + np.einsum("jpa,jpa->j", g, step)
+    log_det = log_det + np.linalg.slogdet(H)[1].sum(axis=1)
+    symmetric = 0.5 * (matrix + np.swapaxes(matrix, 1, 2))
+    return (
+        Information(symmetric, vector, -0.5 * (squares + log_det)),
+        PlaneResponse(inverse, step, response),
+    )
+
+
+def _roots(covariance: FloatArray) -> FloatArray:
+    """Return L (S, 6, 6) with L L' the covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return root

@@ -1,0 +1,211 @@
+"""Learning unknown scales of noise and range errors from readings about a solution."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..parameters import Parameters, RangeErrorPrior
+from ..recording import Readings
+from ..weighting import Variances
+from .information import Information, LinearReadings, PlaneResponse
+from .mixture import SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
+from .scales import Design, Scales, design, find_mode
+
+ENOUGH = 3000
+"""So many readings tell the scales."""
+MOST_READINGS = 20_000
+"""Beyond, the scales are known so well that their uncertainty changes nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedScales:
+    """Where unknown scales are most probable, and the points at which they are integrated over.
+
+    Attributes
+    ----------
+    scales : Scales
+    base : Variances
+        Its pose covariances are those that the scales multiply.
+    mode : (d,)
+        Most probable logarithms of the scales of the noise.
+    points : (J, d)
+    log_weight : (J,)
+        With the priors of the scales; the likelihood is to be added.
+    terms : int
+        Range-error terms of every beam.
+    length : float
+        The typical range [m]: range errors are in its units here.
+    linearity : float or None
+        Scale of the prior of the range errors' scales; None where range errors have no prior.
+    grid : RangeErrorGrid
+        Over their scales.
+    range_error : (T,)
+        Geometric mean of these, for the most probable noise.
+    """
+
+    scales: Scales
+    base: Variances
+    mode: FloatArray
+    points: FloatArray
+    log_weight: FloatArray
+    terms: int
+    length: float
+    linearity: float | None
+    grid: RangeErrorGrid
+    range_error: FloatArray
+
+    @property
+    def widest(self) -> float:
+        """The widest scale of a range error's prior; infinite where there is none."""
+        return widest_scale(self.linearity)
+
+    def prior(self, beams: IntArray, count: int) -> RangeErrorPrior | None:
+        """Return that of the range errors of some of `count` beams, at the most probable scales."""
+        if self.linearity is None:
+            return None
+        sigma = np.full((count, 2), np.inf)
+        sigma[beams] = self.range_error / np.array([1.0, self.length])
+        return RangeErrorPrior(sigma)
+
+    def for_beams(self, count: int) -> "LearnedScales":
+        """Return the same for another number of beams, alike in their range sigma."""
+        ranges = np.full(count, self.scales.range_sigma[0])
+        return replace(
+            self,
+            scales=replace(self.scales, range_sigma=ranges),
+            base=replace(self.base, range_sigma=ranges),
+        )
+
+    def apart(self, other: "LearnedScales") -> float:
+        """Return by how much the most probable scales differ from others, in the logarithm."""
+        both = (np.append(one.mode, np.log(one.range_error)) for one in (self, other))
+        difference = np.subtract(*both)
+        return float(np.abs(difference).max(initial=0.0))
+
+    def variances(self, u: FloatArray | None = None) -> Variances:
+        """Return the variances for logarithms (d,) of the scales; the most probable where not given."""
+        found = self.scales.noise(self.mode if u is None else u)
+        pose = self.base.pose
+        if pose is not None:
+            pose = pose * np.outer(found.pose, found.pose)
+        return Variances(found.range_sigma, self.base.incidence_sigma, pose)
+
+
+def widest_scale(linearity: float | None) -> float:
+    """Return the widest scale of a range error's prior; infinite where there is none."""
+    return np.inf if linearity is None else float(linearity * np.exp(SPAN))
+
+
+class ScaleProblem:
+    """Unknown scales, and readings linearised at a solution.
+
+    Parameters
+    ----------
+    at : Parameters
+    readings : Readings
+    terms : int
+        Range-error terms of every beam.
+    base : Variances
+        Of the poses, the covariances that are scaled.
+    scales : Scales
+    linearity : float or None
+        Scale of the prior of the range errors' scales; None where range errors have no prior.
+    known : Information, optional
+        Of the beams, beside the readings.
+    members : (b,), optional
+        Beams whose range errors have the prior; all where not given.
+    length : float, optional
+        The typical range [m]; the median of the readings where not given.
+    """
+
+    def __init__(
+        self,
+        at: Parameters,
+        readings: Readings,
+        terms: int,
+        base: Variances,
+        scales: Scales,
+        linearity: float | None,
+        known: Information | None = None,
+        members: IntArray | None = None,
+        length: float | None = None,
+    ) -> None:
+        self.known, self.members = known, members
+        self.at, self.readings, self.terms, self.scales = at, readings, terms, scales
+        self.base, self.linearity = base, linearity
+        self.length = length or float(np.median(readings.distance))
+        self.k = at.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
+        self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms)
+        self.rows = self._rows(readings)
+        part = part_of(readings)
+        self._part = self.rows if len(part) == len(readings) else self._rows(part)
+
+    def mode(self, start: FloatArray) -> FloatArray:
+        """Return the most probable logarithms of the scales of the noise."""
+        return find_mode(self._log_posterior, start)
+
+    def range_error_scales(self, mode: FloatArray) -> FloatArray:
+        """Return the geometric posterior means (T,) of the scales of k1 and k2 D for known noise."""
+        grid, beams = self._grid(mode)
+        value = beams.log_evidence_of(grid.scale)[0] + grid.log_prior
+        w = np.exp(value - value.max())
+        found: FloatArray = np.exp(w @ np.log(grid.scale) / w.sum())
+        return found
+
+    def learned(self, mode: FloatArray) -> LearnedScales:
+        """Return the points at which the scales are integrated over, about their `mode`."""
+        around = Design(mode[None], np.zeros(1))
+        if len(self.readings) <= MOST_READINGS:
+            around = design(self._log_posterior, mode)
+        return LearnedScales(
+            self.scales,
+            self.base,
+            mode,
+            around.points,
+            around.log_weight + self.scales.log_prior(around.points),
+            self.terms,
+            self.length,
+            self.linearity,
+            self._grid(mode)[0],
+            self.range_error_scales(mode),
+        )
+
+    def beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+        """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
+        return self._beams(self.rows, points)
+
+    def _rows(self, readings: Readings) -> LinearReadings:
+        return LinearReadings(self.at, readings, self.terms, self.length, self.base)
+
+    def _beams(
+        self, rows: LinearReadings, points: FloatArray
+    ) -> tuple[BeamPosterior, PlaneResponse]:
+        information, planes = rows.information([self.scales.noise(u) for u in points])
+        if self.known is not None:
+            information = information + self.known
+        widest = widest_scale(self.linearity)
+        return BeamPosterior(information, self.k, widest, self.members), planes
+
+    def _log_posterior(self, points: FloatArray) -> FloatArray:
+        found = self._beams(self._part, points)[0]
+        return found.log_marginal(self.wide) + self.scales.log_prior(points)
+
+    def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
+        beams = self._beams(self.rows, mode[None])[0]
+        evidence = beams.log_evidence_of(self.wide.scale)[0]
+        return refined_grid(self.wide, evidence, self.linearity or 1.0), beams
+
+
+def part_of(readings: Readings) -> Readings:
+    """Return the readings of as many planes, evenly chosen, as have `ENOUGH`."""
+    if len(readings) <= ENOUGH:
+        return readings
+    count = max(readings.planes * ENOUGH // len(readings), 1)
+    planes = np.unique(np.linspace(0, readings.planes - 1, count).round().astype(int))
+    rows = np.flatnonzero(np.isin(readings.plane, planes))
+    if len(rows) > 2 * ENOUGH:  # one long plane
+        stations = np.unique(readings.station[rows])
+        keep = stations[:: len(rows) // ENOUGH]
+        rows = rows[np.isin(readings.station[rows], keep)]
+    return readings.subset(rows)

@@ -1,0 +1,266 @@
+r"""Beams, with the scales of noise and range errors integrated over.
+
+For given scales everything is Gaussian. The range errors of all beams are k1 ~ N(0, s1^2) and
+k2 D ~ N(0, s2^2) for the typical range D, and s1, s2 half-Cauchy (see `scales`). From the solution
+with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
+it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
+
+    mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
+
+U the columns of the covariance that belong to k. Nothing is inverted that could be singular, whether
+or not the readings determine k. The posterior is a mixture over all scales: its mean, its covariance
+within and between, and quantiles of its components.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp, ndtr
+
+from ..arrays import FloatArray, IntArray
+from .information import Information
+
+SPAN, STEP = 4.5, 0.75
+"""The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
+WIDTH = 9.0
+"""A grid that is refined keeps what is within this of the top, in the logarithm."""
+POINTS = 11
+SMALLEST = 3e-4
+"""Components of smaller weight beside the largest are not kept for quantiles."""
+LEAST_INFORMATION = 1e-6
+"""Of every unknown in natural units: a part of a recording may lack a beam."""
+NEGLIGIBLE = 1e-6
+"""Components of smaller weight beside the largest count for nothing."""
+LARGEST_CHUNK = 4_000_000
+"""Numbers of the largest intermediate array."""
+BISECTIONS = 45
+
+
+@dataclass(frozen=True, slots=True)
+class RangeErrorGrid:
+    """Scales of k1 and k2 D at which the range errors' prior is integrated over.
+
+    Attributes
+    ----------
+    scale : (G, T)
+        Of each term, for T terms.
+    log_prior : (G,)
+        With the volume of a cell.
+    """
+
+    scale: FloatArray
+    log_prior: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Mixture:
+    """The posterior of the beams' step from the linearisation, natural units.
+
+    Attributes
+    ----------
+    mean : (n,)
+    covariance : (n, n)
+    sets : (J,)
+        Weights of the sets of noise scales.
+    grid : (G,)
+        Weights of the scales of the range errors.
+    weight : (C,)
+        Of the components that are kept, with their
+    means, sigmas : (C, m)
+        of m coordinates that were asked for, and their
+    members : (C, 2) of int
+        set of noise scales, and scales of the range errors.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    sets: FloatArray
+    grid: FloatArray
+    weight: FloatArray
+    means: FloatArray
+    sigmas: FloatArray
+    members: IntArray
+
+
+def mixture_quantiles(
+    weight: FloatArray, means: FloatArray, sigmas: FloatArray, probability: float
+) -> FloatArray:
+    """Return quantiles (m,) of mixtures of Gaussians: weights (C,), means and sigmas (C, m)."""
+    reach = 12.0 * sigmas.max(axis=0) + 1e-300
+    low, high = means.min(axis=0) - reach, means.max(axis=0) + reach
+    safe = np.maximum(sigmas, 1e-300)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        below = weight @ ndtr((middle - means) / safe) < probability
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    found: FloatArray = 0.5 * (low + high)
+    return found
+
+
+def widest_grid(linearity: float, terms: int) -> RangeErrorGrid:
+    """Return a coarse grid over all scales that are possible."""
+    steps = round(SPAN / STEP)
+    side: FloatArray = np.arange(-steps, steps + 1) * STEP
+    return _grid([side] * terms, linearity)
+
+
+def refined_grid(
+    grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
+) -> RangeErrorGrid:
+    """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
+    terms = grid.scale.shape[1]
+    if terms == 0:
+        return grid
+    value = log_evidence + grid.log_prior
+    near = np.log(grid.scale[value > value.max() - WIDTH] / linearity)
+    sides = [
+        np.linspace(
+            max(near[:, t].min() - 0.5 * STEP, -SPAN), near[:, t].max() + 0.5 * STEP, POINTS
+        )
+        for t in range(terms)
+    ]
+    return _grid([np.minimum(side, SPAN) for side in sides], linearity)
+
+
+def _grid(sides: Sequence[FloatArray], linearity: float) -> RangeErrorGrid:
+    if not sides:
+        return RangeErrorGrid(np.ones((1, 0)), np.zeros(1))
+    x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
+    cell = sum(float(np.log(side[1] - side[0])) for side in sides)
+    # The density of the logarithm of a half-Cauchy variable is s / (1 + s^2), up to a factor.
+    log_prior = (x - np.logaddexp(0.0, 2.0 * x)).sum(axis=1) + cell
+    return RangeErrorGrid(linearity * np.exp(x), log_prior)
+
+
+class BeamPosterior:
+    """The beams for J sets of noise scales under the widest prior of their range errors.
+
+    Parameters
+    ----------
+    information : Information
+    k : (B, T)
+        Range errors at the linearisation, natural units.
+    widest : float
+        The widest scale of a range error's prior; where the range errors are free, infinite.
+    members : (b,), optional
+        Beams whose range errors have the prior; all where not given.
+    """
+
+    def __init__(
+        self,
+        information: Information,
+        k: FloatArray,
+        widest: float,
+        members: IntArray | None = None,
+    ) -> None:
+        terms, size = k.shape[1], information.matrix.shape[1]
+        width = size // max(len(k), 1)
+        beams = np.arange(len(k)) if members is None else members
+        k = k[beams]
+        self.at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
+        self.terms = np.tile(np.arange(terms), len(beams))
+        self.widest, precision = widest, widest**-2
+        matrix, vector = information.matrix.copy(), information.vector.copy()
+        matrix += LEAST_INFORMATION * np.eye(size)
+        matrix[:, self.at, self.at] += precision
+        vector[:, self.at] -= precision * k.ravel()
+        scale = 1.0 / np.sqrt(np.einsum("jii->ji", matrix))
+        scaled = matrix * scale[:, :, None] * scale[:, None, :]
+        self.covariance = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
+        self.mean = np.einsum("jab,jb->ja", self.covariance, vector)
+        log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
+        self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
+        self.log_evidence -= 0.5 * log_det
+        if self.at.size and np.isfinite(widest):
+            self.log_evidence -= 0.5 * precision * float((k**2).sum())
+            self.log_evidence -= self.at.size * np.log(widest)
+        self.V = self.covariance[:, self.at[:, None], self.at]
+        self.k = self.mean[:, self.at] + k.ravel()
+
+    def narrowed(self, scale: FloatArray, sets: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log evidence (j, G), Z (j, G, K, K), Z k^ (j, G, K) of some sets for scales (G, T)."""
+        k, V, log_evidence = self.k[sets], self.V[sets], self.log_evidence[sets, None]
+        size = k.shape[1]
+        if size == 0 or not np.isfinite(self.widest):
+            zero = np.zeros((len(k), len(scale), size, size))
+            return np.broadcast_to(log_evidence, zero.shape[:2]), zero, zero.sum(axis=3)
+        own = scale[:, self.terms]
+        R = np.sqrt(np.maximum(own**-2 - self.widest**-2, 0.0))
+        inner = np.eye(size) + R[:, :, None] * V[:, None] * R[:, None, :]
+        Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
+        Zk = np.einsum("jgab,jb->jga", Z, k)
+        change = np.linalg.slogdet(inner)[1] + np.einsum("jga,ja->jg", Zk, k)
+        return log_evidence - 0.5 * change - np.log(own / self.widest).sum(axis=1), Z, Zk
+
+    def log_evidence_of(self, scale: FloatArray) -> FloatArray:
+        """Return the log evidence (J, G) of the noise scales and those of the range errors (G, T)."""
+        return np.concatenate([self.narrowed(scale, part)[0] for part in self._parts(len(scale))])
+
+    def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
+        """Return the logarithm of the likelihood (J,) of the noise scales."""
+        marginal: FloatArray = logsumexp(self.log_evidence_of(grid.scale) + grid.log_prior, axis=1)
+        return marginal
+
+    def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean (n,) and covariance (n, n) of the first set for scales (T,) of range errors."""
+        part = slice(0, 1)
+        _, Z, Zk = self.narrowed(scale[None], part)
+        S, U = self.covariance[0], self.covariance[0][:, self.at]
+        return self.mean[0] - U @ Zk[0, 0], S - U @ Z[0, 0] @ U.T
+
+    def mixture(
+        self,
+        grid: RangeErrorGrid,
+        log_weight: FloatArray,
+        coordinates: FloatArray | None = None,
+    ) -> Mixture:
+        """Return the posterior for weights of the sets (J,), and of `coordinates` (m, n) if given."""
+        if coordinates is None:
+            coordinates = np.empty((0, self.mean.shape[1]))
+        parts = self._parts(len(grid.scale))
+        log_w = self.log_evidence_of(grid.scale) + grid.log_prior + log_weight[:, None]
+        w = np.exp(log_w - logsumexp(log_w))
+        w[w < NEGLIGIBLE * w.max()] = 0.0
+        w /= w.sum()
+        found = [
+            self._components(grid, w[part], part, coordinates) for part in parts if w[part].any()
+        ]
+        weight, means, within = (np.concatenate([one[k] for one in found]) for k in range(3))
+        covariance = sum((one[3] for one in found), np.zeros(self.covariance.shape[1:]))
+        mean = weight @ means
+        off = means - mean
+        covariance = covariance + (weight[:, None] * off).T @ off
+        kept = weight > SMALLEST * weight.max()
+        return Mixture(
+            mean,
+            0.5 * (covariance + covariance.T),
+            w.sum(axis=1),
+            w.sum(axis=0),
+            weight[kept] / weight[kept].sum(),
+            off[kept] @ coordinates.T,
+            within[kept],
+            np.argwhere(w)[kept],
+        )
+
+    def _components(
+        self, grid: RangeErrorGrid, w: FloatArray, part: slice, coordinates: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return weights, means, sigmas of the components, and their mean covariance times weight."""
+        _, Z, Zk = self.narrowed(grid.scale, part)
+        S, U = self.covariance[part], self.covariance[part][:, :, self.at]
+        j, g = np.nonzero(w)
+        means = self.mean[part][j] - np.einsum("cnk,ck->cn", U[j], Zk[j, g])
+        Zbar = np.einsum("jg,jgkl->jkl", w, Z)
+        within = np.einsum("j,jab->ab", w.sum(axis=1), S)
+        within -= np.einsum("jak,jkl,jbl->ab", U, Zbar, U, optimize=True)
+        along = coordinates @ U
+        own = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
+        less = np.einsum("cmk,ckl,cml->cm", along[j], Z[j, g], along[j], optimize=True)
+        return w[j, g], means, np.sqrt(np.maximum(own[j] - less, 0.0)), within
+
+    def _parts(self, points: int) -> list[slice]:
+        """Return slices of the sets that fit into memory for so many scales of range errors."""
+        sets, size = self.k.shape
+        share = max(LARGEST_CHUNK // max(points * size**2, 1), 1)
+        return [slice(a, a + share) for a in range(0, sets, share)]

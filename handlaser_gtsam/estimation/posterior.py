@@ -1,0 +1,147 @@
+"""What the readings and the priors of all scales say of the beams, about a solution.
+
+The solution stands at the most probable scales; here the scales are integrated over (`scales`,
+`mixture`), at the linearisation of the solution. Planes follow the beams.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..joint import JointCovariance, beam_lift
+from ..parameters import Parameters
+from ..solvers.reduction import apply_step
+from .information import PlaneResponse
+from .learned import LearnedScales, ScaleProblem
+from .mixture import Mixture
+from .scales import Scale
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleEstimate:
+    """A scale of the noise: the exponential of its mean logarithm, and its sigma [m or rad]."""
+
+    scale: Scale
+    sigma: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Beams and planes with all unknown scales integrated over, in the order of the readings.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        Means.
+    joint : JointCovariance
+        Within and between the scales; the origins of planes are those of their frames.
+    weight : (C,)
+        Of the Gaussian components of the mixture, with their
+    means, sigmas : (C, 8 B)
+        of the ambient coordinates of the beams, means counted from the mean of all.
+    members : (C, 2) of int
+        Points of `learned` behind each component.
+    scales : tuple of ScaleEstimate
+        Of the noise.
+    range_error_scales : (2,) or None
+        Posterior medians of the scales of k1 [1] and k2 [1/m]; None where range errors have no prior.
+    learned : LearnedScales
+        Over which was integrated.
+    """
+
+    parameters: Parameters
+    joint: JointCovariance
+    weight: FloatArray
+    means: FloatArray
+    sigmas: FloatArray
+    members: IntArray
+    scales: tuple[ScaleEstimate, ...]
+    range_error_scales: FloatArray | None
+    learned: LearnedScales
+
+
+def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
+    """Return beams and planes with all scales integrated over."""
+    beams, planes = problem.beams(learned.points)
+    unit = _unit(learned, problem.readings.beams)
+    bases = model.tangent_basis(problem.at.directions)
+    lift = block_diag(*(beam_lift(basis, learned.terms) for basis in bases)) * unit
+    mixture = beams.mixture(learned.grid, learned.log_weight, lift)
+    return Posterior(
+        _moved(problem, mixture, planes, unit),
+        _joint(problem, mixture, planes, unit),
+        mixture.weight,
+        mixture.means,
+        mixture.sigmas,
+        mixture.members,
+        _scale_estimates(mixture, learned),
+        _medians(mixture, learned),
+        learned,
+    )
+
+
+def _unit(learned: LearnedScales, beams: int) -> FloatArray:
+    """Return the natural units of all unknowns of the beams."""
+    one = np.array([learned.length] * 3 + [1.0] * 3 + [1.0 / learned.length])
+    return np.tile(one[: 5 + learned.terms], beams)
+
+
+def _moved(
+    problem: ScaleProblem, mixture: Mixture, planes: PlaneResponse, unit: FloatArray
+) -> Parameters:
+    """Return the parameters at the mean of the mixture."""
+    steps = planes.step - np.einsum("jpan,n->jpa", planes.response, mixture.mean)
+    plane = np.einsum("j,jpa->pa", mixture.sets, steps) * np.array([1.0, 1.0, problem.length])
+    beam = (mixture.mean * unit).reshape(problem.readings.beams, -1)
+    return apply_step(problem.at, beam, plane, problem.rows.centres, problem.terms)
+
+
+def _joint(
+    problem: ScaleProblem, mixture: Mixture, planes: PlaneResponse, unit: FloatArray
+) -> JointCovariance:
+    """Return the joint covariance; planes for known beams averaged over the noise scales."""
+    plane_unit = np.array([1.0, 1.0, problem.length])
+    response = np.einsum("j,jpan->pan", mixture.sets, planes.response)
+    inverse = np.einsum("j,jpab->pab", mixture.sets, planes.inverse)
+    off = planes.step - np.einsum("j,jpa->pa", mixture.sets, planes.step)
+    inverse += np.einsum("j,jpa,jpb->pab", mixture.sets, off, off)
+    beams, count = problem.readings.beams, problem.readings.planes
+    return JointCovariance(
+        tuple(map(str, range(beams))),
+        tuple(map(str, range(count))),
+        (problem.terms,) * beams,
+        mixture.covariance * np.outer(unit, unit),
+        response * plane_unit[:, None] / unit,
+        inverse * np.outer(plane_unit, plane_unit),
+        model.tangent_basis(problem.at.directions),
+        model.tangent_basis(problem.at.normals),
+        problem.rows.centres,
+    )
+
+
+def _scale_estimates(mixture: Mixture, learned: LearnedScales) -> tuple[ScaleEstimate, ...]:
+    found = []
+    for column, scale in enumerate(learned.scales.unknown):
+        u = learned.points[:, column]
+        sigma = float(np.exp(mixture.sets @ u)) * scale.unit
+        mean = mixture.sets @ np.exp(u)
+        spread = float(np.sqrt(mixture.sets @ (np.exp(u) - mean) ** 2)) * scale.unit
+        found.append(ScaleEstimate(scale, sigma, spread))
+    return tuple(found)
+
+
+def _medians(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
+    """Return the posterior medians of the scales of k1 [1] and k2 [1/m]."""
+    if learned.linearity is None:
+        return None
+    found = np.zeros(2)
+    for term in range(learned.terms):
+        values, index = np.unique(learned.grid.scale[:, term], return_inverse=True)
+        weight = np.bincount(index, mixture.grid)
+        middle = np.cumsum(weight) - 0.5 * weight
+        found[term] = np.exp(np.interp(0.5 * weight.sum(), middle, np.log(values)))
+    return np.asarray(found / np.array([1.0, learned.length]))

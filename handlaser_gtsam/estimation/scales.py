@@ -1,0 +1,186 @@
+r"""Unknown scales of the noise: their priors, their most probable values, and a design around these.
+
+A standard deviation that nobody states has a half-Cauchy prior of a scale that suits the machine,
+
+    p(sigma) = 2 / (pi c (1 + sigma^2 / c^2)),
+
+which leaves its size to the readings where they can tell it and keeps it near c where they cannot
+(Gelman, Bayesian Analysis 1(3), 2006). A range sigma that is not given is flat in its logarithm down to
+a part of the residuals. The scales are integrated over on points about the mode of their posterior,
+as in integrated nested Laplace approximations (Rue, Martino and Chopin, JRSS B 71(2), 2009): along the axes
+of the curvature, stretched on each side by how the posterior falls there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ..arrays import FloatArray
+from .information import NoiseSet
+
+RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
+AXES = {ROTATION: slice(0, 3), TRANSLATION: slice(3, 6)}
+FLOOR = 0.1
+"""A range sigma below this part of the residuals becomes improbable."""
+STEP = 0.02
+"""Of differences in the logarithm of a scale."""
+REACH = (9.0, 6.0)
+"""Scales are looked for within this below and above their start, in the logarithm."""
+CURVATURE = 0.1
+"""Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
+GRID = (-2.4, -1.2, 0.0, 1.2, 2.4)
+FARTHEST = 7.3
+"""Squared distance from the mode, in standard deviations, of the farthest points of the design."""
+MOST_AXES = 3
+"""More scales than these are integrated on two points an axis (spherical cubature)."""
+STRETCH = (0.4, 2.5)
+"""Limits of the stretch of a side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """One unknown scale.
+
+    Attributes
+    ----------
+    name : str
+        `range`, `pose translation` or `pose rotation`.
+    beam : int or None
+        Whose range sigma it is; of all beams where None.
+    unit : float
+        What the scale multiplies: 1, or a standard deviation that was given [m, rad].
+    prior : float
+        Scale of the half-Cauchy prior in these units; for a range sigma where the flat prior ends.
+    """
+
+    name: str
+    beam: int | None
+    unit: float
+    prior: float
+
+    def log_prior(self, u: FloatArray) -> FloatArray:
+        """Return the logarithm of the density of the logarithm u of the scale."""
+        x = u - np.log(self.prior)
+        density: FloatArray = x - np.logaddexp(0.0, 2.0 * x)
+        if self.name == RANGE:
+            density = -np.logaddexp(0.0, -x)
+        return density
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """All unknown scales, and the noise that is known.
+
+    Attributes
+    ----------
+    unknown : tuple of Scale
+    range_sigma : (B,)
+        [m], where it is not among the unknown ones.
+    pose : (6,)
+        Factors of the roots of pose covariances, likewise.
+    """
+
+    unknown: tuple[Scale, ...]
+    range_sigma: FloatArray
+    pose: FloatArray
+
+    def noise(self, u: FloatArray) -> NoiseSet:
+        """Return the noise for logarithms (d,) of the unknown scales."""
+        ranges, pose = self.range_sigma.copy(), self.pose.copy()
+        for scale, value in zip(self.unknown, np.exp(u), strict=True):
+            if scale.name == RANGE:
+                ranges[slice(None) if scale.beam is None else scale.beam] = value
+            else:
+                pose[AXES[scale.name]] = value
+        return NoiseSet(ranges, pose)
+
+    def log_prior(self, u: FloatArray) -> FloatArray:
+        """Return the logarithm of the joint prior density at points (J, d)."""
+        total = np.zeros(len(u))
+        for column, scale in enumerate(self.unknown):
+            total += scale.log_prior(u[:, column])
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Points at which scales are integrated over.
+
+    Attributes
+    ----------
+    points : (J, d)
+        Logarithms of the scales.
+    log_weight : (J,)
+        To which the logarithm of the posterior is added.
+    """
+
+    points: FloatArray
+    log_weight: FloatArray
+
+
+LogPosterior = Callable[[FloatArray], FloatArray]
+"""Of points (J, d): the logarithm of the posterior density (J,) of the logarithms of the scales."""
+
+
+def find_mode(log_posterior: LogPosterior, start: FloatArray) -> FloatArray:
+    """Return the most probable logarithms (d,) of the scales, from `start`."""
+    if start.size == 0:
+        return start
+    size = start.size
+    steps = STEP * np.concatenate((np.zeros((1, size)), np.eye(size), -np.eye(size)))
+
+    def objective(u: FloatArray) -> tuple[float, FloatArray]:
+        value = log_posterior(u + steps)
+        return -float(value[0]), -(value[1 : size + 1] - value[size + 1 :]) / (2.0 * STEP)
+
+    bounds = [(u - REACH[0], u + REACH[1]) for u in start]
+    found = minimize(
+        objective,
+        start.copy(),
+        jac=True,
+        bounds=bounds,
+        method="L-BFGS-B",
+        options={"maxiter": 60, "ftol": 1e-7, "gtol": 1e-3},
+    )
+    return np.asarray(found.x, dtype=np.float64)
+
+
+def design(log_posterior: LogPosterior, mode: FloatArray) -> Design:
+    """Return the points about `mode` (d,) at which the scales are integrated over."""
+    size = mode.size
+    if size == 0:
+        return Design(np.zeros((1, 0)), np.zeros(1))
+    axes = _axes(log_posterior, mode)
+    top = float(log_posterior(mode[None])[0])
+    radius = np.sqrt(2.0)
+    ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
+    fall = np.maximum(top - log_posterior(ends), 1e-3).reshape(2, size)
+    stretch = np.clip(1.0 / np.sqrt(fall), *STRETCH)
+    if size <= MOST_AXES:
+        z = np.array([p for p in product(GRID, repeat=size) if np.dot(p, p) <= FARTHEST])
+        log_weight = np.zeros(len(z))
+    else:
+        z = np.sqrt(size) * np.concatenate((np.eye(size), -np.eye(size)))
+        log_weight = np.full(len(z), 0.5 * size)
+    side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
+    return Design(mode + (side * z) @ axes.T, log_weight + np.log(side).sum(axis=1))
+
+
+def _axes(log_posterior: LogPosterior, mode: FloatArray) -> FloatArray:
+    """Return axes (d, d) as columns, each a standard deviation of the posterior at its mode long."""
+    size, step = mode.size, 5.0 * STEP
+    pairs = [(i, j) for i in range(size) for j in range(i + 1, size)]
+    unit = step * np.eye(size)
+    points = [np.zeros(size), *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
+    value = log_posterior(mode + np.array(points))
+    plus, minus = value[1 : size + 1], value[size + 1 : 2 * size + 1]
+    H = np.diag(plus + minus - 2.0 * value[0])
+    for (i, j), both in zip(pairs, value[2 * size + 1 :], strict=True):
+        # f(i + j) - f(i) - f(j) + f(0)
+        H[i, j] = H[j, i] = both - plus[i] - plus[j] + value[0]
+    curvature, axes = np.linalg.eigh(-H / step**2)
+    scaled: FloatArray = axes / np.sqrt(np.maximum(curvature, CURVATURE))
+    return scaled

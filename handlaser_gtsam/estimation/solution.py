@@ -1,0 +1,327 @@
+"""One joint solution: weights, graph, Levenberg-Marquardt, unknown scales, and what is determined.
+
+Readings are solved with equal weights first. Where they differ in weight or are correlated, or where
+scales of noise or range errors are unknown, the most probable scales are found at the solution, and
+weights and priors follow from them; that repeats until it moves the solution no more. Then the scales
+are integrated over. Hand poses that are variables come last, from the solution in which they were
+eliminated beforehand.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..diagnosis.elsewhere import least_observed
+from ..diagnosis.observability import Observability, observability
+from ..graph import CalibrationGraph, build_graph, read_parameters
+from ..losses import GAUSSIAN, Loss
+from ..model import residuals, scene
+from ..noise import Noise
+from ..options import CalibrationOptions
+from ..parameters import Parameters, RangeErrorPrior
+from ..poses import PosePriors, pose_priors
+from ..recording import Readings
+from ..solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
+from ..weighting import Variances, Whitening, unequal, whitening
+from .learned import ScaleProblem
+from .posterior import Posterior, posterior
+from .scales import Scales
+from .unknowns import LEAST_SIGMA, start_of, unknown_scales, with_scales
+
+UNIT_SIGMA = 1e-3
+"""Range sigma [m] that weights the graph where nothing is known of it."""
+ROUNDING = 1e-11
+"""Residuals below this part of the readings show no weights."""
+ROUNDS = 10
+SETTLED = 1e-5
+"""New weights that move the solution by fewer standard deviations than this change nothing."""
+SAME_SCALE = 0.02
+"""Scales whose logarithms change by less have settled: they are integrated over in the end."""
+
+Progress = Callable[[Trial], None] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """One joint solution and its diagnosis.
+
+    Attributes
+    ----------
+    problem : CalibrationGraph
+    result : LevenbergResult
+    parameters : Parameters
+        At the most probable scales.
+    observability : Observability
+    variances : Variances or None
+        Behind the weights; None where all readings weigh the same.
+    whitening : Whitening or None
+        Of the readings, in their order, poses eliminated; None where all weigh the same.
+    prior : RangeErrorPrior or None
+        Of the range errors, at the most probable scales.
+    posterior : Posterior or None
+        With the scales integrated over; None where none are unknown but one of all readings.
+    """
+
+    problem: CalibrationGraph
+    result: LevenbergResult
+    parameters: Parameters
+    observability: Observability
+    variances: Variances | None = None
+    whitening: Whitening | None = None
+    prior: RangeErrorPrior | None = None
+    posterior: Posterior | None = None
+    scales_estimated: bool = False
+    """Whether scales of the noise were estimated beside a common one of all readings."""
+
+    @property
+    def poses(self) -> Literal["exact", "marginalised", "estimated"]:
+        """How errors of the hand poses counted."""
+        if self.variances is None or self.variances.pose is None:
+            return "exact"
+        return "estimated" if self.problem.poses else "marginalised"
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared residuals in units of the problem's sigma, with the priors of poses and k."""
+        if self.problem.poses and self.problem.loss == GAUSSIAN:
+            return 2.0 * self.result.cost
+        chi2 = float(self.result.white @ self.result.white) / self.problem.range_sigma**2
+        if self.prior is not None:
+            chi2 += self.prior.chi2(self.parameters.range_errors)
+        return chi2
+
+    @property
+    def dof(self) -> int:
+        """Readings and priors of range errors, less unknowns that are determined."""
+        priors = 0 if self.prior is None else self.prior.rows(max(self.problem.terms))
+        return len(self.result.residual) + priors - self.observability.rank
+
+    @property
+    def best(self) -> Parameters:
+        """The estimate: the mean over the scales where these are integrated over."""
+        return self.parameters if self.posterior is None else self.posterior.parameters
+
+
+def solve(
+    readings: Readings,
+    start: Parameters,
+    noise: Noise,
+    options: CalibrationOptions,
+    progress: Progress = None,
+    scale: float | None = None,
+    prior: RangeErrorPrior | None = None,
+) -> Solution:
+    """Solve jointly, find unknown scales, and diagnose the solution.
+
+    Parameters
+    ----------
+    readings : Readings
+    start : Parameters
+    noise : Noise
+    options : CalibrationOptions
+    progress : callable, optional
+        Called with every trial step.
+    scale : float, optional
+        Of the residuals of good readings [m]: stands for a range sigma that is not given at first.
+    prior : RangeErrorPrior, optional
+        Of the range errors; instead of one whose scales are learned.
+    """
+    task = _Task(readings, noise, options, progress, scale, prior)
+    first = task.equally_weighted(start)
+    if first.result.status == "interrupted" or task.is_exact():
+        return first
+    scales, base = unknown_scales(readings, noise, options, task.sigma)
+    alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
+    if task.learns or (scales.unknown and not alike):
+        return task.with_unknown_scales(first)
+    if alike and not unequal(first.parameters, readings, base):
+        return first
+    known = start_of(
+        scales, max(task.sigma, LEAST_SIGMA), task.length
+    )  # a common sigma is found by sigma0 without any effort
+    return task.weighted(first, with_scales(scales, base, known))
+
+
+class _Task:
+    """The arguments of one solution."""
+
+    def __init__(
+        self,
+        readings: Readings,
+        noise: Noise,
+        options: CalibrationOptions,
+        progress: Progress,
+        scale: float | None,
+        prior: RangeErrorPrior | None,
+    ) -> None:
+        self.readings, self.noise, self.options = readings, noise, options
+        self.progress, self.scale, self.terms = progress, scale, options.terms
+        self.loss, self.rank, self.sigma = Loss(options.loss), 0, 0.0
+        self.length = float(np.median(readings.distance))
+        self.learns = options.linearity is not None and prior is None
+        self.prior = prior
+        if self.learns:
+            self.prior = self._prior_of(np.full(2, options.linearity))
+
+    def _prior_of(self, scale: FloatArray) -> RangeErrorPrior:
+        sigma = scale / np.array([1.0, self.length])
+        return RangeErrorPrior(np.tile(sigma, (self.readings.beams, 1)))
+
+    def equally_weighted(self, start: Parameters) -> Solution:
+        """Solve as if all readings were independent and equally precise.
+
+        Beside a prior their sigma matters: it is taken anew until it holds.
+        """
+        known = self.noise.range_sigma
+        weight = known or (self.scale or 0.0) or UNIT_SIGMA
+        for _ in range(ROUNDS):
+            problem, result = self._minimize(start, weight)
+            self.sigma = self._estimated_sigma(problem, result.residual)
+            settled = self.prior is None or self.sigma > 0.5 * weight
+            if known or settled or self.loss != GAUSSIAN or self.sigma < LEAST_SIGMA:
+                break
+            weight, start = self.sigma, read_parameters(problem, result.values)
+        return self._diagnosed(problem, result, known or self.sigma)
+
+    def is_exact(self) -> bool:
+        """Tell whether residuals are rounding."""
+        return self.sigma < ROUNDING * float(self.readings.distance.max())
+
+    def weighted(self, solution: Solution, variances: Variances) -> Solution:
+        """Solve with the weights that follow from `variances`, and anew until they settle."""
+        for _ in range(ROUNDS):
+            if solution.result.status == "interrupted":
+                return solution
+            done = solution.whitening is not None and not solution.observability.full
+            solution = self._reweighted(solution.parameters, variances)
+            if done or _step(solution) < SETTLED:
+                break
+        return self._with_poses(replace(solution, variances=variances), variances)
+
+    def with_unknown_scales(self, solution: Solution) -> Solution:
+        """Find the most probable scales and the solution for them; then integrate over the scales."""
+        scales, base = unknown_scales(self.readings, self.noise, self.options, self.sigma)
+        u = start_of(scales, max(self.sigma, LEAST_SIGMA), self.length)
+        variances = with_scales(scales, base, u)
+        before = np.full(len(u) + 2, np.inf)
+        problem: ScaleProblem | None = None
+        for _ in range(ROUNDS):
+            if solution.result.status == "interrupted":
+                return solution
+            if solution.observability.full:
+                problem = self._scale_problem(solution.parameters, base, scales)
+                u = problem.mode(u)
+                variances = with_scales(scales, base, u)
+                if self.learns:
+                    self.prior = self._prior_of(problem.range_error_scales(u))
+            elif solution.whitening is not None:
+                break
+            now = np.concatenate(
+                (u, np.zeros(2) if self.prior is None else np.log(self.prior.sigma[0]))
+            )
+            same, before = np.abs(now - before).max() < SAME_SCALE, now
+            if same and solution.whitening is not None and _step(solution) < SETTLED:
+                break
+            solution = self._reweighted(solution.parameters, variances)
+        return self._integrated(solution, problem, u, (scales, base, variances))
+
+    def _integrated(
+        self,
+        solution: Solution,
+        problem: ScaleProblem | None,
+        u: FloatArray,
+        noise: tuple[Scales, Variances, Variances],
+    ) -> Solution:
+        scales, base, variances = noise
+        solution = replace(
+            self._with_poses(replace(solution, variances=variances), variances),
+            scales_estimated=bool(scales.unknown),
+        )
+        if problem is None or self.loss != GAUSSIAN or not solution.observability.full:
+            return solution
+        if solution.problem.poses:
+            problem = self._scale_problem(solution.parameters, base, scales)
+            u = problem.mode(u)
+        return replace(solution, posterior=posterior(problem, problem.learned(u)))
+
+    def _scale_problem(self, at: Parameters, base: Variances, scales: Scales) -> ScaleProblem:
+        linearity = self.options.linearity if self.learns else None
+        return ScaleProblem(at, self.readings, self.terms, base, scales, linearity)
+
+    def _reweighted(self, at: Parameters, variances: Variances) -> Solution:
+        how = whitening(at, self.readings, variances)
+        problem, result = self._minimize(at, how)
+        return self._diagnosed(problem, result, how.sigma, how)
+
+    def _with_poses(self, solution: Solution, variances: Variances) -> Solution:
+        """Solve once more with a variable for every hand pose, where these are asked for."""
+        wanted = self.options.poses == "estimated" and variances.pose is not None
+        if not wanted or variances.pose is None or solution.result.status == "interrupted":
+            return solution
+        at, readings = solution.parameters, self.readings
+        how = whitening(at, readings, variances.without_poses())
+        priors = pose_priors(readings, variances.pose)
+        problem, result = self._minimize(at, how, priors)
+        marginal = whitening(read_parameters(problem, result.values), readings, variances)
+        found = self._diagnosed(problem, result, marginal.sigma, marginal)
+        return replace(found, variances=variances)
+
+    def _minimize(
+        self, start: Parameters, noise: float | Whitening, priors: PosePriors | None = None
+    ) -> tuple[CalibrationGraph, LevenbergResult]:
+        readings, solver = self.readings, self.options.solver
+        problem = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
+        before = self._observed(start, 0.0)
+        self.rank = before.rank
+        if not before.full:
+            solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
+        return problem, levenberg_marquardt(problem, solver, self.progress)
+
+    def _observed(
+        self, at: Parameters, sigma: float, how: Whitening | None = None
+    ) -> Observability:
+        options = self.options.observability
+        return observability(at, self.readings, self.terms, sigma, options, how, self.prior)
+
+    def _diagnosed(
+        self,
+        problem: CalibrationGraph,
+        result: LevenbergResult,
+        sigma: float,
+        how: Whitening | None = None,
+    ) -> Solution:
+        """Diagnose a result; of solutions that leave something undetermined, the one that leaves most."""
+        readings = self.readings
+        parameters = read_parameters(problem, result.values)
+        found = self._observed(parameters, sigma, how)
+        if not found.full:
+            options = self.options.observability
+            other, least = least_observed(
+                found, parameters, readings, self.terms, sigma, options, self.prior
+            )
+            if least.rank < found.rank:
+                weight = problem.range_sigma
+                problem = build_graph(
+                    readings, other, self.terms, weight, self.loss, None, self.prior
+                )
+                e = residuals(scene(other, readings), readings.distance)
+                cost = float(self.loss.cost(e / weight).sum())
+                result = replace(result, values=problem.values, residual=e, white=e, cost=cost)
+                parameters, found, how = other, least, None
+        return Solution(problem, result, parameters, found, None, how, self.prior)
+
+    def _estimated_sigma(self, problem: CalibrationGraph, residual: FloatArray) -> float:
+        """Return the standard deviation of a reading [m] that the residuals show."""
+        if problem.loss != GAUSSIAN:
+            return problem.range_sigma
+        priors = 0 if self.prior is None else self.prior.rows(self.terms)
+        dof = max(len(self.readings) + priors - self.rank, 1)
+        return float(np.sqrt(residual @ residual / dof))
+
+
+def _step(solution: Solution) -> float:
+    """Return the length of the first step of a solution, in standard deviations."""
+    return solution.result.history[0].step if solution.result.history else 0.0

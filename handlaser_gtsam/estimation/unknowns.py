@@ -1,0 +1,105 @@
+"""Which scales of the noise are unknown, with their priors: what the noise and the options say."""
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..noise import Noise
+from ..options import CalibrationOptions
+from ..recording import Readings
+from ..weighting import Variances
+from .scales import FLOOR, RANGE, ROTATION, TRANSLATION, Scale, Scales
+
+LEAST_SIGMA = 1e-12
+"""Of a reading [m]."""
+
+
+def unknown_scales(
+    readings: Readings, noise: Noise, options: CalibrationOptions, rms: float
+) -> tuple[Scales, Variances]:
+    """Return the scales that are unknown, and the variances whose pose covariances they multiply.
+
+    Parameters
+    ----------
+    readings : Readings
+    noise : Noise
+    options : CalibrationOptions
+    rms : float
+        Standard deviation of the residuals [m], for a range sigma that is not given.
+    """
+    sigma = max(noise.range_sigma or rms, LEAST_SIGMA)
+    unknown = _range_scales(readings, noise, options, max(rms, LEAST_SIGMA))
+    pose, factor = None, np.ones(6)
+    if options.counts_poses(noise):
+        stations = int(readings.station.max()) + 1
+        if noise.pose_covariance is not None:
+            pose = noise.pose_covariances(stations)
+            unknown += _given_covariance(pose, options)
+        else:
+            pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
+            factor, more = _pose_scales(noise, options)
+            unknown += more
+    ranges = np.full(readings.beams, sigma)
+    return Scales(unknown, ranges, factor), Variances(ranges, noise.incidence_sigma, pose)
+
+
+def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
+    """Return where the search for the most probable scales starts: their logarithms (d,).
+
+    Parameters
+    ----------
+    scales : Scales
+    sigma : float
+        Of the residuals [m].
+    length : float
+        The typical range [m].
+    """
+    most = {RANGE: sigma, TRANSLATION: sigma, ROTATION: sigma / length}
+    guess = []
+    for one in scales.unknown:
+        value = sigma if one.name == RANGE else min(one.prior, most[one.name] / one.unit)
+        guess.append(np.log(value))
+    return np.array(guess, dtype=np.float64)
+
+
+def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
+    """Return the variances for logarithms (d,) of the unknown scales."""
+    found = scales.noise(u)
+    pose = None if base.pose is None else base.pose * np.outer(found.pose, found.pose)
+    return Variances(found.range_sigma, base.incidence_sigma, pose)
+
+
+def _range_scales(
+    readings: Readings, noise: Noise, options: CalibrationOptions, rms: float
+) -> tuple[Scale, ...]:
+    floor = FLOOR * rms
+    if options.range_sigma_by_beam:
+        return tuple(Scale(RANGE, beam, 1.0, floor) for beam in range(readings.beams))
+    if noise.range_sigma is None or options.estimate_noise:
+        return (Scale(RANGE, None, 1.0, floor),)
+    return ()
+
+
+def _given_covariance(pose: FloatArray, options: CalibrationOptions) -> tuple[Scale, ...]:
+    """Return factors of given covariances, where these are only where the estimate starts."""
+    if not options.estimate_noise:
+        return ()
+    found = []
+    for name, axes in ((TRANSLATION, slice(3, 6)), (ROTATION, slice(0, 3))):
+        trace = float(np.einsum("mii->m", pose[:, axes, axes]).mean())
+        if trace > 0.0:
+            found.append(Scale(name, None, float(np.sqrt(trace / 3.0)), 1.0))
+    return tuple(found)
+
+
+def _pose_scales(noise: Noise, options: CalibrationOptions) -> tuple[FloatArray, tuple[Scale, ...]]:
+    """Return the known factors (6,) of unit pose covariances, and the scales that are unknown."""
+    factor, unknown = np.ones(6), []
+    for name, axes, given, prior in (
+        (TRANSLATION, slice(3, 6), noise.pose_translation_sigma, noise.pose_translation_prior),
+        (ROTATION, slice(0, 3), noise.pose_rotation_sigma, noise.pose_rotation_prior),
+    ):
+        if given is None or (options.estimate_noise and given > 0.0):
+            unknown.append(Scale(name, None, 1.0, given or prior))
+        else:
+            factor[axes] = given
+    return factor, tuple(unknown)

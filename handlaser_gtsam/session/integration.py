@@ -1,0 +1,121 @@
+r"""Unknown scales in a session, integrated over as in the batch solution.
+
+Every plane is remembered by what it says of the beams for each set of noise scales
+(`estimation.information`), counted from beams that all share. The graph holds the most probable scales;
+what integrating over all of them changes in mean and covariance follows from the sums over the planes,
+and is added to what iSAM2 has. So a new plane costs what one plane costs.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..diagnosis.drift import History, Reference, turns
+from ..estimation.information import Information, LinearReadings
+from ..estimation.learned import LearnedScales
+from ..estimation.mixture import BeamPosterior
+from ..joint import beam_lift
+from ..solvers.incremental import BeamState
+from ..weighting import Variances
+from .fitted import FittedPlane
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleSums:
+    """What all planes of a session say of the beams, for all sets of noise scales.
+
+    Attributes
+    ----------
+    learned : LearnedScales
+    reference : Reference
+        Beams that everything is counted from.
+    members : (b,)
+        Beams whose range errors have the prior.
+    known : Information
+        Of the beams, beside the planes.
+    pieces : mapping of str to Information
+        By plane.
+    """
+
+    learned: LearnedScales
+    reference: Reference
+    members: IntArray
+    known: Information
+    pieces: Mapping[str, Information]
+
+    @classmethod
+    def empty(cls, learned: LearnedScales, history: History, members: IntArray) -> "ScaleSums":
+        """Return the sums of no planes, counted from the reference of a history."""
+        sets = len(learned.points) + 1
+        known = Information(
+            np.tile(history.known.matrix, (sets, 1, 1)),
+            np.tile(history.known.vector, (sets, 1)),
+            np.zeros(sets),
+        )
+        return cls(learned, history.reference, members, known, {})
+
+    def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
+        """Return the sums with a plane, in place of what was known of it."""
+        learned, readings = self.learned, fitted.readings
+        base, pose = learned.base, None
+        if base.pose is not None:
+            pose = np.broadcast_to(base.pose[0], (int(readings.station.max()) + 1, 6, 6))
+        variances = Variances(base.range_sigma, base.incidence_sigma, pose)
+        rows = LinearReadings(fitted.at, readings, learned.terms, learned.length, variances)
+        points = [learned.mode, *learned.points]
+        found, _ = rows.information([learned.scales.noise(u) for u in points])
+        turn = turns(fitted.at.directions, self.reference)
+        shift = self.reference.coordinates(fitted.at.beams)
+        counted = _counted_from(found, turn, shift)
+        return replace(self, pieces={**self.pieces, plane: counted})
+
+    def without_plane(self, plane: str) -> "ScaleSums":
+        """Return the sums without a plane, whether it is there or not."""
+        return replace(self, pieces={p: one for p, one in self.pieces.items() if p != plane})
+
+    def integrated(self, state: BeamState) -> BeamState:
+        """Return beams at the most probable scales with all scales integrated over."""
+        if not self.pieces:
+            return state
+        learned, total = self.learned, self.known
+        for piece in self.pieces.values():
+            total = total + piece
+        k = self.reference.beams[2][:, : learned.terms]
+        k = k * np.array([1.0, learned.length])[: learned.terms]
+        both = BeamPosterior(_part(total, slice(1, None)), k, learned.widest, self.members)
+        mixture = both.mixture(learned.grid, learned.log_weight)
+        here = BeamPosterior(_part(total, slice(0, 1)), k, learned.widest, self.members)
+        mean, covariance = here.conditional(learned.range_error)
+        unit = self.reference.unit
+        step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
+        change = (mixture.covariance - covariance) * np.outer(unit, unit)
+        bases = model.tangent_basis(self.reference.beams[1])
+        lift = block_diag(*(beam_lift(basis, learned.terms) for basis in bases))
+        k = state.range_errors.copy()
+        k[:, : learned.terms] += step[:, 5:]
+        turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
+        return replace(
+            state,
+            locations=state.locations + step[:, :3],
+            directions=model.normalized(state.directions + turned),
+            range_errors=k,
+            covariance=state.covariance + lift @ change @ lift.T,
+        )
+
+
+def _counted_from(found: Information, turn: FloatArray, shift: FloatArray) -> Information:
+    """Return information counted from a reference: unknowns here are turn (x - shift)."""
+    matrix = turn.T @ found.matrix @ turn
+    vector = found.vector @ turn
+    constant = found.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
+    return Information(matrix, vector + matrix @ shift, constant)
+
+
+def _part(information: Information, sets: slice) -> Information:
+    return Information(
+        information.matrix[sets], information.vector[sets], information.constant[sets]
+    )
