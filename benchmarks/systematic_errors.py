@@ -3,13 +3,13 @@
     python -m benchmarks.systematic_errors [--runs 200] [--jobs 2] [--codes ...] [--given | --default]
 
 The scene is the robot cell of `benchmarks.defaults` with 4 beams and a = 0.3. Every recording is
-calibrated as it is; then again, with the same random numbers, with one systematic error of 1.5 times the
-size that the result states as detectable, and of just that size. For an error that is local to a plane
-that is the size, and the effect, stated for the plane, beam or station at which it is injected. Columns:
+calibrated as it is; then again, with the same random numbers, with one systematic error of 1.5 times
+the size that the result states as detectable, and of just that size. For an error that is local to a
+plane these are the size and the effect stated for the plane, beam or station where it is injected.
 
     found      any systematic error is found, at 1.5 times and at once the stated size
-    named      of those found at 1.5 times: the one with the smallest p-value is the injected one, or one
-               of the two is among those that the other cannot be told from
+    named      of those found at 1.5 times: the one with the smallest p-value is the injected one, or
+               one of the two is among those that the other cannot be told from
     r, v       actual change of r, and of v, over the stated external reliability at the stated size:
                regression through zero over all beams and recordings, and the rms of what remains, as
                a part of the rms of the stated
@@ -36,7 +36,7 @@ from rich.progress import Progress  # isort: skip
 
 import handlaser_gtsam as hl
 from benchmarks.robot_cell import CODES, Scene, cell
-from handlaser_gtsam.arrays import FloatArray
+from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.weighting import Variances, Whitening, whitening
 
 FACTORS = (1.5, 1.0)
@@ -158,7 +158,7 @@ def of_member(
 
 def linearization(
     result: hl.Calibration, recording: hl.Recording
-) -> tuple[hl.Parameters, hl.Readings, Whitening, FloatArray, FloatArray]:
+) -> tuple[hl.Parameters, hl.Readings, Whitening, FloatArray, IntArray]:
     """Return a solution, its readings, weights, the prior on k, and the order of the stations in time.
 
     Beams and planes keep the order of the recording, and every plane has a frame amid its stations.
