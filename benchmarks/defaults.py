@@ -1,6 +1,7 @@
 """Whether the defaults are honest: Monte Carlo over the simulated robot cell.
 
-    python -m benchmarks.defaults [--runs 200] [--jobs 2] [--beams 4 1] [--a 0 0.1 0.3 1 3 10] [--given]
+    python -m benchmarks.defaults [--runs 200] [--jobs 2] [--beams 4 1] [--a 0 0.1 0.3 1 3 10]
+                                  [--motion 0.16] [--given]
     python -m benchmarks.defaults --scene-check [--runs 100]
 
 Every recording has 6 planes x 13 stations, joint errors of 0.004 deg, readings that err by 0.1 mm, and
@@ -35,7 +36,7 @@ import numpy as np
 from rich.progress import Progress
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import Scene, Truth, cell, pose_covariance
+from benchmarks.robot_cell import MOTION, Scene, Truth, cell, pose_covariance
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.options import RangeError
 from handlaser_gtsam.scenes import SCENES, SENSORS, Layout
@@ -57,11 +58,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Beams, size of the range errors, and whether the noise is given."""
+    """Beams, size of the range errors, whether the noise is given, and how much the hand moves."""
 
     beams: int
     a: float
     given: bool
+    motion: float = MOTION
 
     @property
     def ways(self) -> tuple[RangeError, ...]:
@@ -104,7 +106,7 @@ def stated_noise(scene: Scene, truth: Truth) -> hl.Noise:
 
 def run_once(case: Case, seed: int) -> dict[RangeError, Judged | None]:
     """Calibrate one recording in every way; None where one of them has no result."""
-    scene = Scene(beams=case.beams, a=case.a)
+    scene = Scene(beams=case.beams, motion=case.motion, a=case.a)
     recording, truth = cell(scene, np.random.default_rng(seed))
     noise = stated_noise(scene, truth) if case.given else hl.Noise()
     true = np.hstack((truth.locations, truth.directions, truth.range_errors))
@@ -274,13 +276,18 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--beams", type=int, nargs="+", default=[4, 1])
     parser.add_argument("--a", type=float, nargs="+", default=A)
+    parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     parser.add_argument("--given", action="store_true")
     parser.add_argument("--scene-check", action="store_true")
     arguments = parser.parse_args()
     if arguments.scene_check:
         scene_check(arguments.runs or 100, arguments.jobs)
         return
-    cases = [Case(beams, a, arguments.given) for beams in arguments.beams for a in arguments.a]
+    cases = [
+        Case(beams, a, arguments.given, arguments.motion)
+        for beams in arguments.beams
+        for a in arguments.a
+    ]
     study(cases, arguments.runs or 200, arguments.jobs)
 
 

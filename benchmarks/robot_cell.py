@@ -10,7 +10,7 @@ whose range is s solves s = d + k1 d + k2 d^2, by Newton's method.
 On top of that comes one systematic error, of a size in the unit of `SystematicError` (metres, or 1):
 
     incidence          readings are longer by size tan(angle of incidence)^2
-    cubic              readings are longer by size (d / largest reading)^3
+    cubic              readings d are size (d / largest reading)^3 too long
     sag                the plate is a paraboloid, `size` away from its tangent plane at the largest
                        distance of any spot from the middle of the spots of its plane
     lag                a beam reads size times half the way from the previous to the next station
@@ -43,6 +43,9 @@ PLANE_SPREAD = np.radians([60.0, 15.0, 15.0, 20.0, 20.0, 90.0])
 STATION_SPREAD = np.radians([12.0, 8.0, 10.0, 25.0, 25.0, 90.0])
 """Joint angles of work, how far the posture before each plane differs from them, and how far the
 stations there go from that posture where `Scene.motion` is 1."""
+MOTION = 0.16
+"""Less motion leaves more to the range errors: at 0.16, four beams have rms errors of v of 0.25 deg
+without range errors and 0.4 deg with both terms free; at 1, of 0.055 and 0.065 deg."""
 NEAREST, FARTHEST = 0.15, 0.45
 MOST_INCIDENCE = math.radians(60.0)
 HALF_PLATE = 0.4
@@ -76,9 +79,7 @@ class Scene:
     range_sigma : float
         Standard deviation of a reading [m].
     motion : float
-        How much the hand moves before a plane, as a part of `STATION_SPREAD`. Less motion leaves more
-        to the range errors: at 0.16, four beams have rms errors of v of 0.25 deg without range errors
-        and 0.4 deg with both terms free, at 1 of 0.055 and 0.065 deg.
+        How much the hand moves before a plane, as a part of `STATION_SPREAD`.
     a : float
         Range errors are drawn from k1 ~ N(0, (0.01 a)^2) and k2 ~ N(0, (0.2 a)^2) [1/m].
     code : str
@@ -95,7 +96,7 @@ class Scene:
     stations: int = 13
     joint_sigma_deg: float = 0.004
     range_sigma: float = 1e-4
-    motion: float = 0.16
+    motion: float = MOTION
     a: float = 0.0
     code: str = ""
     size: float = 0.0
@@ -416,9 +417,22 @@ def _wrong_readings(
     if scene.code == "incidence":
         wrong += tangent
     elif scene.code == "cubic":
-        wrong += (d / d.max()) ** 3
+        wrong += _cubic(d, scene.size)
     elif scene.code == "drift":
         wrong += np.linspace(-0.5, 0.5, len(d))[:, None]
     elif scene.code == "beam-on-plane":
         wrong[plane == subject[0], subject[1]] = 1.0
     return scene.size * wrong
+
+
+def _cubic(d: FloatArray, size: float) -> FloatArray:
+    """Return (d' / largest d')^3 (M, B) of the readings d' = d + size (d' / largest d')^3.
+
+    Every step shortens the error by 3 |size| / largest d'.
+    """
+    largest = d.max() + size
+    wrong = d
+    for _ in range(60):
+        wrong = d + size * (wrong / largest) ** 3
+    found: FloatArray = (wrong / largest) ** 3
+    return found

@@ -1,6 +1,7 @@
 """Whether systematic errors are found, rightly named, and bounded as stated: Monte Carlo.
 
-    python -m benchmarks.systematic_errors [--runs 200] [--jobs 2] [--codes ...] [--given | --default]
+    python -m benchmarks.systematic_errors [--runs 200] [--jobs 2] [--codes ...] [--motion 0.16]
+                                           [--given | --default]
 
 The scene is the robot cell of `benchmarks.defaults` with 4 beams and a = 0.3. Every recording is
 calibrated as it is; then again, with the same random numbers, with one systematic error of 1.5 times
@@ -35,13 +36,12 @@ import numpy as np  # isort: skip
 from rich.progress import Progress  # isort: skip
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import CODES, Scene, cell
+from benchmarks.robot_cell import CODES, MOTION, Scene, cell
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.weighting import Variances, Whitening, whitening
 
 FACTORS = (1.5, 1.0)
 """Sizes injected, as multiples of the one that the result states as detectable."""
-SCENE = Scene(beams=4, a=0.3)
 LOCAL = ("displaced", "beam-on-plane")
 """Errors of one plane: the result states its worst member, so the injected one is asked for."""
 
@@ -119,9 +119,9 @@ def mounts(result: hl.Calibration) -> FloatArray:
     return np.array([[beam.location for beam in beams], [beam.direction for beam in beams]])
 
 
-def run_clean(given: bool, codes: Sequence[str], seed: int) -> Clean | None:
+def run_clean(scene: Scene, given: bool, codes: Sequence[str], seed: int) -> Clean | None:
     """Calibrate a recording without a systematic error."""
-    done = calibrated(SCENE, given, seed)
+    done = calibrated(scene, given, seed)
     if done is None:
         return None
     result, recording, _ = done
@@ -129,28 +129,30 @@ def run_clean(given: bool, codes: Sequence[str], seed: int) -> Clean | None:
     for one in result.systematic:
         detectable, shift = one.detectable, np.array([one.location_shift, one.direction_shift])
         if one.code in LOCAL and one.code in codes and not one.confounded:
-            detectable, shift = of_member(one.code, result, recording, given, seed)
+            detectable, shift = of_member(
+                replace(scene, code=one.code), result, recording, given, seed
+            )
         stated.append(Stated(one.code, one.found, one.confounded, detectable, shift))
     return Clean(mounts(result), tuple(stated))
 
 
 def of_member(
-    code: str, result: hl.Calibration, recording: hl.Recording, given: bool, seed: int
+    scene: Scene, result: hl.Calibration, recording: hl.Recording, given: bool, seed: int
 ) -> tuple[float, FloatArray]:
-    """Return the detectable size, and its effect, of the error that `run_injected` injects."""
+    """Return the detectable size, and its effect, of the error of `scene` with this seed."""
     from handlaser_gtsam.results.systematic import detectable_of
 
-    _, truth = cell(replace(SCENE, code=code), np.random.default_rng(seed))
+    _, truth = cell(scene, np.random.default_rng(seed))
     plane, other = truth.subject
     at = linearization(result, recording)
-    every = detectable_of(code, *at, known=given, dof=result.fit.dof)
+    every = detectable_of(scene.code, *at, known=given, dof=result.fit.dof)
     chosen = every.plane == plane
-    if code == "displaced":
-        chosen &= every.position == plane * SCENE.stations + other
+    if scene.code == "displaced":
+        chosen &= every.position == plane * scene.stations + other
     else:
         chosen &= every.beam == other
     if not chosen.any():
-        return math.inf, np.full((2, SCENE.beams, 3), np.nan)
+        return math.inf, np.full((2, scene.beams, 3), np.nan)
     member = int(np.flatnonzero(chosen)[0])
     shift = np.array([every.location_shift[member], every.direction_shift[member]])
     return float(every.detectable[member]), shift
@@ -178,15 +180,14 @@ def linearization(
 
 
 def run_injected(
-    code: str, given: bool, factor: float, argument: tuple[int, Clean]
+    scene: Scene, given: bool, factor: float, argument: tuple[int, Clean]
 ) -> Injected | None:
     """Calibrate a recording with an error of a multiple of its detectable size."""
     seed, clean = argument
-    stated = clean.of(code)
+    stated = clean.of(scene.code)
     if stated is None or not math.isfinite(stated.detectable):
         return None
-    scene = replace(SCENE, code=code, size=factor * stated.detectable)
-    done = calibrated(scene, given, seed)
+    done = calibrated(replace(scene, size=factor * stated.detectable), given, seed)
     if done is None:
         return Injected(False, False, np.full_like(clean.mounts, np.nan), factor * stated.shift)
     result, _, _ = done
@@ -195,7 +196,7 @@ def run_injected(
     if not found:
         return Injected(False, False, change, factor * stated.shift)
     first = min(found, key=lambda one: one.p_value)
-    alike = {one.code: one.alike for one in result.systematic}
+    code, alike = scene.code, {one.code: one.alike for one in result.systematic}
     named = code == first.code or code in first.alike or first.code in alike.get(code, ())
     return Injected(True, named, change, factor * stated.shift)
 
@@ -241,10 +242,10 @@ def share(count: int, of: int) -> str:
     return f"{100.0 * count / of:5.1f} %" if of else "    - %"
 
 
-def study(codes: Sequence[str], given: bool, runs: int, jobs: int) -> None:
+def study(scene: Scene, codes: Sequence[str], given: bool, runs: int, jobs: int) -> None:
     """Print a line of false alarms, and a line for every kind of error."""
     with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        tried = each_done(bar, pool, "none", partial(run_clean, given, codes), range(runs))
+        tried = each_done(bar, pool, "none", partial(run_clean, scene, given, codes), range(runs))
         seeds = [(seed, one) for seed, one in enumerate(tried) if one is not None]
         clean = [one for _, one in seeds]
         alarms = sum(any(said.found for said in one.stated) for one in clean)
@@ -254,16 +255,10 @@ def study(codes: Sequence[str], given: bool, runs: int, jobs: int) -> None:
             f"(at most 1 %), fail {runs - len(clean)}",
         )
         for code in codes:
-            every = [
-                each_done(
-                    bar,
-                    pool,
-                    f"{code} x {factor}",
-                    partial(run_injected, code, given, factor),
-                    seeds,
-                )
-                for factor in FACTORS
-            ]
+            every = []
+            for factor in FACTORS:
+                run = partial(run_injected, replace(scene, code=code), given, factor)
+                every.append(each_done(bar, pool, f"{code} x {factor:g}", run, seeds))
             show(bar, line(code, clean, every))
 
 
@@ -273,11 +268,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--codes", nargs="+", choices=CODES, default=CODES)
+    parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     noise = parser.add_mutually_exclusive_group()
     noise.add_argument("--given", action="store_true", help="state the noise")
     noise.add_argument("--default", action="store_false", dest="given", help="state nothing")
     arguments = parser.parse_args()
-    study(arguments.codes, arguments.given, arguments.runs, arguments.jobs)
+    scene = Scene(beams=4, a=0.3, motion=arguments.motion)
+    study(scene, arguments.codes, arguments.given, arguments.runs, arguments.jobs)
 
 
 if __name__ == "__main__":

@@ -125,7 +125,7 @@ def test_errors_of_the_sensor(code):
         cosine = np.einsum("mbi,mi->mb", beam, truth.plate_axes[:, :, 2])
         expected = np.tan(np.arccos(cosine)) ** 2
     elif code == "cubic":
-        expected = (clean.ranges / clean.ranges.max()) ** 3
+        expected = (wrong.ranges / wrong.ranges.max()) ** 3
     elif code == "drift":
         expected += np.arange(78)[:, None] / 77.0 - 0.5
     else:
