@@ -192,6 +192,7 @@ def test_unknown_systematic_errors_are_refused():
         Scene(code="warp")
 
 
+@pytest.mark.slow
 def test_the_study_of_the_defaults_judges_by_the_stated_covariance():
     """With the noise given and both terms free, NEES is 1 to what 12 recordings can tell."""
     runs = [defaults.run_once(defaults.Case(4, 0.3, True), seed) for seed in range(12)]
