@@ -1,10 +1,16 @@
 r"""Systematic errors that the model leaves out, each as a column of derivatives.
 
-A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero. Errors
-that concern all readings are `whole_columns`, one a column. Errors local to one plane come in families:
-a column for all readings, and for every member the rows in which it counts. With n the normal that points
-away from the sensor and c = -1 / (n_H . v), a surface that is h farther along n changes e by c h, a
-reading that is f too long by -g'(d) f, and a true hand pose that is xi beside the recorded one by -J xi.
+A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
+Errors that concern all readings are `whole_columns`, one a column. Errors local to one plane come
+in families: a column for all readings, and for every member the rows in which it counts.
+
+With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h
+farther along n changes e by c h, a reading that is f too long by -g'(d) f, and a true hand pose
+that is xi beside the recorded one by -J xi. Positive sizes: readings too long (`incidence`, `cubic`,
+`beam-on-plane`), or longer and longer (`drift`); edges of the plate farther from the sensor than its
+middle (`sag`); a plane farther away (`displaced`); true poses ahead in time (`lag`); true turns and
+translations larger than reported. A cubic error is a function of the reading itself, not of the
+true range: it is the next term of g.
 """
 
 from dataclasses import dataclass
@@ -67,7 +73,7 @@ class Family:
         """Return the products (m, q) of all members with columns y (N, q)."""
         values = (self.column[:, None] * y)[self.rows]
         if (self.beam < 0).all():
-            return _range_sums(values, self.first, self.last).sum(axis=1)
+            return np.asarray(_range_sums(values, self.first, self.last).sum(axis=1))
         own = (np.arange(len(self.beam)), self.beam)
         return _range_sums(values, self.first[own], self.last[own])
 
@@ -102,8 +108,8 @@ def weighed(how: Whitening, columns: FloatArray) -> FloatArray:
     """Return sigma^2 inv(C) times columns (N, q)."""
     grid = np.zeros((*how.root.shape[:2], columns.shape[1]))
     grid[how.station, how.beam] = columns
-    product: FloatArray = (how.root @ (how.root @ grid))[how.station, how.beam]
-    return product
+    product: FloatArray = how.root @ (how.root @ grid)
+    return product[how.station, how.beam]
 
 
 def whole_columns(at: Parameters, readings: Readings, position: IntArray) -> FloatArray:
@@ -136,11 +142,11 @@ def whole_columns(at: Parameters, readings: Readings, position: IntArray) -> Flo
 
 
 def pose_errors(readings: Readings, position: IntArray) -> FloatArray:
-    """Return (omega, u) (N, 6, 3) of every reading's hand pose for a lag, a turn and a translation scale.
+    """Return (omega, u) (N, 6, 3) of the hand poses for a lag, a turn scale and a translation scale.
 
-    The lag of one step is half the way from the previous station of the plane to the next, or the whole
-    way to or from the neighbour at the ends; turns count from the mean orientation, and translations
-    from the origin of the plane's frame, in which a shift is that of the plane.
+    The lag of one step is half the way from the previous station of the plane to the next, or the
+    whole way to or from the neighbour at the ends; turns count from the mean orientation, and
+    translations from the origin of the plane's frame, in which a shift is that of the plane.
     """
     _, row, station = np.unique(readings.station, return_index=True, return_inverse=True)
     R, t = readings.world_R_hand[row], readings.world_t_hand[row]
@@ -164,8 +170,8 @@ def pose_errors(readings: Readings, position: IntArray) -> FloatArray:
 def families(at: Parameters, readings: Readings, position: IntArray) -> tuple[Family, ...]:
     """Return the families of errors that are local to a plane: `displaced` and `beam-on-plane`.
 
-    A beam's bias on one plane is left out where the beam sees no other plane, or no other beam sees the
-    plane: it is then the location of the beam along itself, or the offset of the plane.
+    A beam's bias on one plane is left out where the beam sees no other plane, or no other beam sees
+    the plane: it is then the location of the beam along itself, or the offset of the plane.
     """
     found = model.linearize(model.scene(at, readings), readings.distance)
     rows = np.lexsort((position, readings.beam, readings.plane))
@@ -280,7 +286,8 @@ class Left:
 class Projection:
     """Takes out of columns what the unknowns explain; planes are eliminated before beams.
 
-    Unknowns are scaled by the square roots of their own information, so that their units do not matter.
+    Unknowns are scaled by the square roots of their own information, so that their units do not
+    matter.
     """
 
     def __init__(self, rows: Rows, prior: FloatArray) -> None:
@@ -477,12 +484,13 @@ WORDING = {
 }
 BY_NATURE = {
     "inverse-cosine": (
-        "a range error proportional to 1/cos(incidence) cannot be told from the offsets of the planes; it "
-        "changes no beam",
+        "a range error proportional to 1/cos(incidence) cannot be told from the offsets of the planes; "
+        "it changes no beam",
         "nothing is needed for the beams; measure the offset of a plane by other means if it matters",
     ),
     "tool-frame": (
-        "an error of the tool frame cannot be told from the mount of the beams: both are one rigid motion",
+        "an error of the tool frame cannot be told from the mount of the beams: both are one rigid "
+        "motion",
         "use the calibration with the tool frame of the recording only",
     ),
     "range-offset": (

@@ -1,18 +1,19 @@
 r"""Systematic errors: tested for, and bounded where they cannot be seen.
 
-With e the whitened residuals, J the whitened Jacobian of all unknowns (pseudo-observations of a prior on k
-included), A the whitened column of an alternative (`alternatives`) and A_perp = A - J inv(J'J) J'A, a size a
-of that error makes e = A a + J x + noise, and
+With e the whitened residuals, J the whitened Jacobian of all unknowns (pseudo-observations of a
+prior on k included), A the whitened column of an alternative (`alternatives`) and A_perp = A - J
+inv(J'J) J'A, a size a of that error makes e = A a + J x + noise, and
 
     z = A_perp'e / (sigma |A_perp|) ~ N(0, 1) if a = 0,    a^ = A_perp'e / A_perp'A_perp,
 
-which is Rao's score test. The unknowns of a solution that ignores the error move by -inv(J'J) J'A a. The
-size that is found with 80 % power is sqrt(lambda0 / A_perp'A_perp) sigma, and what it does to r and v is the
-external reliability (Baarda, A testing procedure for use in geodetic networks, 1968). Where the common
-factor of the noise was estimated, z has the scale of what A_perp leaves, and a t distribution.
+which is Rao's score test. The unknowns of a solution that ignores the error move by -inv(J'J) J'A
+a. The size that is found with 80 % power is sqrt(lambda0 / A_perp'A_perp) sigma, and what it does
+to r and v is the external reliability (Baarda, A testing procedure for use in geodetic networks,
+1968). Where the common factor of the noise was estimated, z has the scale of what A_perp leaves,
+and a t distribution.
 
-All members of all families are tested together with Holm's correction, which needs no independence. Planes
-with more than `alternatives.MOST_SPLITS` splits are tested at so many of them.
+All members of all families are tested together with Holm's correction, which needs no independence.
+Planes with more than `alternatives.MOST_SPLITS` splits are tested at so many of them.
 """
 
 from collections.abc import Sequence
@@ -50,7 +51,11 @@ POWER = 0.8
 RIGHT = 0.95
 """Two errors are alike where the right one fits better with a smaller probability."""
 LEAST_SHARE = 1e-6
-"""A column of which less is left is confounded."""
+"""A column of which less is left is confounded. Rounding leaves up to 1e-11 of a member of a family;
+of errors that a recording shows at all, 3e-5 or more is left."""
+MOST_SIGMA = 0.1
+"""So is one whose size is known worse than to this part of its natural unit, the typical range or 1:
+what noise does to the derivatives themselves would then decide."""
 TINY = 1e-14
 """Rounding of what is left where everything is explained."""
 GAUSSIAN_DOF = 1e5
@@ -77,11 +82,11 @@ class SystematicError:
     explained_by : str
         Code of a clearer error that explains this one too; empty where there is none.
     detectable : float
-        The size at which the least detectable member is found with probability `POWER` at the level at
-        which it is tested; infinite where confounded.
+        The size at which the least detectable member is found with probability `POWER` at the level
+        at which it is tested; infinite where confounded.
     location_shift, direction_shift : (B, 3)
-        What may go unnoticed: how wrong r [m] and v [rad] of every beam would be by the member that moves
-        that beam most, at the size at which that member is detectable. NaN where confounded.
+        What may go unnoticed: how wrong r [m] and v [rad] of every beam would be by the member that
+        moves that beam most, at the size at which that member is detectable. NaN where confounded.
     location_error, direction_error : (B, 3)
         How wrong r [m] and v [rad] are if the error has the size estimated. NaN where confounded.
     alike : tuple of str
@@ -111,7 +116,7 @@ class SystematicError:
 
     @property
     def warning(self) -> str:
-        """The sentence with the remedy where it is found and nothing clearer explains it; else empty."""
+        """The sentence with the remedy, where it is found and nothing clearer explains it."""
         if not self.found or self.explained_by:
             return ""
         return f"{self.message}. To remove it: {self.remedy}"
@@ -173,8 +178,8 @@ def systematic_errors(
     how : Whitening
         Of these rows, beam by beam in the order of the beams.
     prior : (B, 2)
-        Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero where it
-        is not in the model.
+        Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero
+        where it is not in the model.
     position : (N,)
         Order in time of each reading's station in the recording.
     names : Names
@@ -286,7 +291,12 @@ class _Analysis:
         pulled = bound.pull.copy()
         pulled[:, 5:] *= at.range_errors
         left = bound.perpendicular(rows.residual[:, None], pulled.reshape(-1, 1))
-        self._test(self.products(left.heavy)[:, 0], float(left.squares[0]), how.sigma)
+        square = float(left.squares[0])
+        scale = how.sigma if dof is None else float(np.sqrt(square / dof))
+        unit = {"m": float(np.median(readings.distance)), "1": 1.0}
+        most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in self.codes.tolist()])
+        self.determined &= self.left > (scale / most) ** 2
+        self._test(self.products(left.heavy)[:, 0], square, scale)
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -323,20 +333,19 @@ class _Analysis:
         self.share = np.concatenate(unbound) / np.where(whole > 0.0, whole, np.inf)
         self.determined: BoolArray = self.share > LEAST_SHARE
 
-    def _test(self, score: FloatArray, e_square: float, sigma: float) -> None:
+    def _test(self, score: FloatArray, square: float, scale: float) -> None:
+        """Test all members, given their products with e, e'e, and the typical scale of noise."""
         left = np.where(self.determined, self.left, 1.0)
-        explained = np.where(self.determined, score**2 / left, 0.0)
-        each, scale = np.full(len(left), sigma), sigma
+        each = np.full(len(left), scale)
         if self.dof is not None:
-            rest = np.maximum(e_square - explained, TINY * e_square)
-            each = np.sqrt(rest / (self.dof - 1))
-            scale = float(np.sqrt(e_square / self.dof))
+            explained = np.where(self.determined, score**2 / left, 0.0)
+            each = np.sqrt(np.maximum(square - explained, TINY * square) / (self.dof - 1))
         self.size, self.sigma = score / left, each / np.sqrt(left)
-        self.z = np.where(self.determined, self.size / np.maximum(self.sigma, 1e-300), 0.0)
+        self.z = np.where(self.determined, self.size / np.maximum(self.sigma, TINY * scale), 0.0)
         tested = np.flatnonzero(self.determined)
         self.p = np.ones(len(left))
         self.p[tested] = holm(two_sided(self.z[tested], self.dof))
-        if self.dof is not None and (self.p < LEVEL).any():
+        if (self.p < LEVEL).any():
             scale = float(each[tested].min())
         self.critical, self.delta = needed(LEVEL / max(len(tested), 1), self.dof)
         smallest = self.delta * scale / np.sqrt(left)
@@ -369,7 +378,7 @@ class _Analysis:
         kept: list[int] = []
         words = []
         for one in range(len(members)):
-            G = rho[np.ix_(kept, members[kept])]
+            G = rho[kept][:, members[kept]]
             r = rho[kept, members[one]]
             solved = np.linalg.lstsq(G, np.stack((r, self.z[members[kept]]), axis=1), rcond=None)[0]
             freedom = max(1.0 - float(r @ solved[:, 0]), TINY)
@@ -400,7 +409,8 @@ def two_sided(z: FloatArray, dof: int | None) -> FloatArray:
 def needed(level: float, dof: int | None) -> tuple[float, float]:
     """Return the critical |z| at a level, and the mean of z that exceeds it with probability `POWER`.
 
-    The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral Student.
+    The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
+    Student.
     """
     gaussian = float(norm.isf(0.5 * level))
     if dof is None or dof > GAUSSIAN_DOF:
@@ -417,10 +427,10 @@ def needed(level: float, dof: int | None) -> tuple[float, float]:
 def alike(rho: FloatArray, delta: float) -> BoolArray:
     """Tell which errors cannot be told from a true one of which z has the mean `delta`.
 
-    The statistic of another is z' ~ N(rho delta, 1) with correlation rho to z. The right one fits better
-    where z^2 > z'^2. As z - z' and z + z' are independent with means (1 -+ rho) delta and variances
-    2 (1 -+ rho), that has the probability F(a) F(b) + F(-a) F(-b), a, b = delta sqrt((1 -+ rho) / 2), F the
-    Gaussian distribution function.
+    The statistic of another is z' ~ N(rho delta, 1) with correlation rho to z. The right one fits
+    better where z^2 > z'^2. As z - z' and z + z' are independent with means (1 -+ rho) delta and
+    variances 2 (1 -+ rho), that has the probability F(a) F(b) + F(-a) F(-b), a, b = delta sqrt((1
+    -+ rho) / 2), F the Gaussian distribution function.
     """
     a, b = delta * np.sqrt(0.5 * (1.0 - rho)), delta * np.sqrt(0.5 * (1.0 + rho))
     right = norm.cdf(a) * norm.cdf(b) + norm.cdf(-a) * norm.cdf(-b)
@@ -468,8 +478,8 @@ def _report(
     words = WORDING[code]
     family = np.flatnonzero((found.codes == code) & found.determined)
     detectable = float(found.detectable[family].max())
-    shifts = [_worst(x) for x in found.shifts(family, found.detectable[family])]
-    errors = [x[0] for x in found.shifts(np.array([member]), found.size[[member]])]
+    shift, turn = (_worst(x) for x in found.shifts(family, found.detectable[family]))
+    error, twist = (x[0] for x in found.shifts(np.array([member]), found.size[[member]]))
     p = float(found.p[member])
     clear = p < LEVEL
     beams = names.sorted_beams()
@@ -477,7 +487,7 @@ def _report(
         size = size_in_words(float(found.size[member]), words.unit)
         message = (
             f"the readings show {words.phrase.format(size=size, subject=subject)} (p = {p:.1g}), which "
-            f"makes {_effect(errors, beams, 'wrong by')}"
+            f"makes {_effect(error, twist, beams, 'wrong by')}"
         )
         message += f"; it is explained by what is found as {explained}" if explained else ""
         message += f"; it may also be {' or '.join(others)}" if others and not explained else ""
@@ -485,7 +495,7 @@ def _report(
         size = size_in_words(detectable, words.unit)
         phrase = words.phrase.format(size=size, subject=words.anywhere)
         message = (
-            f"{phrase} would go unnoticed, and make {_effect(shifts, beams, 'wrong by up to')}"
+            f"{phrase} would go unnoticed, and make {_effect(shift, turn, beams, 'wrong by up to')}"
         )
     return SystematicError(
         code,
@@ -497,8 +507,10 @@ def _report(
         clear,
         explained if clear else "",
         detectable,
-        *shifts,
-        *errors,
+        shift,
+        turn,
+        error,
+        twist,
         others,
         False,
         message,
@@ -512,12 +524,12 @@ def _worst(shifts: FloatArray) -> FloatArray:
     return np.asarray(shifts[member, np.arange(shifts.shape[1])])
 
 
-def _effect(shifts: list[FloatArray], beams: Sequence[str], verb: str) -> str:
-    """Say which beam is moved most."""
-    location, turn = (np.linalg.norm(x, axis=1) for x in shifts)
+def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: str) -> str:
+    """Say which beam is moved most, and which is turned most."""
+    location, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(twist, axis=1)
     return (
-        f"the location of beam {beams[int(location.argmax())]} {verb} {location.max() * 1e3:.2g} mm and the "
-        f"direction of beam {beams[int(turn.argmax())]} {verb} {np.rad2deg(turn.max()):.2g} deg"
+        f"the location of beam {beams[int(location.argmax())]} {verb} {location.max() * 1e3:.2g} mm "
+        f"and the direction of beam {beams[int(turn.argmax())]} {verb} {np.rad2deg(turn.max()):.2g} deg"
     )
 
 
