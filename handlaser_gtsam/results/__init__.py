@@ -1,0 +1,1 @@
+"""What follows from a calibration: systematic errors that were tested for."""
