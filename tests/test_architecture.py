@@ -39,6 +39,14 @@ FLOORS = [
     },
     {"diagnosis.hold_out", "diagnosis.bootstrap", "diagnosis.drift"},
     {"diagnosis.validation", "session"},
+    {
+        "results.access",
+        "results.significance",
+        "results.spot_error",
+        "results.variance_shares",
+        "results.improvement",
+        "results.verdict",
+    },
     {"files"},
     {"cli"},
 ]
@@ -108,14 +116,16 @@ def floor(name: str) -> int | None:
 
 
 def test_every_module_has_a_floor():
-    homeless = [name for name in MODULES if name not in ("", "diagnosis") and floor(name) is None]
+    homeless = [
+        name for name in MODULES if name not in ("", "diagnosis", "results") and floor(name) is None
+    ]
     assert not homeless
 
 
 def test_arrows_point_downwards():
     wrong = []
     for name in MODULES:
-        if name in ("", "diagnosis"):
+        if name in ("", "diagnosis", "results"):
             continue
         here = floor(name)
         for target in imports(name) & set(MODULES):
