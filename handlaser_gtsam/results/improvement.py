@@ -27,9 +27,9 @@ WELL_CONDITIONED = 100.0
 FEW_DEGREES = 12.0
 """With fewer degrees of freedom the 95 % radius is more than 1.2 times that of known sigmas."""
 MOTIONS: dict[Quantity, str] = {
-    "location": "turning the hand further, about two axes: the locations are known worst",
-    "direction": "turning the hand further and varying the range: the directions are known worst",
-    "range error": "a wider span of ranges: the range errors are known worst",
+    "location": "turning the hand further, about two axes (the locations are known worst)",
+    "direction": "turning the hand further and varying the range (the directions are known worst)",
+    "range error": "a wider span of ranges (the range errors are known worst)",
 }
 """What tells the quantity that is known worst."""
 
@@ -118,7 +118,7 @@ def _limit_of_residuals(failed: tuple[LimitCheck, ...]) -> Improvement | None:
     if not any(one.quantity == "rms" for one in failed):
         return None
     return Improvement(
-        "limit-rms", "less noise of sensor or robot: more stations do not lower residuals"
+        "limit-rms", "less noise of sensor or robot (more stations do not lower residuals)"
     )
 
 
@@ -137,11 +137,11 @@ def _largest_share(calibration: Calibration, shares: VarianceShares | None) -> I
 
 
 def _words_of_poses(share: float) -> str:
-    return f"a better robot calibration, or more stations: its errors cause {_percent(share)}"
+    return f"a better robot calibration or more stations (robot errors cause {_percent(share)})"
 
 
 def _words_of_span(share: float) -> str:
-    return f"a wider span of ranges: unknown range errors cause {_percent(share)}"
+    return f"a wider span of ranges (unknown range errors cause {_percent(share)})"
 
 
 def _percent(share: float) -> str:
@@ -153,14 +153,14 @@ def _stations(calibration: Calibration, failed: tuple[LimitCheck, ...]) -> Impro
         times = max(one.ratio for one in failed) ** 2
         return Improvement(
             "more-stations",
-            f"about {_times(times)} times as many stations: they would meet the limits",
+            f"about {_times(times)} times as many stations (they would meet the limits)",
         )
     if freedom(calibration) < FEW_DEGREES:
         return Improvement(
             "more-stations",
-            f"more stations: {calibration.fit.dof} degrees of freedom hardly tell the noise",
+            f"more stations ({calibration.fit.dof} degrees of freedom hardly tell the noise)",
         )
-    return Improvement("more-stations", "more stations: 4 times as many halve it")
+    return Improvement("more-stations", "more stations (4 times as many halve it)")
 
 
 def _times(value: float) -> str:

@@ -6,8 +6,9 @@ variances of the readings and of the hand poses: both doubled, V doubles. The sh
     d ln V / d ln(pose variances)   and   d ln V / d ln(range variances),
 
 therefore add up to 1, and each is what V would lose, to first order, if its cause were smaller.
-Besides, V would fall to the conditional variance if the range errors k of all beams were known, and the part of
-it that lies along the direction in which the solution is known worst would fall with motion along it.
+Besides, V would fall to the conditional variance if the range errors k of all beams were known, and the
+part of it that lies along the direction in which the solution is known worst would fall with motion
+along it.
 """
 
 import math

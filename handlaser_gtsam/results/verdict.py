@@ -150,7 +150,7 @@ def verdict_of_validation(
     found = replace(found, limits=(*found.limits, *checks))
     p_values = {plane: result.p_value for plane, result in left_out.items()}
     against = contradicted(p_values)
-    end = f"; would help most: {found.improvement}"
+    end = f"; best improvement: {found.improvement}"
     if not found.usable:
         return found
     if against:
@@ -242,7 +242,7 @@ def _sentence(
     if code == "usable-with-care" and calibration.warnings:
         count = len(calibration.warnings)
         parts.append(f"see the {'warning' if count == 1 else f'{count} warnings'}")
-    parts.append(f"would help most: {_cut(best.words)}")
+    parts.append(f"best improvement: {_cut(best.words)}")
     return f"{OPENING[code]}: {'; '.join(parts)}."
 
 
