@@ -12,10 +12,17 @@ SHOWN = 4
 KINDS = {"pose translation": "hand position", "pose rotation": "hand rotation"}
 
 
-def noise_words(result: Calibration) -> str:
-    """Return the standard deviations behind the result: given, estimated, or carried by a prior."""
+def noise_words(result: Calibration, *, brief: bool = False) -> str:
+    """Return the standard deviations behind the result: given, estimated, or carried by a prior.
+
+    In brief, those of several beams are summed up by the least and the largest.
+    """
     estimated = {one.name: one for one in result.noise_estimate}
-    parts = [estimate_words(one) for one in result.noise_estimate if one.name.startswith("range")]
+    ranges = [one for one in result.noise_estimate if one.name.startswith("range")]
+    parts = [estimate_words(one) for one in ranges]
+    if brief and len(parts) > 1:
+        sigmas = [one.sigma * MM for one in ranges]
+        parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam (estimated)"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {result.fit.range_sigma * MM:.3g} mm ({how})"]
@@ -63,18 +70,17 @@ def range_error_words(result: Calibration) -> str:
     for index, term in enumerate(("k1", "k2")):
         names = [name for name, found in excluded.items() if found[index]]
         if names:
-            listed.append(f"{term} of {'all beams' if all_of(names, result) else _beams(names)}")
-    words = f"zero is excluded (95 %) for {'; '.join(listed)}" if listed else "zero is not excluded"
+            listed.append(f"{term}{_beams(names, len(result.beams))}")
+    words = (
+        f"zero is excluded (95 %) for {' and '.join(listed)}" if listed else "zero is not excluded"
+    )
     learned = scales(result)
     if learned is None:
         return f"range errors, d + k1 d + k2 d^2: {words}"
     return f"range errors, learned scales k1 {learned.k1:.2g}, k2 {learned.k2_per_m:.2g}/m: {words}"
 
 
-def all_of(names: list[str], result: Calibration) -> bool:
-    """Tell whether these are all of several beams."""
-    return len(names) == len(result.beams) > 1
-
-
-def _beams(names: list[str]) -> str:
-    return f"beam{'s' if len(names) > 1 else ''} {some(names, SHOWN)}"
+def _beams(names: list[str], beams: int) -> str:
+    if len(names) == beams:
+        return " of all beams" if beams > 1 else ""
+    return f" of beam{'s' if len(names) > 1 else ''} {some(names, SHOWN)}"

@@ -18,7 +18,7 @@ LINES = 30
 SHOWN_BEAMS = 8
 TWO_ROWS = 4
 """Up to so many beams have two rows each."""
-SHOWN_REJECTED = 4
+SHOWN_REJECTED = 3
 NAME = 8
 """Columns of a beam's name."""
 
@@ -32,8 +32,8 @@ def screen_lines(
     if any(beam.sigma is not None for beam in result.beams.values()):
         lines += _beam_lines(list(result.beams.values()))
         lines += wrapped(range_error_words(result), 2)
-        lines += wrapped(noise_words(result), 2)
-    lines += wrapped(_fit(result), 1)
+        lines += wrapped(noise_words(result, brief=True), 2)
+    lines += wrapped(_fit(result), 2)
     lines += wrapped(_observability(result), 2)
     if verdict.limits:
         lines += wrapped(_limits(verdict), 2)

@@ -110,7 +110,7 @@ def _sigmas(calibration: Calibration) -> Improvement | None:
         return None
     return Improvement(
         "sigmas",
-        f"correct sigmas, or none: residuals are {fit.sigma0:.2g} times as large as the given ones say",
+        f"sigmas that fit, or none (residuals are {fit.sigma0:.2g} times as large as given)",
     )
 
 
@@ -160,8 +160,9 @@ def _stations(calibration: Calibration, failed: tuple[LimitCheck, ...]) -> Impro
             "more-stations",
             f"more stations ({calibration.fit.dof} degrees of freedom hardly tell the noise)",
         )
-    return Improvement("more-stations", "more stations (4 times as many halve it)")
+    return Improvement("more-stations", "more stations (4 times as many halve the error)")
 
 
 def _times(value: float) -> str:
-    return f"{value:.1f}" if value < 10.0 else f"{value:.0f}"
+    """Return a factor above 1, rounded up."""
+    return f"{math.ceil(10.0 * value) / 10.0:.1f}" if value < 10.0 else f"{math.ceil(value)}"

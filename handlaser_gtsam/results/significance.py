@@ -13,6 +13,8 @@ RARE = 0.1
 """Rarer chances than this are stated as one in so many."""
 ROUND_FROM = 100.0
 """From here on, one in so many is rounded to one digit."""
+MOST = 99.0
+"""Nothing is stated to happen in 100 of 100 cases."""
 LEAST = 1e-9
 """No approximation holds for smaller p-values."""
 
@@ -37,7 +39,7 @@ def chance(p: float) -> str:
     if p < LEAST:
         return f"in fewer than 1 of {1.0 / LEAST:,.0f}"
     if p >= RARE:
-        return f"in {100.0 * p:.0f} of 100"
+        return f"in {min(100.0 * p, MOST):.0f} of 100"
     times = 1.0 / p
     if times >= ROUND_FROM:
         digits = 10.0 ** math.floor(math.log10(times))
