@@ -6,10 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import GRIPPER, degenerate
+from test_verdict import Error, announced
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.lines import WIDTH, decimals, with_sigma, wrapped
 from handlaser_gtsam.cli.screen import LINES, screen_lines
+from handlaser_gtsam.cli.tables import systematic_lines
+from handlaser_gtsam.cli.validation_tables import hold_out_sentence
+from handlaser_gtsam.diagnosis.hold_out import HoldOut
 from handlaser_gtsam.limits import Limits
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.sensor import Rejected
@@ -157,6 +161,48 @@ def test_limits_are_said_to_hold(handlaser, tmp_path):
     (line,) = [line for line in fits(out) if line.startswith("limits held: ")]
     assert "of 0.2 mm" in line
     assert "of 0.5 mm" in line
+
+
+def test_the_largest_error_that_could_go_unnoticed_is_named(calibration, recording):
+    small, large = np.full((4, 3), 1e-6), np.full((4, 3), 1e-5)
+    errors = (
+        Error(0.0, small, found=False, message="a small one"),
+        Error(0.0, large, found=False, code="lag", message="a large one"),
+        Error(0.0, 9.0 * large, found=False, confounded=True, code="translation-scale"),
+    )
+    one = announced(calibration, *errors)
+    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
+    assert "2 kinds tested, none found (indistinguishable: translation-scale)" in text
+    assert "a large one" in text
+    assert "a small one" not in text
+    full = list(systematic_lines(one))
+    assert len(full) == 3
+    assert "confounded" in full[2]
+
+
+def test_the_errors_found_are_listed_by_p(calibration, recording):
+    shift = np.full((4, 3), 1e-7)
+    errors = (Error(1e-4, shift), Error(1e-4, shift, code="lag", p_value=1e-7, message="a lag"))
+    one = announced(calibration, *errors)
+    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
+    assert "found: lag (p = 1e-07), sag (p = 0.0001): a lag" in text
+    assert all(
+        error.remedy in line for error, line in zip(errors, systematic_lines(one), strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("p", "opening"),
+    [
+        (0.5, "The calibration holds: "),
+        (0.005, "The calibration hardly holds: "),
+        (0.0005, "The calibration does not hold: "),
+        (math.nan, "Not tested: "),
+    ],
+)
+def test_what_p_means_of_an_old_calibration(p, opening):
+    found = HoldOut(9, 1e-5, 1e-5, 1.0, 1, 0.5, 1.0, 6, p, ())
+    assert hold_out_sentence(found).startswith(opening)
 
 
 def test_a_result_that_is_not_usable_exits_with_4(handlaser, monkeypatch):

@@ -178,9 +178,10 @@ def _systematic(result: Calibration, reading: float) -> str:
     tested = systematic(result)
     if not tested:
         return "systematic errors: not tested"
-    found = [one for one in tested if one.found]
+    found = sorted((one for one in tested if one.found), key=lambda one: one.p_value)
     if found:
-        return f"systematic errors found: {'; '.join(one.message for one in found)}"
+        codes = ", ".join(f"{one.code} (p = {one.p_value:.1g})" for one in found)
+        return f"systematic errors found: {codes}: {found[0].message}"
     sensitive = [one for one in tested if not one.confounded]
     hidden = [one.code for one in tested if one.confounded]
     words = f"systematic errors: {count(len(sensitive), 'kind')} tested, none found"

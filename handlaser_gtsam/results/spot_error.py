@@ -20,7 +20,7 @@ from scipy.stats import f as f_distribution
 
 from ..arrays import FloatArray
 from ..calibration import Calibration
-from ..propagation import spot
+from ..propagation import spot_jacobian
 
 LEVEL = 0.95
 
@@ -67,7 +67,9 @@ def spot_errors(calibration: Calibration, reading: float) -> tuple[SpotError, ..
     if calibration.covariance is None or not math.isfinite(reading):
         return ()
     dof = freedom(calibration)
-    beams = [name for name, beam in calibration.beams.items() if beam.direction_sigma is not None]
-    return tuple(
-        SpotError(name, radius(spot(calibration, name, reading).covariance, dof)) for name in beams
-    )
+    found = []
+    for name, beam in calibration.beams.items():
+        if beam.covariance is not None:
+            J = spot_jacobian(calibration, name, reading)
+            found.append(SpotError(name, radius(J @ beam.covariance @ J.T, dof)))
+    return tuple(found)

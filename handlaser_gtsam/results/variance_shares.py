@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import eigh
 
 from .. import model
 from ..arrays import FloatArray
@@ -83,7 +84,7 @@ def variance_shares(
     k = np.flatnonzero(np.arange(len(S)) % width >= width - 2)
     known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=RANK, hermitian=True) @ S[k]
     unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // width)
-    values, axes = np.linalg.eigh(S / np.outer(unit, unit))
+    values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along = J @ (unit * axes[:, -1])
     return VarianceShares(
         _pose_share(calibration, J, recording),
