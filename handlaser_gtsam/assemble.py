@@ -21,7 +21,7 @@ from .calibration import (
 )
 from .covariance import covariance, covariance_of_determined
 from .diagnosis.correlations import strong_correlations
-from .diagnosis.doubts import doubts, misfit, noise_advice, poorly_told, suspicious
+from .diagnosis.doubts import doubts, misfit, noise_advice, suspicious
 from .diagnosis.hypotheses import better_ways
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
@@ -47,8 +47,9 @@ from .noise import Noise
 from .ordering import Order
 from .parameters import Parameters
 from .recording import Readings, Recording
+from .results.systematic import SystematicError, systematic_errors
 from .selection import Selection
-from .weighting import Variances
+from .weighting import Variances, whitening
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -89,6 +90,9 @@ def assemble(
     if _trusted(status, solution, fit):
         joint = _covariance(solution, fit, origins).arranged(names.beams, names.planes)
     beams, planes = _estimates(names, solution, origins, joint)
+    systematic: tuple[SystematicError, ...] = ()
+    if status == "converged" and solution.problem.loss == GAUSSIAN:
+        systematic = _systematic(recording, local, solution, order, names, fit)
     return Calibration(
         status,
         _message(status, solution, determined, wrong),
@@ -96,7 +100,7 @@ def assemble(
         + ((wrong,) if wrong else ())
         + _label_warnings(recording, order, names, why)
         + doubts(used, solution.best, fit, noise, solution.variances)
-        + poorly_told(_noise_estimate(solution, names)),
+        + tuple(one.warning for one in systematic if one.warning),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -112,6 +116,7 @@ def assemble(
         _mixture(solution, names, joint),
         _at_scales(solution, names, origins, fit, joint),
         None if solution.posterior is None else solution.posterior.learned,
+        systematic,
     )
 
 
@@ -195,6 +200,39 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
 def _motion_determines(solution: Solution, used: Readings) -> bool:
     at, terms = solution.parameters, solution.observability.terms
     return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
+
+
+def _systematic(
+    recording: Recording,
+    used: Readings,
+    solution: Solution,
+    order: Order,
+    names: Names,
+    fit: Fit,
+) -> tuple[SystematicError, ...]:
+    """Return what the residuals say of errors that the model leaves out, beams as in the recording."""
+    how = solution.whitening
+    if how is None:
+        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
+        how = replace(whitening(solution.parameters, used, equal), sigma=fit.range_sigma)
+    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
+    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    found = systematic_errors(
+        solution.parameters,
+        used,
+        how,
+        prior,
+        order.stations[used.station],
+        names,
+        known=fit.range_sigma_given,
+        dof=fit.dof,
+        stations=recording.station_names,
+    )
+    beams = [i for _, i in names.beams]
+    moves = ("location_shift", "direction_shift", "location_error", "direction_error")
+    return tuple(
+        replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
+    )
 
 
 def _scales(solution: Solution) -> RangeErrorScales | None:

@@ -18,6 +18,7 @@ from .joint import JointCovariance
 from .losses import LossName
 from .noise import Noise
 from .parameters import Parameters, RangeErrorPrior
+from .results.systematic import SystematicError
 from .sensor import Rejected
 from .weighting import Variances
 
@@ -343,7 +344,7 @@ class Calibration:
     mixture: BeamMixture | None = None
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
-    systematic: tuple["SystematicError", ...] = ()
+    systematic: tuple[SystematicError, ...] = ()
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""

@@ -2,9 +2,17 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from .calibration import Calibration
 from .errors import InputError
+
+Quantity = Literal["rms", "location_sigma", "direction_sigma"]
+WORDS: dict[Quantity, str] = {
+    "rms": "rms",
+    "location_sigma": "location sigma",
+    "direction_sigma": "direction sigma",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +40,88 @@ class Limits:
                 raise InputError(f"limit {name} {value:g}", "a positive number")
 
 
-def exceeded(calibration: Calibration, limits: Limits) -> tuple[str, ...]:
-    """Say which limits a converged calibration exceeds; nothing where it passes."""
-    words = []
-    if limits.rms is not None and calibration.fit.rms > limits.rms:
-        words.append(f"rms {calibration.fit.rms * 1e3:.4g} mm above {limits.rms * 1e3:.4g} mm")
+@dataclass(frozen=True, slots=True)
+class LimitCheck:
+    """A value beside its limit.
+
+    Attributes
+    ----------
+    quantity : str
+        The field of `Limits`.
+    subject : str
+        "beam NAME", or "without plane NAME"; empty where it concerns everything.
+    value, limit : float
+        [m], or [rad] of a direction.
+    """
+
+    quantity: Quantity
+    subject: str
+    value: float
+    limit: float
+
+    @property
+    def held(self) -> bool:
+        """Whether the value is within its limit."""
+        return not self.value > self.limit
+
+    @property
+    def ratio(self) -> float:
+        """The value in units of its limit."""
+        return self.value / self.limit
+
+    @property
+    def failure(self) -> str:
+        """The words for a limit that is exceeded."""
+        owner = f"{self.subject}: " if self.subject else ""
+        scale, unit = self._scale
+        return (
+            f"{owner}{WORDS[self.quantity]} {self.value * scale:.4g} {unit} above "
+            f"{self.limit * scale:.4g} {unit}"
+        )
+
+    @property
+    def comparison(self) -> str:
+        """The value beside its limit, in words: "rms 0.11 of 0.2 mm"."""
+        scale, unit = self._scale
+        return f"{WORDS[self.quantity]} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
+
+    @property
+    def _scale(self) -> tuple[float, str]:
+        if self.quantity == "direction_sigma":
+            return 180.0 / math.pi, "deg"
+        return 1e3, "mm"
+
+
+def checked(calibration: Calibration, limits: Limits) -> tuple[LimitCheck, ...]:
+    """Compare a converged calibration with every limit that is given, beam by beam."""
+    found = list(rms_checked("", calibration.fit.rms, limits))
     for beam in calibration.beams.values():
         location, direction = beam.location_sigma, beam.direction_sigma
         if location is None or direction is None:
             continue
-        if limits.location_sigma is not None and location.max() > limits.location_sigma:
-            words.append(
-                f"beam {beam.name}: location sigma {location.max() * 1e3:.4g} mm above "
-                f"{limits.location_sigma * 1e3:.4g} mm"
-            )
-        if limits.direction_sigma is not None and direction > limits.direction_sigma:
-            words.append(
-                f"beam {beam.name}: direction sigma {math.degrees(direction):.4g} deg above "
-                f"{math.degrees(limits.direction_sigma):.4g} deg"
-            )
-    return tuple(words)
+        owner = f"beam {beam.name}"
+        if limits.location_sigma is not None:
+            value = float(location.max())
+            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma))
+        if limits.direction_sigma is not None:
+            found.append(LimitCheck("direction_sigma", owner, direction, limits.direction_sigma))
+    return tuple(found)
+
+
+def rms_checked(subject: str, rms: float, limits: Limits) -> tuple[LimitCheck, ...]:
+    """Compare an rms residual [m] with its limit, where there is one."""
+    return () if limits.rms is None else (LimitCheck("rms", subject, rms, limits.rms),)
+
+
+def worst_of_each(checks: tuple[LimitCheck, ...]) -> tuple[LimitCheck, ...]:
+    """Return the check nearest to its limit, or furthest beyond, of every quantity."""
+    worst: dict[Quantity, LimitCheck] = {}
+    for one in checks:
+        if one.quantity not in worst or one.ratio > worst[one.quantity].ratio:
+            worst[one.quantity] = one
+    return tuple(worst.values())
+
+
+def exceeded(calibration: Calibration, limits: Limits) -> tuple[str, ...]:
+    """Say which limits a converged calibration exceeds; nothing where it passes."""
+    return tuple(one.failure for one in checked(calibration, limits) if not one.held)

@@ -163,6 +163,11 @@ def typical_plane(
     return recording.station_names[station], found
 
 
+def spot_jacobian(calibration: Calibration, beam: str, reading: float) -> FloatArray:
+    """Return the derivative (3, 8) of a beam's spot at a reading [m] by its ambient coordinates."""
+    return _spot(_beam(calibration, beam), reading)[1]
+
+
 def _beam(calibration: Calibration, name: str) -> Beam:
     if name not in calibration.beams:
         raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")

@@ -42,6 +42,13 @@ FLOORS = [
     },
     {"diagnosis.hold_out", "diagnosis.bootstrap", "diagnosis.drift"},
     {"diagnosis.validation", "session"},
+    {
+        "results.significance",
+        "results.spot_error",
+        "results.variance_shares",
+        "results.improvement",
+        "results.verdict",
+    },
     {"files"},
     {"cli"},
 ]

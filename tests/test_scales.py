@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from handlaser_gtsam.variance_components import Wanted, estimate_components
 
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
-from handlaser_gtsam.variance_components import Wanted, estimate_components
 from handlaser_gtsam.weighting import Variances
 
 RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from handlaser_gtsam.solving import solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
@@ -24,7 +25,6 @@ from handlaser_gtsam.results.systematic import (
     systematic_errors,
     two_sided,
 )
-from handlaser_gtsam.solving import solve
 from handlaser_gtsam.weighting import Variances, whitening
 
 SIGMA = 1e-4

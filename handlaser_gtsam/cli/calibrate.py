@@ -12,14 +12,13 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..diagnosis.cross_check import CrossCheck
     from ..recording import Recording
+    from ..results.verdict import Verdict
     from .incremental import PlaneByPlane
 
-UNDETERMINED, OUTSIDE_LIMITS, INTERRUPTED = 3, 4, 130
+UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
 MM = 1e-3
 DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
-WIDTH = 120
-"""Columns of what is printed to a file or pipe."""
 
 
 def calibrate(
@@ -74,7 +73,9 @@ def calibrate(
     ] = False,
     at_range_mm: Annotated[
         float | None,
-        typer.Option(help="Reading at which the error of the laser spot is told; default: median."),
+        typer.Option(
+            help="Working distance at which the laser spot's error is stated; default: median reading."
+        ),
     ] = None,
     range_mm: Annotated[
         tuple[float, float] | None,
@@ -98,13 +99,16 @@ def calibrate(
         bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
+    ] = False,
 ) -> None:
     """Find the mount of every beam and every plane in RECORDING, with covariances.
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, or
-    the solver gave up; 4 outside the limits of the rig file; 130 stopped by Ctrl-C.
+    the solver gave up; 4 not usable: outside the limits of the rig file, or with a systematic error
+    larger than what the result states; 130 stopped by Ctrl-C.
     """
-    from .. import limits
     from ..diagnosis import cross_check as checking
     from ..errors import InputError
     from ..files.calibration_json import calibration_text
@@ -112,6 +116,7 @@ def calibrate(
     from ..files.writing import write_text
     from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
+    from ..results.verdict import verdict
     from .settings import settings_of
 
     for source in (recording, rig):
@@ -149,43 +154,51 @@ def calibrate(
     check = None
     if cross_check and result.status == "converged":
         check = checking.cross_check(result, table)
-    too_much = limits.exceeded(result, settings.limits)
+    judged = verdict(result, table, settings.limits, reading)
     if json_:
         sys.stdout.write(text)
     elif not quiet:
-        _show(result, table, check, out, reading, fed)
-    _finish(result, too_much, check, fed, aloud=json_ or quiet)
+        _show(result, table, judged, (check, out, fed), verbose=verbose)
+    _finish(result, judged, check, fed, aloud=json_ or quiet)
 
 
 def _show(
     result: "Calibration",
     recording: "Recording",
-    check: "CrossCheck | None",
-    out: Path | None,
-    reading: float | None,
-    fed: "PlaneByPlane | None",
+    judged: "Verdict",
+    beside: tuple["CrossCheck | None", Path | None, "PlaneByPlane | None"],
+    *,
+    verbose: bool,
 ) -> None:
+    from .lines import WIDTH, wrapped
+    from .screen import screen_lines
     from .tables import TableConsole, calibration_tables, cross_check_line
 
+    check, out, fed = beside
+    closing = [] if check is None else wrapped(cross_check_line(check), 2)
+    closing += [] if out is None else [f"wrote {out}"]
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
+    if verbose:
+        for part in calibration_tables(result, recording, judged):
+            text = "\n".join(wrapped(part)) if isinstance(part, str) else part
+            console.print(text, soft_wrap=True)
+    else:
+        for line in screen_lines(result, recording, judged, closing=len(closing)):
+            console.print(line, soft_wrap=True)
     if fed is not None:
         from .incremental import comparison_line, update_table
 
         console.print(update_table(fed))
         if fed.comparison is not None:
-            console.print(comparison_line(fed.comparison), soft_wrap=True)
-    for part in calibration_tables(result, recording, reading):
-        console.print(part, soft_wrap=True)
-    if check is not None:
-        console.print(cross_check_line(check), soft_wrap=True)
-    if out is not None:
-        console.print(f"wrote {out}", soft_wrap=True)
+            console.print("\n".join(wrapped(comparison_line(fed.comparison))), soft_wrap=True)
+    for line in closing:
+        console.print(line, soft_wrap=True)
 
 
 def _finish(
     result: "Calibration",
-    too_much: tuple[str, ...],
+    judged: "Verdict",
     cross: "CrossCheck | None",
     fed: "PlaneByPlane | None",
     *,
@@ -216,6 +229,9 @@ def _finish(
             file=sys.stderr,
         )
         raise typer.Exit(UNDETERMINED)
-    if too_much:
-        print(f"handlaser: outside the limits: {'; '.join(too_much)}", file=sys.stderr)
-        raise typer.Exit(OUTSIDE_LIMITS)
+    if judged.exceeded:
+        print(f"handlaser: outside the limits: {'; '.join(judged.exceeded)}", file=sys.stderr)
+        raise typer.Exit(NOT_USABLE)
+    if not judged.usable:
+        print(f"handlaser: {judged.sentence}", file=sys.stderr)
+        raise typer.Exit(NOT_USABLE)

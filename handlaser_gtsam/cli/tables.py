@@ -1,4 +1,4 @@
-"""What a person sees of a calibration: tables in millimetres and degrees."""
+"""Everything that a person can see of a calibration: tables in millimetres and degrees."""
 
 import math
 import os
@@ -10,12 +10,14 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.table import Table
 
-from ..calibration import Beam, Calibration, NoiseComponent, Plane
+from ..calibration import Beam, Calibration, Plane
 from ..diagnosis.cross_check import CrossCheck
 from ..propagation import MeasuredPlane, spot, typical_plane
 from ..recording import Recording
+from ..results.verdict import Verdict
+from .lines import MM, UNDETERMINED, count
+from .noise_lines import noise_words, range_error_words, zero_excluded
 
-MM = 1e3
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
 SHOWN_CORRELATIONS = 5
@@ -29,8 +31,6 @@ ROWS = (
     ("k1", ".6f", "1"),
     ("k2", ".6f", "1/m"),
 )
-OPEN = "open"
-"""Stands for a number that the recording does not determine."""
 
 
 class TableConsole(Console):
@@ -43,24 +43,36 @@ class TableConsole(Console):
 
 
 def calibration_tables(
-    result: Calibration, recording: Recording, reading: float | None = None
+    result: Calibration, recording: Recording, verdict: Verdict
 ) -> Iterator[RenderableType]:
-    """Yield the parts of the printed result, in reading order; no numbers that mean nothing.
-
-    The error of the laser spots is told at `reading` [m], or at the median.
-    """
+    """Yield the parts of the full result, in reading order; no numbers that mean nothing."""
+    yield verdict.sentence
     yield _head(result, recording)
     if any(beam.sigma is not None for beam in result.beams.values()):
         for beam in result.beams.values():
             yield _beam_table(beam, result)
         yield _plane_table(list(result.planes.values()))
-        yield from _spot_lines(result, result.fit.median_reading if reading is None else reading)
+        yield from _spot_lines(result, verdict.reading)
         found = typical_plane(result, recording)
         if found is not None:
             yield _plane_line(*found)
     yield from _fit_lines(result)
+    for check in verdict.limits:
+        state = "held" if check.held else "exceeded"
+        yield f"limit {state}: {check.comparison} {check.subject}".rstrip()
+    yield from systematic_lines(result)
     for warning in result.warnings:
         yield f"WARNING: {warning}"
+
+
+def systematic_lines(result: Calibration) -> Iterator[str]:
+    """Yield all systematic errors that the calibration was tested for."""
+    for one in result.systematic:
+        subject = f" of {one.subject}" if one.subject else ""
+        state = "FOUND" if one.found else "confounded" if one.confounded else "not found"
+        p = "" if one.confounded else f", p = {one.p_value:.2g}"
+        remedy = f"; {one.remedy}" if one.found else ""
+        yield f"systematic error {one.code}{subject}: {state}{p}: {one.message}{remedy}"
 
 
 def cross_check_line(check: CrossCheck) -> str:
@@ -74,15 +86,15 @@ def cross_check_line(check: CrossCheck) -> str:
 
 def _head(result: Calibration, recording: Recording) -> str:
     sizes = (
-        _count(len(recording.plane_labels), "station"),
-        _count(len(result.planes), "plane"),
-        _count(len(result.beams), "beam"),
-        _count(result.fit.readings, "reading"),
-        f"{len(result.fit.rejected)} left out",
+        count(len(recording.plane_labels), "station"),
+        count(len(result.planes), "plane"),
+        count(len(result.beams), "beam"),
+        count(result.fit.readings, "reading"),
+        f"{len(result.fit.rejected)} rejected",
     )
     lines = [
         ", ".join(sizes),
-        f"start: {result.start.method}; range error: {result.range_error_choice}",
+        f"start: {result.start.method}",
     ]
     if recording.ignored_columns:
         lines.append(f"columns not used: {', '.join(recording.ignored_columns)}")
@@ -91,10 +103,6 @@ def _head(result: Calibration, recording: Recording) -> str:
     else:
         lines.append(f"NOT A CALIBRATION ({result.status}): {result.message}")
     return "\n".join(lines)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def _beam_table(beam: Beam, result: Calibration) -> Table:
@@ -108,19 +116,18 @@ def _beam_table(beam: Beam, result: Calibration) -> Table:
     for i, (name, spec, unit) in enumerate(ROWS[: 6 + beam.terms]):
         scale = MM if unit == "mm" else 1.0
         numbers = [x * scale for x in (value[i], sigma[i], *interval[i])]
-        shown = [format(x, spec) if math.isfinite(sigma[i]) else OPEN for x in numbers]
+        shown = [format(x, spec) if math.isfinite(sigma[i]) else UNDETERMINED for x in numbers]
         table.add_row(name, *shown, unit)
     turn = math.inf if beam.direction_sigma is None else math.degrees(beam.direction_sigma)
     table.add_row("direction, largest", "", _pair(0.0, turn, ".4f")[1], "", "", "deg")
-    if beam.evidence is not None:
+    if beam.terms:
         listed = ", ".join(
-            f"{name} {value:+.1f}"
-            for name, value in zip(
-                ("none", "k1", "k1 and k2"), beam.evidence.criterion, strict=True
+            f"{name}: zero {'excluded' if excluded else 'not excluded'}"
+            for name, excluded in zip(
+                ("k1", "k2")[: beam.terms], zero_excluded(result, beam.name), strict=False
             )
-            if math.isfinite(value)
         )
-        table.caption = f"range error by BIC, lower is better: {listed}"
+        table.caption = listed
         table.caption_justify = "left"
     return table
 
@@ -163,31 +170,33 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         f"(station {station}, beam {beam})"
     )
     if fit.range_sigma_given:
-        yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 if the sigma is right)"
+        yield f"chi2/dof: {fit.chi2:.1f}/{fit.dof}, sigma0 {fit.sigma0:.3f} (1 if the sigmas are right)"
     else:
-        yield f"range sigma estimated from {fit.dof} degrees of freedom: {fit.range_sigma * MM:.4g} mm"
+        yield (
+            f"standard deviation of a reading from {fit.dof} degrees of freedom: "
+            f"{fit.range_sigma * MM:.4g} mm"
+        )
     if fit.poses != "exact":
         yield f"hand poses: {fit.poses}"
-    for one in result.noise_estimate:
-        yield _noise_line(one)
+    yield noise_words(result)
+    yield range_error_words(result)
     for pair in result.correlations[:SHOWN_CORRELATIONS]:
         yield (
-            f"hardly told apart: {pair.first} and {pair.second} (correlation {pair.coefficient:+.3f}): "
+            f"strongly correlated: {pair.first} and {pair.second} ({pair.coefficient:+.3f}): "
             f"{pair.advice}"
         )
     if len(result.correlations) > SHOWN_CORRELATIONS:
-        yield f"hardly told apart: {len(result.correlations) - SHOWN_CORRELATIONS} more; --json has all"
+        more = len(result.correlations) - SHOWN_CORRELATIONS
+        yield f"strongly correlated: {more} more; --json has all"
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
         yield f"known worst: {result.observability.weakest}"
-    for left_out in fit.rejected[:SHOWN_REJECTED]:
-        residual = (
-            "" if left_out.residual is None else f", residual {left_out.residual * MM:.3g} mm"
-        )
-        yield f"left out: station {left_out.station}, beam {left_out.beam}: {left_out.reason}{residual}"
+    for one in fit.rejected[:SHOWN_REJECTED]:
+        residual = "" if one.residual is None else f", residual {one.residual * MM:.3g} mm"
+        yield f"rejected: station {one.station}, beam {one.beam}: {one.reason}{residual}"
     if len(fit.rejected) > SHOWN_REJECTED:
-        yield f"left out: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
+        yield f"rejected: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
 
 
 def _plane_line(station: str, plane: MeasuredPlane) -> str:
@@ -199,17 +208,10 @@ def _plane_line(station: str, plane: MeasuredPlane) -> str:
     )
 
 
-def _noise_line(one: NoiseComponent) -> str:
-    """Return an estimated sigma with its own standard deviation."""
-    turning = one.name.startswith("pose rotation")
-    scale, unit = (180.0 / math.pi, "deg") if turning else (MM, "mm")
-    if not math.isfinite(one.error):
-        return f"estimated sigma of {one.name}: not told from zero by this recording"
-    return (
-        f"estimated sigma of {one.name}: {one.sigma * scale:.3g} +- {one.error * scale:.2g} {unit}"
-    )
-
-
 def _pair(value: float, sigma: float, spec: str) -> tuple[str, str]:
-    """Return a value and its standard deviation; no value where it is open."""
-    return (format(value, spec), format(sigma, spec)) if math.isfinite(sigma) else (OPEN, OPEN)
+    """Return a value and its standard deviation; no value where it is undetermined."""
+    return (
+        (format(value, spec), format(sigma, spec))
+        if math.isfinite(sigma)
+        else (UNDETERMINED, UNDETERMINED)
+    )

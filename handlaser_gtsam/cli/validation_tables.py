@@ -5,27 +5,21 @@ from collections.abc import Iterator
 
 from ..diagnosis.hold_out import HoldOut
 from ..diagnosis.validation import Prediction, Validation
+from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
+from ..results.verdict import Verdict
+from .lines import MM
+from .tables import systematic_lines
 
-MM = 1e3
-UNLIKELY = 1e-3
 
-
-def validation_lines(result: Validation) -> Iterator[str]:
-    """Yield the lines of a validation."""
+def validation_lines(result: Validation, verdict: Verdict) -> Iterator[str]:
+    """Yield the lines of a validation, the verdict first."""
+    yield verdict.sentence
     fit = result.calibration.fit
     yield (
         f"residuals of the calibration itself: rms {fit.rms * MM:.4g} mm, "
         f"largest {fit.largest * MM:.4g} mm"
     )
-    for one in result.planes:
-        if one.result is None:
-            yield f"without plane {one.plane}: no calibration: {one.message}"
-            continue
-        held = one.result
-        yield (
-            f"without plane {one.plane}: its readings fit within rms {held.rms * MM:.4g} mm, largest "
-            f"{held.largest * MM:.4g} mm; the beams agree with p = {held.p_value:.2g}"
-        )
+    yield from _left_out_lines(result)
     if result.splits:
         yield from _splits(result.splits)
     if result.reconstruction is not None and result.without_range_error is not None:
@@ -36,34 +30,83 @@ def validation_lines(result: Validation) -> Iterator[str]:
         )
     else:
         yield "no station has three beams that span a plane: nothing to reconstruct"
+    for one in verdict.exceeded:
+        yield f"limit exceeded: {one}"
+    yield from systematic_lines(result.calibration)
+    for warning in result.calibration.warnings:
+        yield f"WARNING: {warning}"
+
+
+def _left_out_lines(result: Validation) -> Iterator[str]:
+    p_values = {one.plane: one.result.p_value for one in result.planes if one.result is not None}
+    against = contradicted(p_values)
+    for one in result.planes:
+        if one.result is None:
+            yield f"without plane {one.plane}: no calibration: {one.message}"
+            continue
+        held = one.result
+        yield (
+            f"without plane {one.plane}: its readings fit within rms {held.rms * MM:.4g} mm, largest "
+            f"{held.largest * MM:.4g} mm; {_agreement(one.plane, held, against)}"
+        )
+
+
+def _agreement(plane: str, held: HoldOut, against: tuple[str, ...]) -> str:
+    """Say whether the beams found without a plane agree with it, as the exit code has it."""
+    if math.isnan(held.p_value):
+        return "it says nothing about the beams"
+    verb = "agree with it"
+    if plane in against:
+        verb = "contradict it"
+    elif held.p_value < DOUBTFUL_LEVEL:
+        verb = "hardly agree with it"
+    return (
+        f"the beams found without it {verb}: a difference this large comes by chance "
+        f"{chance(held.p_value)} such recordings (p = {held.p_value:.2g})"
+    )
 
 
 def hold_out_lines(found: HoldOut) -> Iterator[str]:
-    """Yield the lines of a hold-out test."""
+    """Yield the lines of a hold-out test, its verdict first."""
+    yield hold_out_sentence(found)
     yield (
         f"{found.readings} readings, planes fitted, beams as calibrated: rms {found.rms * MM:.4g} mm, "
         f"largest {found.largest * MM:.4g} mm"
     )
     noise = "" if math.isnan(found.noise_p_value) else f", p = {found.noise_p_value:.2g}"
     yield f"noise and model with free beams: chi2/dof {found.chi2:.1f}/{found.dof}{noise}"
-    if found.noise_p_value < UNLIKELY:
+    if found.noise_p_value < SINGLE_LEVEL:
         yield (
             "WARNING: the readings contradict noise and model even with free beams: look for outliers "
             "and wrong plane labels, or state larger sigmas, before you believe what follows"
         )
     if found.drift_dof == 0:
-        yield "the recording says nothing about the beams: add stations with more varied orientations"
         return
-    yield (
-        f"does the calibration hold: chi2 {found.drift:.1f} of {found.drift_dof} degrees of freedom, "
-        f"p = {found.p_value:.2g}"
-    )
+    yield f"movement of the beams: chi2 {found.drift:.1f} of {found.drift_dof} degrees of freedom"
     for beam in found.beams:
         shift = math.dist((0.0, 0.0, 0.0), tuple(beam.shift))
         yield (
             f"beam {beam.name} alone moved: p = {beam.p_value:.2g}; it would have moved by "
             f"{shift * MM:.3g} mm and turned by {math.degrees(beam.turn):.3g} deg"
         )
+
+
+def hold_out_sentence(found: HoldOut) -> str:
+    """Say whether a calibration holds for a recording, and what p means."""
+    if found.drift_dof == 0 or math.isnan(found.p_value):
+        return (
+            "Not tested: the recording says nothing about the beams; add stations with more varied "
+            "orientations."
+        )
+    opening = "The calibration holds"
+    if found.p_value < SINGLE_LEVEL:
+        opening = "The calibration does not hold"
+    elif found.p_value < DOUBTFUL_LEVEL:
+        opening = "The calibration hardly holds"
+    return (
+        f"{opening}: a difference this large would come by chance {chance(found.p_value)} such "
+        f"recordings (p = {found.p_value:.2g})."
+    )
 
 
 def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
-from ..calibration import Fit, NoiseComponent
+from ..calibration import Fit
 from ..model import plausible_range_errors
 from ..noise import Noise
 from ..parameters import Parameters
@@ -121,17 +121,6 @@ def doubts(
             "sigmas off; leave it out if it is an outlier"
         )
     return tuple(words)
-
-
-def poorly_told(components: tuple[NoiseComponent, ...]) -> tuple[str, ...]:
-    """Name estimated sigmas that the recording hardly tells."""
-    poor = [one.name for one in components if one.prior_carries]
-    if not poor:
-        return ()
-    return (
-        f"the sigma of {', '.join(poor)} is hardly determined by this recording: what is expected of "
-        "such machines decides; give it if you know it, or add stations",
-    )
 
 
 def noise_advice(fit: Fit) -> str:

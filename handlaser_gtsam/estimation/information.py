@@ -242,7 +242,7 @@ def _planes_eliminated(
 ) -> tuple[Information, PlaneResponse]:
     """Eliminate planes from (J, n, n), (J, P, n, 4) and (J, P, 4, 4); residuals stand last."""
     H, g = plane_plane[..., :3, :3], plane_plane[..., :3, 3]
-    inverse: FloatArray = np.linalg.inv(H)
+    inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
     E = beam_plane[..., :3]
     response = inverse @ np.swapaxes(E, 2, 3)
     step = -np.einsum("jpab,jpb->jpa", inverse, g)

@@ -101,7 +101,7 @@ def mixture_quantiles(
 def widest_grid(linearity: float, terms: int) -> RangeErrorGrid:
     """Return a coarse grid over all scales that are possible."""
     steps = round(SPAN / STEP)
-    side: FloatArray = np.arange(-steps, steps + 1) * STEP
+    side = np.arange(-steps, steps + 1, dtype=np.float64) * STEP
     return _grid([side] * terms, linearity)
 
 
@@ -165,7 +165,8 @@ class BeamPosterior:
         matrix += LEAST_INFORMATION * np.eye(size)
         matrix[:, self.at, self.at] += precision
         vector[:, self.at] -= precision * k.ravel()
-        scale = 1.0 / np.sqrt(np.einsum("jii->ji", matrix))
+        diagonal = np.einsum("jii->ji", matrix)
+        scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
         scaled = matrix * scale[:, :, None] * scale[:, None, :]
         self.covariance = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
         self.mean = np.einsum("jab,jb->ja", self.covariance, vector)

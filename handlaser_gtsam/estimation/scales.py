@@ -7,8 +7,8 @@ A standard deviation that nobody states has a half-Cauchy prior of a scale that 
 which leaves its size to the readings where they can tell it and keeps it near c where they cannot
 (Gelman, Bayesian Analysis 1(3), 2006). A range sigma that is not given is flat in its logarithm down to
 a part of the residuals. The scales are integrated over on points about the mode of their posterior,
-as in integrated nested Laplace approximations (Rue, Martino and Chopin, JRSS B 71(2), 2009): along the axes
-of the curvature, stretched on each side by how the posterior falls there.
+as in integrated nested Laplace approximations (Rue, Martino and Chopin, JRSS B 71(2), 2009): along
+the axes of the curvature, stretched on each side by how the posterior falls there.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ FLOOR = 0.1
 """A range sigma below this part of the residuals becomes improbable."""
 STEP = 0.02
 """Of differences in the logarithm of a scale."""
-REACH = (9.0, 6.0)
+REACH = (7.0, 5.0)
 """Scales are looked for within this below and above their start, in the logarithm."""
 CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""

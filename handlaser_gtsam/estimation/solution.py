@@ -293,7 +293,7 @@ class _Task:
         sigma: float,
         how: Whitening | None = None,
     ) -> Solution:
-        """Diagnose a result; of solutions that leave something undetermined, the one that leaves most."""
+        """Diagnose a result; of solutions of short rank, take the one that leaves most undetermined."""
         readings = self.readings
         parameters = read_parameters(problem, result.values)
         found = self._observed(parameters, sigma, how)

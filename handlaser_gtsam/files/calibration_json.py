@@ -11,6 +11,7 @@ from ..diagnosis.motion import MotionCheck
 from ..parameters import Parameters
 from ..propagation import spot
 from ..recording import Recording
+from ..results.systematic import SystematicError
 from .writing import write_text
 
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
@@ -74,6 +75,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         "range_error_scales": None
         if calibration.range_error_scales is None
         else asdict(calibration.range_error_scales),
+        "systematic": [_systematic(one) for one in calibration.systematic],
         "start": {
             "method": calibration.start.method,
             "tried": [
@@ -163,6 +165,28 @@ def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> dict[s
     }
 
 
+def _systematic(one: SystematicError) -> Json:
+    return {
+        "code": one.code,
+        "subject": one.subject,
+        "unit": one.unit,
+        "size": _finite(one.size),
+        "sigma": _finite(one.sigma),
+        "p_value": _finite(one.p_value),
+        "found": one.found,
+        "explained_by": one.explained_by or None,
+        "confounded": one.confounded,
+        "detectable": _finite(one.detectable),
+        "alike": list(one.alike),
+        "location_shift_m": [_list(row) for row in one.location_shift],
+        "direction_shift_rad": [_list(row) for row in one.direction_shift],
+        "location_error_m": [_list(row) for row in one.location_error],
+        "direction_error_rad": [_list(row) for row in one.direction_error],
+        "message": one.message,
+        "remedy": one.remedy,
+    }
+
+
 def _excludes_zero(calibration: Calibration, beam: Beam) -> Json:
     """Tell of k1 and k2 whether their 95 % intervals exclude zero; null where not estimated."""
     found = calibration.intervals(beam.name)
@@ -170,7 +194,9 @@ def _excludes_zero(calibration: Calibration, beam: Beam) -> Json:
         return None
     names = ("k1", "k2_per_m")[: beam.terms]
     rows = found[6 : 6 + beam.terms]
-    return {name: bool(low > 0.0 or high < 0.0) for name, (low, high) in zip(names, rows, strict=True)}
+    return {
+        name: bool(low > 0.0 or high < 0.0) for name, (low, high) in zip(names, rows, strict=True)
+    }
 
 
 def _pose_covariance(calibration: Calibration) -> Json:

@@ -106,5 +106,4 @@ def _pose_covariance(rows: list[list[float]] | None) -> FloatArray | None:
         return None
     if [len(row) for row in rows] != [6] * 6:
         raise InputError("a pose covariance of another shape", "6 rows of 6 numbers")
-    found = Noise(pose_covariance=np.array(rows)).pose_covariance  # refuses what is none
-    return found
+    return Noise(pose_covariance=np.array(rows)).pose_covariance  # which refuses what is none

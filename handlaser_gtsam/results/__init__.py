@@ -1,1 +1,1 @@
-"""What follows from a calibration: systematic errors that were tested for."""
+"""What follows from a calibration: its verdict, and the systematic errors that it was tested for."""

@@ -1,0 +1,56 @@
+"""Text for a screen: lines of bounded width, values with as many digits as their sigma deserves."""
+
+import math
+import textwrap
+
+WIDTH = 100
+"""Columns of the default screen, and of everything that is not printed to a terminal."""
+MM = 1e3
+DEG = 180.0 / math.pi
+UNDETERMINED = "undetermined"
+"""Stands for a number that the recording does not determine."""
+
+
+def wrapped(text: str, most: int | None = None) -> list[str]:
+    """Return `text` in lines of at most `WIDTH` columns, further ones indented, at most so many.
+
+    Words, such as paths, are not broken.
+    """
+    return [
+        line
+        for part in text.splitlines()
+        for line in textwrap.wrap(
+            part,
+            WIDTH,
+            subsequent_indent="  ",
+            break_long_words=False,
+            break_on_hyphens=False,
+            max_lines=most,
+            placeholder=" ...",
+        )
+    ]
+
+
+def decimals(sigma: float, most: int) -> int:
+    """Return the decimals at which a standard deviation has two digits, from 0 to `most`."""
+    if not (math.isfinite(sigma) and sigma > 0.0):
+        return most
+    return min(max(1 - math.floor(math.log10(sigma)), 0), most)
+
+
+def with_sigma(value: float, sigma: float, digits: int) -> str:
+    """Return a value and its standard deviation, "10.880 +- 0.081"; no value where there is none."""
+    if not math.isfinite(sigma):
+        return UNDETERMINED
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def some(names: list[str], most: int) -> str:
+    """Return at most so many names, and how many more there are."""
+    shown = ", ".join(names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number of things: "1 beam", "2 beams"."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")

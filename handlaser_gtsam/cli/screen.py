@@ -1,0 +1,216 @@
+"""What a person sees of a calibration by default: the verdict first, 30 lines of 100 columns."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..calibration import Beam, Calibration
+from ..limits import worst_of_each
+from ..recording import Recording
+from ..results.verdict import Verdict, spot_shift
+from .lines import DEG, MM, UNDETERMINED, count, decimals, some, with_sigma, wrapped
+from .noise_lines import noise_words, range_error_words
+
+LINES = 30
+SHOWN_BEAMS = 8
+TWO_ROWS = 4
+"""Up to so many beams have two rows each."""
+SHOWN_REJECTED = 3
+NAME = 8
+"""Columns of a beam's name."""
+
+
+def screen_lines(
+    result: Calibration, recording: Recording, verdict: Verdict, *, closing: int = 0
+) -> list[str]:
+    """Return the default screen; `closing` lines of the 30 are kept for what follows it."""
+    lines = wrapped(verdict.sentence, 3)
+    lines += wrapped(_counts(result, recording), 1)
+    if any(beam.sigma is not None for beam in result.beams.values()):
+        lines += _beam_lines(list(result.beams.values()))
+        lines += wrapped(range_error_words(result), 2)
+        lines += wrapped(noise_words(result, brief=True), 2)
+    lines += wrapped(_fit(result), 2)
+    lines += wrapped(_observability(result), 2)
+    if verdict.limits:
+        lines += wrapped(_limits(verdict), 2)
+    if result.status == "converged":
+        lines += wrapped(_systematic(result, verdict.reading), 2)
+    if result.fit.rejected:
+        lines += wrapped(_rejected(result), 1)
+    return lines + _warnings(result, LINES - closing - len(lines))
+
+
+def _counts(result: Calibration, recording: Recording) -> str:
+    sizes = (
+        count(len(recording.plane_labels), "station"),
+        count(len(result.planes), "plane"),
+        count(len(result.beams), "beam"),
+        count(result.fit.readings, "reading"),
+        f"{len(result.fit.rejected)} rejected",
+    )
+    words = f"{', '.join(sizes)}; start: {result.start.method}"
+    if recording.ignored_columns:
+        words += f"; columns not used: {', '.join(recording.ignored_columns)}"
+    return words
+
+
+def _beam_lines(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts: two rows a beam, or one where there are many."""
+    if len(beams) <= TWO_ROWS:
+        yield "beam      hand frame: location r [mm], unit direction v        range error k1, k2 [1/m]"
+        for beam in beams:
+            yield from _two_rows(beam)
+        return
+    yield (
+        f"{'beam':<{NAME}}{'x':>9}{'y':>9}{'z [mm]':>9} {'+-':<6}{'vx':>9}{'vy':>9}{'vz':>9} "
+        f"{'+- deg':<6}  {'k1':>10} {'k2 [1/m]':>9}"
+    )
+    for beam in beams[:SHOWN_BEAMS]:
+        yield _one_row(beam)
+    if len(beams) > SHOWN_BEAMS:
+        yield f"and {len(beams) - SHOWN_BEAMS} more beams: --verbose"
+
+
+def _two_rows(beam: Beam) -> Iterator[str]:
+    sigma = np.full(8, math.inf) if beam.sigma is None else beam.sigma
+    for symbol, values, sigmas, scale, most, k in (
+        ("r", beam.location, sigma[:3], MM, 4, 0),
+        ("v", beam.direction, sigma[3:6], 1.0, 6, 1),
+    ):
+        digits = _row_decimals(sigmas * scale, most)
+        cells = [
+            f"{with_sigma(x * scale, s * scale, digits):>21}"
+            for x, s in zip(values.tolist(), sigmas.tolist(), strict=True)
+        ]
+        error = "0"
+        if k < beam.terms:
+            own = _row_decimals(sigma[6 + k : 7 + k], 6 - 2 * k)
+            error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
+        name = _short(beam.name) if k == 0 else ""
+        yield f"{name:<{NAME}} {symbol}{''.join(cells)}  k{k + 1} {error}"
+
+
+def _one_row(beam: Beam) -> str:
+    sigma = np.full(8, math.inf) if beam.sigma is None else beam.sigma
+    location = _cells(beam.location * MM, sigma[:3] * MM, 3)
+    direction = _cells(beam.direction, sigma[3:6], 5)
+    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
+    k = [
+        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 5 - 2 * i)
+        if i < beam.terms
+        else "0"
+        for i in range(2)
+    ]
+    return (
+        f"{_short(beam.name):<{NAME}}{location} {_size(float(sigma[:3].max()) * MM):<6}{direction} "
+        f"{_size(turn):<6}  {k[0]:>10} {k[1]:>9}"
+    )
+
+
+def _row_decimals(sigmas: FloatArray, most: int) -> int:
+    """Return the decimals of a row: two digits of the smallest sigma, three of the largest at most."""
+    finite = sigmas[np.isfinite(sigmas)]
+    if not len(finite):
+        return most
+    return min(decimals(float(finite.min()), most), decimals(float(finite.max()), most) + 1, most)
+
+
+def _cells(values: FloatArray, sigmas: FloatArray, most: int) -> str:
+    digits = _row_decimals(sigmas, most)
+    cells = [
+        f"{x:.{digits}f}" if math.isfinite(s) else "undet."
+        for x, s in zip(values.tolist(), sigmas.tolist(), strict=True)
+    ]
+    return "".join(f"{cell:>9}" for cell in cells)
+
+
+def _concise(value: float, sigma: float, most: int) -> str:
+    """Return a value with the standard deviation of its last digits: "0.0207(56)"."""
+    if not math.isfinite(sigma):
+        return "undet."
+    digits = decimals(sigma, most)
+    return f"{value:.{digits}f}({sigma * 10.0**digits:.0f})"
+
+
+def _size(sigma: float) -> str:
+    return f"{sigma:.2g}"[:6] if math.isfinite(sigma) else "undet."
+
+
+def _short(name: str) -> str:
+    return name if len(name) < NAME else name[: NAME - 3] + ".."
+
+
+def _fit(result: Calibration) -> str:
+    fit = result.fit
+    station, beam = fit.largest_at
+    words = (
+        f"fit: rms {fit.rms * MM:.3g} mm, largest {fit.largest * MM:.3g} mm (station {station}, beam "
+        f"{beam}); "
+    )
+    if fit.range_sigma_given or result.noise_estimate:
+        words += f"sigma0 {fit.sigma0:.2f} (expected 1), "
+    return words + count(fit.dof, "degree") + " of freedom"
+
+
+def _observability(result: Calibration) -> str:
+    found = result.observability
+    if found.condition is None:
+        known = f"observability: {found.rank} of {found.unknowns} unknowns determined"
+        return f"{known}; {UNDETERMINED}: {'; '.join(found.undetermined)}"
+    return (
+        f"observability: all {found.unknowns} unknowns determined, condition number "
+        f"{found.condition:.0f} (usual demand: below 100); known worst: {found.weakest}"
+    )
+
+
+def _limits(verdict: Verdict) -> str:
+    if verdict.exceeded:
+        return f"limits exceeded: {'; '.join(verdict.exceeded)}"
+    return f"limits held: {', '.join(one.comparison for one in worst_of_each(verdict.limits))}"
+
+
+def _systematic(result: Calibration, reading: float) -> str:
+    """Say which systematic errors were found, or the largest that could be there all the same."""
+    tested = result.systematic
+    if not tested:
+        return "systematic errors: not tested"
+    found = sorted((one for one in tested if one.found), key=lambda one: one.p_value)
+    if found:
+        codes = ", ".join(f"{one.code} (p = {one.p_value:.1g})" for one in found)
+        return f"systematic errors found: {codes}: {found[0].message}"
+    sensitive = [one for one in tested if not one.confounded]
+    hidden = [one.code for one in tested if one.confounded]
+    words = f"systematic errors: {count(len(sensitive), 'kind')} tested, none found"
+    if hidden:
+        words += f" (indistinguishable: {', '.join(hidden)})"
+    if not sensitive:
+        return words
+    worst = max(
+        sensitive,
+        key=lambda one: max(
+            np.nan_to_num(spot_shift(one, beam, reading)) for beam in range(len(result.beams))
+        ),
+    )
+    return f"{words}; the largest that could go unnoticed: {worst.message}"
+
+
+def _rejected(result: Calibration) -> str:
+    names = [f"station {one.station} beam {one.beam}" for one in result.fit.rejected]
+    return f"rejected: {count(len(names), 'reading')}: {some(names, SHOWN_REJECTED)} (--verbose)"
+
+
+def _warnings(result: Calibration, room: int) -> list[str]:
+    """Return as many warnings as there is room for, whole; the first one is cut if need be."""
+    warnings = [f"WARNING: {one}" for one in result.warnings if one != result.message]
+    lines: list[str] = []
+    for number, warning in enumerate(warnings):
+        rest = len(warnings) - number - 1
+        left = room - len(lines) - (1 if rest else 0)
+        own = wrapped(warning)
+        if len(own) > left and number > 0:
+            return [*lines, f"and {count(rest + 1, 'more warning')}: --verbose"]
+        lines += own if len(own) <= left else wrapped(warning, max(left, 1))
+    return lines

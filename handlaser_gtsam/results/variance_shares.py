@@ -1,0 +1,166 @@
+r"""What the error of a laser spot is made of.
+
+Let V be the trace of the covariance of the spot x = r + g(d) v of a beam. It is homogeneous in the
+variances of the readings and of the hand poses: both doubled, V doubles. The shares of the two,
+
+    d ln V / d ln(pose variances)   and   d ln V / d ln(range variances),
+
+therefore add up to 1, and each is what V would lose, to first order, if its cause were smaller.
+Besides, V would fall to the conditional variance if the range errors k of all beams were known, and the
+part of it that lies along the direction in which the solution is known worst would fall with motion
+along it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import eigh
+
+from .. import model
+from ..arrays import FloatArray
+from ..calibration import Calibration
+from ..errors import HandlaserError
+from ..joint import BEAM_COORDINATES
+from ..propagation import spot_jacobian
+from ..recording import Readings, Recording
+from ..solvers.reduction import whitened_normal_equations
+from ..weighting import Variances, whitening
+
+STEP = 2.0
+"""The pose variances are multiplied and divided by this to take the logarithmic derivative."""
+RANK = 1e-12
+"""Eigenvalues below this part of the largest are rounding, in natural units."""
+
+Quantity = Literal["location", "direction", "range error"]
+ROWS: dict[Quantity, slice] = {
+    "location": slice(0, 3),
+    "direction": slice(3, 6),
+    "range error": slice(6, 8),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceShares:
+    """Parts of the variance of a laser spot, each between 0 and 1; they overlap.
+
+    Attributes
+    ----------
+    poses : float
+        Of the errors of the hand poses; NaN where no recording tells it.
+    range_error : float
+        Of not knowing k1 and k2.
+    weakest : float
+        Of the direction in which the beams are known worst, in natural units.
+    weakest_quantity : str
+        What takes most of that direction: `location`, `direction` or `range error`.
+    """
+
+    poses: float
+    range_error: float
+    weakest: float
+    weakest_quantity: Quantity = "location"
+
+
+def variance_shares(
+    calibration: Calibration, beam: str, reading: float, recording: Recording | None = None
+) -> VarianceShares | None:
+    """Return what the spot error of `beam` at `reading` [m] is made of; None without a covariance.
+
+    The share of the poses needs the recording of the calibration, in its order.
+    """
+    if calibration.covariance is None:
+        return None
+    S = calibration.covariance.matrix(planes=[])
+    rows = 8 * list(calibration.beams).index(beam) + np.arange(8)
+    J = np.zeros((3, len(S)))
+    J[:, rows] = spot_jacobian(calibration, beam, reading)
+    whole = float(np.trace(J @ S @ J.T))
+    if whole <= 0.0:
+        return VarianceShares(0.0, 0.0, 0.0)
+    width = len(BEAM_COORDINATES)
+    k = np.flatnonzero(np.arange(len(S)) % width >= width - 2)
+    known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=RANK, hermitian=True) @ S[k]
+    unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // width)
+    values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
+    along = J @ (unit * axes[:, -1])
+    return VarianceShares(
+        _pose_share(calibration, J, recording),
+        _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
+        _part(float(values[-1] * (along @ along)) / whole),
+        max(
+            ROWS, key=lambda name: float((axes[:, -1].reshape(-1, width)[:, ROWS[name]] ** 2).sum())
+        ),
+    )
+
+
+def _part(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+def _pose_share(calibration: Calibration, J: FloatArray, recording: Recording | None) -> float:
+    variances = calibration.variances
+    if variances is None or variances.pose is None or not variances.pose.any():
+        return 0.0 if recording is not None else math.nan
+    if recording is None:
+        return math.nan
+    readings = _used(calibration, recording)
+    try:
+        low, high = (
+            _spot_variance(
+                calibration,
+                J,
+                readings,
+                Variances(
+                    variances.range_sigma, variances.incidence_sigma, factor * variances.pose
+                ),
+            )
+            for factor in (1.0 / STEP, STEP)
+        )
+    except HandlaserError:
+        return math.nan
+    if not low > 0.0:
+        return math.nan
+    return _part(math.log(high / low) / (2.0 * math.log(STEP)))
+
+
+def _used(calibration: Calibration, recording: Recording) -> Readings:
+    """Return the readings that the calibration used."""
+    readings = recording.readings()
+    used = ~np.isnan(calibration.fit.residuals[readings.station, readings.beam])
+    return readings.subset(np.flatnonzero(used))
+
+
+def _spot_variance(
+    calibration: Calibration, J: FloatArray, readings: Readings, variances: Variances
+) -> float:
+    """Return the trace of the covariance of a spot, for these variances of the readings."""
+    at = calibration.parameters()
+    how = whitening(at, readings, variances)
+    normal = whitened_normal_equations(at, readings, 2, how)
+    W = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True) @ np.swapaxes(
+        normal.border[0], 1, 2
+    )
+    S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
+    S = S / how.sigma**2 + np.diag(_prior(calibration))
+    active = np.concatenate([np.arange(7) < 5 + b.terms for b in calibration.beams.values()])
+    length = calibration.fit.median_reading
+    unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
+    S = S[np.ix_(active, active)] * np.outer(unit, unit)
+    basis = model.tangent_basis(at.directions)
+    lift = np.zeros((J.shape[1], 7 * len(basis)))
+    for i, B in enumerate(basis):
+        lift[8 * i : 8 * i + 3, 7 * i : 7 * i + 3] = np.eye(3)
+        lift[8 * i + 3 : 8 * i + 6, 7 * i + 3 : 7 * i + 5] = B
+        lift[8 * i + 6 : 8 * i + 8, 7 * i + 5 : 7 * i + 7] = np.eye(2)
+    A = (J @ lift)[:, active] * unit
+    return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))
+
+
+def _prior(calibration: Calibration) -> FloatArray:
+    """Return the prior information of the unknowns of all beams: that of learned range errors."""
+    learned, found = calibration.range_error_scales, np.zeros((len(calibration.beams), 7))
+    if learned is not None:
+        found[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
+    return found.ravel()

@@ -1,0 +1,223 @@
+"""The default screen of handlaser calibrate: 30 lines of 100 columns, the verdict first."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import GRIPPER, degenerate
+from test_verdict import Error, announced
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.cli.lines import WIDTH, decimals, with_sigma, wrapped
+from handlaser_gtsam.cli.screen import LINES, screen_lines
+from handlaser_gtsam.cli.tables import systematic_lines
+from handlaser_gtsam.cli.validation_tables import hold_out_sentence
+from handlaser_gtsam.diagnosis.hold_out import HoldOut
+from handlaser_gtsam.limits import Limits
+from handlaser_gtsam.results.verdict import verdict
+from handlaser_gtsam.sensor import Rejected
+
+RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
+OPENINGS = ("Usable", "Usable with care", "Not usable")
+
+
+def fits(text):
+    lines = text.splitlines()
+    assert len(lines) <= LINES
+    assert max(len(line) for line in lines) <= WIDTH
+    assert lines[0].startswith(OPENINGS)
+    return lines
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return hl.read_recording(RECORDING)
+
+
+@pytest.fixture(scope="module")
+def calibration(recording):
+    return hl.calibrate(recording, hl.read_rig(RIG).noise)
+
+
+def test_the_shipped_recording_fits_on_the_screen(handlaser, tmp_path):
+    arguments = ("--cross-check", "--out", tmp_path / "result.json")
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG, *arguments)
+    assert (code, err) == (0, "")
+    lines = fits(out)
+    assert lines[-1] == f"wrote {tmp_path / 'result.json'}"
+    assert "planes n . x" not in out
+    for beam in "1234":
+        (row,) = [i for i, line in enumerate(lines) if line.startswith(f"{beam}  ")]
+        assert len(lines[row].split("+-")) == len(lines[row + 1].split("+-")) == 5
+
+
+@pytest.mark.parametrize("beams", [1, 4, 8, 20])
+@pytest.mark.parametrize("scene", ["paper", "arm"])
+def test_simulated_scenes_fit_on_the_screen(handlaser, tmp_path, beams, scene):
+    options = ("--scene", scene, "--beams", beams, "--planes", 13, "--k1", 0.01)
+    handlaser("simulate", tmp_path, *options, "--quiet")
+    arguments = ("calibrate", tmp_path / "recording.csv", "--rig", tmp_path / "rig.toml")
+    code, out, _ = handlaser(*arguments)
+    assert code == 0
+    lines = fits(out)
+    rows = [line for line in lines if line.split(" ")[0].isdigit() and "station" not in line]
+    assert len(rows) == min(beams, 8)
+    assert ("and 12 more beams" in out) == (beams == 20)
+
+
+def test_the_full_tables_are_no_wider(handlaser):
+    code, out, _ = handlaser("calibrate", RECORDING, "--rig", RIG, "--verbose")
+    assert code == 0
+    assert out.startswith(OPENINGS)
+    assert max(len(line) for line in out.splitlines()) <= WIDTH
+    assert "planes n . x + b = 0" in out
+    assert "zero excluded" in out
+
+
+def test_outliers_are_listed_in_one_line(handlaser, tmp_path, recording):
+    ranges = recording.ranges.copy()
+    ranges[[3, 8, 14, 20, 26, 33], [0, 1, 2, 3, 0, 1]] += 0.004
+    path = tmp_path / "outliers.csv"
+    hl.write_recording(path, replace_ranges(recording, ranges))
+    _, out, _ = handlaser("calibrate", path, "--rig", RIG)
+    lines = fits(out)
+    (line,) = [line for line in lines if line.startswith("rejected: ")]
+    assert "6 readings" in line
+    assert "and 3 more" in line
+
+
+def replace_ranges(recording, ranges):
+    return hl.Recording(
+        recording.world_R_hand,
+        recording.world_t_hand,
+        ranges,
+        recording.plane_labels,
+        recording.beam_names,
+    )
+
+
+def test_warnings_that_do_not_fit_are_counted(calibration, recording):
+    words = tuple(f"{i} " + "a reading is far off, look at it " * 7 for i in range(12))
+    many = replace(calibration, warnings=words)
+    lines = screen_lines(many, recording, verdict(many, recording), closing=3)
+    fits("\n".join(lines))
+    assert len(lines) <= LINES - 3
+    shown = sum(line.startswith("WARNING") for line in lines)
+    assert 0 < shown < 12
+    assert lines[-1] == f"and {12 - shown} more warnings: --verbose"
+
+
+def test_the_worst_case_of_everything_fits(calibration, recording):
+    """Long names, many beams, outliers, limits and warnings at once."""
+    names = [f"laser on the left gripper finger {i}" for i in range(8)]
+    beams = {
+        name: replace(beam, name=name)
+        for name, beam in zip(names, [*calibration.beams.values()] * 2, strict=True)
+    }
+    rejected = tuple(Rejected(f"station {i}", names[0], "off", 1e-3) for i in range(40))
+    fit = replace(calibration.fit, rejected=rejected, largest_at=("a far station", names[1]))
+    wide = replace(
+        calibration,
+        beams=beams,
+        fit=fit,
+        covariance=None,
+        warnings=("look at every one of the readings of the recording " * 8,) * 9,
+    )
+    judged = verdict(wide, recording, Limits(1e-6, 1e-6, 1e-6))
+    fits("\n".join(screen_lines(wide, recording, judged, closing=3)))
+
+
+def test_the_undetermined_is_named_in_words_and_rows(handlaser, tmp_path):
+    path = tmp_path / "recording.csv"
+    hl.write_recording(path, degenerate("two planes, no rotation"))
+    code, out, _ = handlaser("calibrate", path)
+    assert code == 3
+    lines = fits(out)
+    assert lines[0].startswith("Not usable, undetermined")
+    assert any("undetermined" in line for line in lines if line.startswith("1  "))
+
+
+def test_values_have_the_digits_of_their_sigma():
+    assert decimals(0.0814, 4) == 3
+    assert decimals(12.3, 4) == 0
+    assert decimals(1e-9, 4) == 4
+    assert decimals(0.0, 4) == 4
+    assert with_sigma(10.88041, 0.0814, 3) == "10.880 +- 0.081"
+    assert with_sigma(1.0, math.inf, 3) == "undetermined"
+
+
+def test_wrapping_keeps_paths_whole():
+    path = "/" + "x" * 150
+    assert path in [line.strip() for line in wrapped(f"wrote {path}")]
+    assert len(wrapped("word " * 100, 2)) == 2
+
+
+def test_limits_are_said_to_hold(handlaser, tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.read_text() + "\n[limits]\nrms_mm = 0.2\nlocation_sigma_mm = 0.5\n")
+    code, out, _ = handlaser("calibrate", RECORDING, "--rig", rig)
+    assert code == 0
+    (line,) = [line for line in fits(out) if line.startswith("limits held: ")]
+    assert "of 0.2 mm" in line
+    assert "of 0.5 mm" in line
+
+
+def test_the_largest_error_that_could_go_unnoticed_is_named(calibration, recording):
+    small, large = np.full((4, 3), 1e-6), np.full((4, 3), 1e-5)
+    errors = (
+        Error(0.0, small, found=False, message="a small one"),
+        Error(0.0, large, found=False, code="lag", message="a large one"),
+        Error(0.0, 9.0 * large, found=False, confounded=True, code="translation-scale"),
+    )
+    one = announced(calibration, *errors)
+    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
+    assert "2 kinds tested, none found (indistinguishable: translation-scale)" in text
+    assert "a large one" in text
+    assert "a small one" not in text
+    full = list(systematic_lines(one))
+    assert len(full) == 3
+    assert "confounded" in full[2]
+
+
+def test_the_errors_found_are_listed_by_p(calibration, recording):
+    shift = np.full((4, 3), 1e-7)
+    errors = (Error(1e-4, shift), Error(1e-4, shift, code="lag", p_value=1e-7, message="a lag"))
+    one = announced(calibration, *errors)
+    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
+    assert "found: lag (p = 1e-07), sag (p = 0.0001): a lag" in text
+    assert all(
+        error.remedy in line for error, line in zip(errors, systematic_lines(one), strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("p", "opening"),
+    [
+        (0.5, "The calibration holds: "),
+        (0.005, "The calibration hardly holds: "),
+        (0.0005, "The calibration does not hold: "),
+        (math.nan, "Not tested: "),
+    ],
+)
+def test_what_p_means_of_an_old_calibration(p, opening):
+    found = HoldOut(9, 1e-5, 1e-5, 1.0, 1, 0.5, 1.0, 6, p, ())
+    assert hold_out_sentence(found).startswith(opening)
+
+
+def test_a_result_that_is_not_usable_exits_with_4(handlaser, monkeypatch):
+    from handlaser_gtsam.results import verdict as judging
+
+    class Harm:
+        """A systematic error that moves every spot by a metre."""
+
+        code, subject, found, confounded, p_value = "sag", "", True, False, 1e-9
+        size, detectable = 1e-4, 1e-4
+        location_shift, direction_shift = np.ones((4, 3)), np.zeros((4, 3))
+        message, remedy = "a sag of 0.1 mm over the plate", "use a flatter plate"
+
+    monkeypatch.setattr(judging, "systematic", lambda _: (Harm(),))
+    code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG)
+    assert code == 4
+    assert out.startswith("Not usable, a systematic error: a sag of 0.1 mm")
+    assert err.count("\n") == 1

@@ -1,0 +1,381 @@
+"""The verdict: every branch of it, and the numbers that it rests on two ways."""
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+from helpers import GRIPPER, degenerate, simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.calibration import Calibration
+from handlaser_gtsam.limits import LimitCheck, Limits, checked, exceeded, worst_of_each
+from handlaser_gtsam.propagation import spot
+from handlaser_gtsam.results.improvement import improvement
+from handlaser_gtsam.results.significance import chance, contradicted
+from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
+from handlaser_gtsam.results.verdict import verdict, verdict_of_validation
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.sensor import Rejected
+
+NOISE = hl.Noise(3e-5, 0.0, 0.0)
+LOOSE = Limits(1e-3, 1e-3, 0.1)
+BOTH = hl.CalibrationOptions("k1k2")
+NONE = VarianceShares(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """A systematic error, as far as a verdict reads it."""
+
+    size: float
+    location_shift: np.ndarray
+    detectable: float = 1e-4
+    found: bool = True
+    confounded: bool = False
+    code: str = "sag"
+    subject: str = ""
+    p_value: float = 1e-4
+    message: str = "a sag of 0.1 mm over the plate"
+    remedy: str = "use a flatter plate"
+
+    @property
+    def direction_shift(self):
+        return np.zeros_like(self.location_shift)
+
+
+@dataclass(frozen=True, slots=True)
+class Announced(Calibration):
+    """A calibration that was tested for systematic errors."""
+
+    systematic: tuple[Error, ...] = ()
+
+
+def announced(calibration, *errors):
+    kept = {field.name: getattr(calibration, field.name) for field in fields(calibration)}
+    return Announced(**kept, systematic=errors)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return hl.read_recording(GRIPPER / "recording.csv")
+
+
+@pytest.fixture(scope="module")
+def calibration(recording):
+    return replace(hl.calibrate(recording, NOISE, BOTH), warnings=())
+
+
+@pytest.fixture(scope="module")
+def validation(recording):
+    found = hl.validate(recording, NOISE, splits=0)
+    return replace(found, calibration=replace(found.calibration, warnings=()))
+
+
+# The 95 % radius
+
+
+@pytest.mark.parametrize(
+    "sides", [(1, 0, 0), (1, 0.2, 0), (1, 0.5, 0.5), (1, 1, 0), (1, 1, 1), (1, 0.7, 0.1)]
+)
+@pytest.mark.parametrize("dof", [math.inf, 8.0])
+def test_the_radius_holds_95_percent_of_what_is_drawn(sides, dof):
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    x = rng.standard_normal((200_000, 3)) * np.array(sides)
+    if math.isfinite(dof):
+        x /= np.sqrt(rng.chisquare(dof, len(x)) / dof)[:, None]
+    found = radius(turn @ np.diag(np.square(sides)) @ turn.T, dof)
+    # 200,000 draws tell 95 % to 0.05 %; Satterthwaite adds less than 0.2 %.
+    assert np.mean(np.linalg.norm(x, axis=1) < found) == pytest.approx(0.95, abs=0.003)
+
+
+def test_no_covariance_is_no_radius():
+    assert radius(np.zeros((3, 3))) == 0.0
+
+
+def test_the_spot_error_is_that_of_the_worst_beam(calibration, recording):
+    found = verdict(calibration, recording, reading=0.02)
+    radii = {name: radius(spot(calibration, name, 0.02).covariance) for name in calibration.beams}
+    assert found.spot_beam == max(radii, key=lambda name: radii[name])
+    assert found.spot_error == pytest.approx(max(radii.values()), rel=1e-9)
+    estimated = replace(calibration, fit=replace(calibration.fit, range_sigma_given=False, dof=5))
+    assert verdict(estimated, recording, reading=0.02).spot_error > 1.2 * found.spot_error
+
+
+# What the variance is made of
+
+
+def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
+    """Against calibrations with other sigmas; the shares of both kinds of noise add up to one."""
+    step = 1.05
+
+    def variance(poses, ranges):
+        noise = hl.Noise(3e-5 * ranges, 5e-5 * poses, 5e-4 * poses)
+        return hl.calibrate(recording, noise, replace(BOTH, outliers="keep"))
+
+    middle = variance(1.0, 1.0)
+    found = variance_shares(middle, "2", 0.015, recording)
+
+    def share(one, other):
+        traces = [np.trace(spot(c, "2", 0.015).covariance) for c in (one, other)]
+        return math.log(traces[0] / traces[1]) / (4.0 * math.log(step))
+
+    poses = share(variance(step, 1.0), variance(1.0 / step, 1.0))
+    ranges = share(variance(1.0, step), variance(1.0, 1.0 / step))
+    # The optimum itself moves a little with the sigmas, and the package's step is larger.
+    assert poses + ranges == pytest.approx(1.0, abs=0.02)
+    assert found.poses == pytest.approx(poses, abs=0.03)
+
+
+def test_exact_poses_have_no_share_and_unknown_ones_no_number(calibration, recording):
+    assert variance_shares(calibration, "1", 0.015, recording).poses == 0.0
+    assert math.isnan(variance_shares(calibration, "1", 0.015).poses)
+
+
+def test_the_share_of_range_errors_is_what_fixing_them_takes_away(calibration):
+    """The conditional covariance is the inverse of a part of the information."""
+    joint, reading = calibration.covariance, 0.015
+    S = joint.matrix(planes=[], ambient=False)
+    mounts = np.flatnonzero(np.arange(len(S)) % 7 < 5)
+    known = np.zeros_like(S)
+    known[np.ix_(mounts, mounts)] = np.linalg.inv(np.linalg.inv(S)[np.ix_(mounts, mounts)])
+    v = calibration.beams["1"].direction
+    k1, k2 = calibration.beams["1"].range_error
+    g = reading * (1.0 + k1 + k2 * reading)
+    J = np.hstack([np.eye(3), g * joint.beam_bases[0], np.outer(v, [reading, reading**2])])
+    fixed, whole = (np.trace(J @ C[:7, :7] @ J.T) for C in (known, S))
+    found = variance_shares(calibration, "1", reading)
+    assert found.range_error == pytest.approx(1.0 - fixed / whole, abs=1e-6)
+
+
+# The decision
+
+
+def test_usable_within_its_limits(calibration, recording):
+    found = verdict(calibration, recording, LOOSE)
+    assert (found.usable, found.code, found.exceeded) == (True, "usable", ())
+    assert len(found.limits) == 1 + 2 * 4
+    nearest = max(found.limits, key=lambda one: one.ratio)
+    assert nearest.comparison in found.sentence
+    assert len(found.sentence) <= 200
+    assert found.sentence.count("\n") == 0
+
+
+@pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])
+def test_outside_a_limit(calibration, recording, name):
+    value = max(c.value for c in checked(calibration, LOOSE) if c.quantity == name)
+    inside, outside = (
+        verdict(calibration, recording, Limits(**{name: x * value})) for x in (1.01, 0.99)
+    )
+    assert (inside.usable, inside.code) == (True, "usable")
+    assert (outside.usable, outside.code) == (False, "outside-limits")
+    assert outside.exceeded == exceeded(calibration, Limits(**{name: 0.99 * value}))
+    assert max(outside.limits, key=lambda one: one.ratio).failure in outside.sentence
+    expected = "limit-rms" if name == "rms" else "more-stations"
+    assert outside.improvement_code == expected
+
+
+def test_warnings_ask_for_care(calibration, recording):
+    found = verdict(replace(calibration, warnings=("a reading is far off",)), recording)
+    assert (found.usable, found.code) == (True, "usable-with-care")
+
+
+def test_undetermined_names_what_and_what_helps():
+    recording = degenerate("pure translations")
+    found = verdict(hl.calibrate(recording), recording)
+    assert (found.usable, found.code, found.spot_error) == (False, "undetermined", None)
+    assert found.improvement_code == "more-motion"
+    assert "turn the hand" in found.improvement
+    assert len(found.sentence) <= 220
+
+
+def test_what_did_not_converge_is_not_usable(calibration, recording):
+    failed = replace(calibration, status="not_converged", message="the solver gave up")
+    found = verdict(failed, recording)
+    assert (found.usable, found.code) == (False, "not-converged")
+    assert "the solver gave up" in found.sentence
+
+
+def test_a_calibration_without_a_covariance_has_no_spot_error(calibration, recording):
+    found = verdict(replace(calibration, covariance=None), recording)
+    assert (found.spot_error, found.spot_beam, found.shares) == (None, "", None)
+    assert found.usable
+
+
+@pytest.mark.parametrize(("factor", "code"), [(0.9, "usable-with-care"), (1.1, "systematic-error")])
+def test_a_systematic_error_counts_by_what_it_does_to_the_spot(
+    calibration, recording, factor, code
+):
+    """It moves the spot in proportion to its size, and against the 95 % radius of the same beam."""
+    clean = verdict(calibration, recording)
+    beam = list(calibration.beams).index(clean.spot_beam)
+    shift = np.zeros((4, 3))
+    shift[beam, 1] = 0.5 * factor * clean.spot_error
+    found = verdict(announced(calibration, Error(-2e-4, shift)), recording)
+    assert found.code == code
+    assert found.usable == (code != "systematic-error")
+    assert (found.improvement_code, found.improvement) == ("systematic", "use a flatter plate")
+    hidden = verdict(announced(calibration, Error(-2e-4, 10 * shift, found=False)), recording)
+    assert hidden.code == "usable"
+
+
+def test_a_systematic_error_of_unknown_effect_asks_for_care(calibration, recording):
+    shift = np.full((4, 3), np.nan)
+    found = verdict(announced(calibration, Error(1e-4, shift, detectable=math.inf)), recording)
+    assert found.code == "usable-with-care"
+
+
+# What would improve it most
+
+
+def test_many_outliers_come_first(calibration):
+    fit = calibration.fit
+    rejected = tuple(Rejected(str(i), "1", "contradicts the others", 1e-3) for i in range(25))
+    many = replace(calibration, fit=replace(fit, rejected=rejected))
+    few = replace(calibration, fit=replace(fit, rejected=rejected[:15]))
+    assert improvement(many, NONE, None, ()).code == "outliers"
+    assert improvement(few, NONE, None, ()).code == "more-stations"
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_given_sigmas_that_the_residuals_contradict(calibration, scale):
+    fit = calibration.fit
+    wrong = replace(fit, chi2=scale**2 * fit.dof, sigma0=scale)
+    assert improvement(replace(calibration, fit=wrong), NONE, None, ()).code == "sigmas"
+    unknown = replace(wrong, range_sigma_given=False)
+    assert improvement(replace(calibration, fit=unknown), NONE, None, ()).code == "more-stations"
+
+
+@pytest.mark.parametrize(
+    ("shares", "condition", "code"),
+    [
+        (VarianceShares(0.7, 0.6, 0.6), 300.0, "poses"),
+        (VarianceShares(0.4, 0.6, 0.3), 300.0, "range-span"),
+        (VarianceShares(0.4, 0.3, 0.6), 300.0, "motion"),
+        (VarianceShares(0.4, 0.3, 0.6), 60.0, "more-stations"),
+        (VarianceShares(math.nan, 0.6, 0.3), 60.0, "range-span"),
+        (VarianceShares(math.nan, 0.4, 0.3), 60.0, "more-stations"),
+        (None, 60.0, "more-stations"),
+    ],
+)
+def test_the_largest_share_of_the_variance_decides(calibration, shares, condition, code):
+    seen = replace(calibration.observability, condition=condition)
+    one = replace(calibration, observability=seen)
+    assert improvement(one, shares, None, ()).code == code
+
+
+@pytest.mark.parametrize("quantity", ["location", "direction", "range error"])
+def test_the_motion_is_that_for_the_weakest_quantity(calibration, quantity):
+    seen = replace(calibration, observability=replace(calibration.observability, condition=300.0))
+    words = improvement(seen, VarianceShares(0.0, 0.0, 0.9, quantity), None, ()).words
+    assert f"{quantity}s are known worst" in words
+
+
+def test_few_degrees_of_freedom_ask_for_stations(calibration):
+    few = replace(calibration, fit=replace(calibration.fit, dof=6, range_sigma_given=False))
+    found = improvement(few, VarianceShares(0.9, 0.0, 0.0), None, ())
+    assert found.code == "more-stations"
+    assert "6 degrees of freedom" in found.words
+
+
+def test_stations_that_would_meet_a_limit_are_counted(calibration):
+    check = LimitCheck("location_sigma", "beam 1", 3e-4, 1e-4)
+    assert "9.0 times" in improvement(calibration, NONE, None, (check,)).words
+
+
+def test_robot_errors_dominate_where_they_do():
+    recording, _ = simulated(layout=Layout(planes=6))
+    noise = hl.Noise(3e-5, 5e-5, 5e-4)
+    result = hl.calibrate(recording, noise, hl.CalibrationOptions("none"))
+    assert verdict(result, recording).shares.poses > 0.8
+    small = hl.Noise(3e-5, 1e-7, 1e-6)
+    result = hl.calibrate(recording, small, hl.CalibrationOptions("none"))
+    assert verdict(result, recording).shares.poses < 0.05
+
+
+# Several tests at once, and words for p
+
+
+def test_holm_contradicts_as_its_definition_says():
+    assert contradicted({"A": 0.0014, "B": 0.3, "C": 0.5, "D": 0.9}) == ("A",)
+    assert contradicted({"A": 0.0026, "B": 0.3, "C": 0.5, "D": 0.9}) == ()
+    assert contradicted({"A": 0.0030, "B": 0.0001, "C": 0.5}) == ("A", "B")
+    assert contradicted({"A": math.nan, "B": 0.009}) == ("B",)
+    assert contradicted({}) == ()
+
+
+def test_holm_contradicts_one_good_recording_in_a_hundred():
+    rng = np.random.default_rng(0)
+    names = [str(i) for i in range(8)]
+    p = rng.uniform(size=(20_000, 8))
+    wrong = np.mean([bool(contradicted(dict(zip(names, row, strict=True)))) for row in p.tolist()])
+    assert wrong == pytest.approx(0.01, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("p", "words"),
+    [
+        (1.0, "in 99 of 100"),
+        (0.88, "in 88 of 100"),
+        (0.041, "in 1 of 24"),
+        (0.0014, "in 1 of 700"),
+        (2.1e-5, "in 1 of 50,000"),
+        (0.0, "in fewer than 1 of 1,000,000,000"),
+    ],
+)
+def test_a_p_value_in_words(p, words):
+    assert chance(p) == words
+
+
+# The verdict on a validation
+
+
+def with_p(validation, *p_values):
+    planes = tuple(
+        replace(one, result=replace(one.result, p_value=p))
+        for one, p in zip(validation.planes, p_values, strict=True)
+    )
+    return replace(validation, planes=planes)
+
+
+def test_planes_that_agree_confirm(validation, recording):
+    found = verdict_of_validation(with_p(validation, 0.9, 0.5, 0.01, 0.3), recording)
+    assert (found.usable, found.code) == (True, "usable")
+    assert "confirmed by 4 planes" in found.sentence
+
+
+def test_a_plane_that_contradicts_is_named(validation, recording):
+    found = verdict_of_validation(with_p(validation, 0.0014, 0.3, 0.5, 0.9), recording)
+    assert (found.usable, found.code) == (False, "contradicted")
+    assert "plane A contradicts" in found.sentence
+    assert "1 of 700" in found.sentence
+    assert verdict_of_validation(with_p(validation, 0.0026, 0.3, 0.5, 0.9), recording).usable
+
+
+def test_the_rms_limit_holds_for_planes_left_out(validation, recording):
+    calm = with_p(validation, 0.9, 0.9, 0.9, 0.9)
+    largest = max(one.result.rms for one in validation.planes)
+    assert largest > validation.calibration.fit.rms
+    assert verdict_of_validation(calm, recording, Limits(rms=1.01 * largest)).usable
+    found = verdict_of_validation(calm, recording, Limits(rms=0.99 * largest))
+    assert found.code == "outside-limits"
+    assert [one.subject for one in found.limits if not one.held] == ["without plane D"]
+
+
+def test_what_is_not_usable_stays_so_when_validated(validation, recording):
+    found = verdict_of_validation(validation, recording, Limits(location_sigma=1e-6))
+    assert found.code == "outside-limits"
+
+
+def test_one_plane_confirms_nothing(validation, recording):
+    found = verdict_of_validation(replace(validation, planes=()), recording)
+    assert found == verdict(validation.calibration, recording)
+
+
+def test_the_worst_check_of_every_quantity(calibration):
+    worst = worst_of_each(checked(calibration, LOOSE))
+    assert [one.quantity for one in worst] == ["rms", "location_sigma", "direction_sigma"]
+    largest = max(beam.direction_sigma for beam in calibration.beams.values())
+    assert worst[2].value == largest
