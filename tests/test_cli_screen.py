@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import GRIPPER, degenerate
-from test_verdict import Error, announced
+from test_verdict import error_of
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.lines import WIDTH, decimals, with_sigma, wrapped
@@ -122,6 +122,8 @@ def test_the_worst_case_of_everything_fits(calibration, recording):
         beams=beams,
         fit=fit,
         covariance=None,
+        mixture=None,
+        systematic=(error_of(np.full((8, 3), 1e-5), found=False),),
         warnings=("look at every one of the readings of the recording " * 8,) * 9,
     )
     judged = verdict(wide, recording, Limits(1e-6, 1e-6, 1e-6))
@@ -163,32 +165,58 @@ def test_limits_are_said_to_hold(handlaser, tmp_path):
     assert "of 0.5 mm" in line
 
 
+def systematic_of(calibration, recording, *errors):
+    """Return what the screen and the full tables say of systematic errors."""
+    one = replace(calibration, systematic=errors)
+    lines = screen_lines(one, recording, verdict(one, recording))
+    first = next(i for i, line in enumerate(lines) if line.startswith("systematic errors"))
+    rest = [line for line in lines[first + 1 :][:1] if line.startswith("  ")]
+    return " ".join(line.strip() for line in [lines[first], *rest]), list(systematic_lines(one))
+
+
 def test_the_largest_error_that_could_go_unnoticed_is_named(calibration, recording):
+    """By what it does to a spot: 0.01 mm an axis here, not by its own size."""
     small, large = np.full((4, 3), 1e-6), np.full((4, 3), 1e-5)
-    errors = (
-        Error(0.0, small, found=False, message="a small one"),
-        Error(0.0, large, found=False, code="lag", message="a large one"),
-        Error(0.0, 9.0 * large, found=False, confounded=True, code="translation-scale"),
+    text, full = systematic_of(
+        calibration,
+        recording,
+        error_of(small, found=False, detectable=1.0),
+        error_of(large, found=False, code="lag"),
+        error_of(9.0 * large, found=False, confounded=True, code="translation-scale"),
     )
-    one = announced(calibration, *errors)
-    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
-    assert "2 kinds tested, none found (indistinguishable: translation-scale)" in text
-    assert "a large one" in text
-    assert "a small one" not in text
-    full = list(systematic_lines(one))
+    assert "none of 2 kinds found (confounded: translation-scale)" in text
+    assert "the worst unnoticed: lag below 0.1 mm, moving a spot by 0.017 mm" in text
+    assert "sag" not in text
     assert len(full) == 3
     assert "confounded" in full[2]
 
 
-def test_the_errors_found_are_listed_by_p(calibration, recording):
-    shift = np.full((4, 3), 1e-7)
-    errors = (Error(1e-4, shift), Error(1e-4, shift, code="lag", p_value=1e-7, message="a lag"))
-    one = announced(calibration, *errors)
-    text = " ".join(screen_lines(one, recording, verdict(one, recording)))
-    assert "found: lag (p = 1e-07), sag (p = 0.0001): a lag" in text
-    assert all(
-        error.remedy in line for error, line in zip(errors, systematic_lines(one), strict=True)
+@pytest.mark.parametrize("confounded", [4, 9])
+def test_what_is_said_of_systematic_errors_is_not_cut(calibration, recording, confounded):
+    """The longest code and sizes with two digits stand beside many that are confounded."""
+    large = np.full((4, 3), 1.23e-5)
+    errors = [error_of(large, found=False, code="translation-scale", unit="1", detectable=1.2e-4)]
+    errors += [
+        error_of(large, found=False, confounded=True, code="inverse-cosine")
+        for _ in range(confounded)
+    ]
+    text, _ = systematic_of(calibration, recording, *errors)
+    assert "..." not in text
+    assert text.endswith("translation-scale below 0.012 %, moving a spot by 0.021 mm")
+    assert ("and 6 more" in text) == (confounded == 9)
+
+
+def test_the_errors_found_are_named_by_p(calibration, recording):
+    shift = np.full((4, 3), 1e-5)
+    errors = (
+        error_of(shift),
+        error_of(shift, code="lag", p_value=1e-7, message="a lag"),
+        error_of(shift, code="drift", p_value=1e-3, explained_by="lag"),
     )
+    text, full = systematic_of(calibration, recording, *errors)
+    assert "found: lag of 0.1 mm (p = 1e-07), moving a spot by 0.017 mm and 1 more" in text
+    assert text.endswith("explained by it: drift")
+    assert all(error.remedy in line for error, line in zip(errors, full, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -206,17 +234,16 @@ def test_what_p_means_of_an_old_calibration(p, opening):
 
 
 def test_a_result_that_is_not_usable_exits_with_4(handlaser, monkeypatch):
-    from handlaser_gtsam.results import verdict as judging
+    """An error that moves every spot by a metre, as if the tests had found it."""
+    from handlaser_gtsam import pipeline
 
-    class Harm:
-        """A systematic error that moves every spot by a metre."""
-
-        code, subject, found, confounded, p_value = "sag", "", True, False, 1e-9
-        size, detectable = 1e-4, 1e-4
-        location_shift, direction_shift = np.ones((4, 3)), np.zeros((4, 3))
-        message, remedy = "a sag of 0.1 mm over the plate", "use a flatter plate"
-
-    monkeypatch.setattr(judging, "systematic", lambda _: (Harm(),))
+    harm = error_of(np.ones((4, 3)), p_value=1e-9)
+    run = pipeline.calibrate
+    monkeypatch.setattr(
+        pipeline,
+        "calibrate",
+        lambda *arguments: replace(run(*arguments), systematic=(harm,)),
+    )
     code, out, err = handlaser("calibrate", RECORDING, "--rig", RIG)
     assert code == 4
     assert out.startswith("Not usable, a systematic error: a sag of 0.1 mm")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from handlaser_gtsam.solving import solve
+from handlaser_gtsam.estimation.solution import solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
@@ -164,7 +164,7 @@ def solved(scene, ranges, terms="none"):
     """Return the problem at its solution, planes and beams found anew."""
     truth, readings, position = scene.problem(ranges)
     options = CalibrationOptions(range_error=terms, poses="exact", outliers="keep")
-    found = solve(readings, truth, {"none": 0, "k1k2": 2}[terms], Noise(SIGMA), options)
+    found = solve(readings, truth, Noise(SIGMA), options)
     assert found.result.status == "converged"
     return arguments(found.parameters, readings, position, NONE if terms == "none" else FREE)
 

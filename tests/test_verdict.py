@@ -1,19 +1,19 @@
 """The verdict: every branch of it, and the numbers that it rests on two ways."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers import GRIPPER, degenerate, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.calibration import Calibration
 from handlaser_gtsam.limits import LimitCheck, Limits, checked, exceeded, worst_of_each
 from handlaser_gtsam.propagation import spot
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.systematic import SystematicError
 from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
 from handlaser_gtsam.results.verdict import verdict, verdict_of_validation
 from handlaser_gtsam.scenes import Layout
@@ -25,36 +25,29 @@ BOTH = hl.CalibrationOptions("k1k2")
 NONE = VarianceShares(0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Error:
-    """A systematic error, as far as a verdict reads it."""
-
-    size: float
-    location_shift: np.ndarray
-    detectable: float = 1e-4
-    found: bool = True
-    confounded: bool = False
-    code: str = "sag"
-    subject: str = ""
-    p_value: float = 1e-4
-    message: str = "a sag of 0.1 mm over the plate"
-    remedy: str = "use a flatter plate"
-
-    @property
-    def direction_shift(self):
-        return np.zeros_like(self.location_shift)
-
-
-@dataclass(frozen=True, slots=True)
-class Announced(Calibration):
-    """A calibration that was tested for systematic errors."""
-
-    systematic: tuple[Error, ...] = ()
-
-
-def announced(calibration, *errors):
-    kept = {field.name: getattr(calibration, field.name) for field in fields(calibration)}
-    return Announced(**kept, systematic=errors)
+def error_of(shift, **columns):
+    """Return a systematic error that moves the location of every beam by `shift` (B, 3) [m]."""
+    still = np.zeros_like(shift)
+    found = SystematicError(
+        "sag",
+        subject="",
+        unit="m",
+        size=1e-4,
+        sigma=1e-5,
+        p_value=1e-4,
+        found=True,
+        explained_by="",
+        detectable=1e-4,
+        location_shift=shift,
+        direction_shift=still,
+        location_error=shift,
+        direction_error=still,
+        alike=(),
+        confounded=False,
+        message="a sag of 0.1 mm over the plate",
+        remedy="use a flatter plate",
+    )
+    return replace(found, **columns)
 
 
 @pytest.fixture(scope="module")
@@ -205,25 +198,42 @@ def test_a_calibration_without_a_covariance_has_no_spot_error(calibration, recor
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.9, "usable-with-care"), (1.1, "systematic-error")])
+@pytest.mark.parametrize("turns", [False, True])
 def test_a_systematic_error_counts_by_what_it_does_to_the_spot(
-    calibration, recording, factor, code
+    calibration, recording, factor, code, turns
 ):
-    """It moves the spot in proportion to its size, and against the 95 % radius of the same beam."""
+    """Its estimated effect counts against the 95 % radius of the same beam, whatever could hide."""
     clean = verdict(calibration, recording)
     beam = list(calibration.beams).index(clean.spot_beam)
-    shift = np.zeros((4, 3))
-    shift[beam, 1] = 0.5 * factor * clean.spot_error
-    found = verdict(announced(calibration, Error(-2e-4, shift)), recording)
+    still, shift = np.zeros((4, 3)), np.zeros((4, 3))
+    shift[beam, 1] = factor * clean.spot_error
+    effect = {"location_error": shift, "direction_error": still}
+    if turns:
+        effect = {"location_error": still, "direction_error": shift / clean.reading}
+    one = error_of(100.0 * shift, **effect)
+    found = verdict(replace(calibration, systematic=(one,)), recording)
     assert found.code == code
     assert found.usable == (code != "systematic-error")
     assert (found.improvement_code, found.improvement) == ("systematic", "use a flatter plate")
-    hidden = verdict(announced(calibration, Error(-2e-4, 10 * shift, found=False)), recording)
-    assert hidden.code == "usable"
+    for unharmful in (replace(one, found=False), replace(one, explained_by="lag")):
+        hidden = verdict(replace(calibration, systematic=(unharmful,)), recording)
+        assert hidden.code == "usable"
+
+
+def test_the_systematic_error_that_harms_most_is_named(calibration, recording):
+    small, large = np.full((4, 3), 1e-3), np.full((4, 3), 2e-3)
+    both = (
+        error_of(small),
+        error_of(large, code="lag", message="a lag", remedy="wait", p_value=1e-3),
+    )
+    found = verdict(replace(calibration, systematic=both), recording)
+    assert found.improvement == "wait"
+    assert "a lag" in found.sentence
 
 
 def test_a_systematic_error_of_unknown_effect_asks_for_care(calibration, recording):
-    shift = np.full((4, 3), np.nan)
-    found = verdict(announced(calibration, Error(1e-4, shift, detectable=math.inf)), recording)
+    one = error_of(np.full((4, 3), np.nan), detectable=math.inf)
+    found = verdict(replace(calibration, systematic=(one,)), recording)
     assert found.code == "usable-with-care"
 
 

@@ -27,7 +27,8 @@ def calibrate(
     range_error: Annotated[
         RangeErrorChoice,
         typer.Option(
-            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: by evidence."
+            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
+            "of zero mean whose scales are learned from all beams."
         ),
     ] = RangeErrorChoice.auto,
     outliers: Annotated[
@@ -45,11 +46,13 @@ def calibrate(
     ] = None,
     pose_translation_sigma_mm: Annotated[
         float | None,
-        typer.Option(help="Sigma of the hand position an axis, mm."),
+        typer.Option(help="Sigma of the hand position an axis, mm; estimated if not given."),
     ] = None,
     pose_rotation_sigma_deg: Annotated[
         float | None,
-        typer.Option(help="Sigma of the hand rotation about each axis, deg."),
+        typer.Option(
+            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
+        ),
     ] = None,
     incidence_sigma_mm: Annotated[
         float | None,
@@ -58,13 +61,15 @@ def calibrate(
     poses: Annotated[
         PosesChoice,
         typer.Option(
-            help="How errors of the hand poses count; auto: marginalised where a sigma is given."
+            help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
+            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
         ),
     ] = PosesChoice.auto,
     estimate_noise: Annotated[
         bool,
         typer.Option(
-            "--estimate-noise", help="Estimate the sigmas of ranges and poses from the residuals."
+            "--estimate-noise",
+            help="Estimate the sigmas of ranges and poses even where they are given.",
         ),
     ] = False,
     range_sigma_by_beam: Annotated[

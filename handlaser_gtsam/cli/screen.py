@@ -1,7 +1,7 @@
 """What a person sees of a calibration by default: the verdict first, 30 lines of 100 columns."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -9,7 +9,9 @@ from ..arrays import FloatArray
 from ..calibration import Beam, Calibration
 from ..limits import worst_of_each
 from ..recording import Recording
-from ..results.verdict import Verdict, spot_shift
+from ..results.alternatives import size_in_words
+from ..results.systematic import SystematicError
+from ..results.verdict import Verdict, spot_error_by, spot_shift
 from .lines import DEG, MM, UNDETERMINED, count, decimals, some, with_sigma, wrapped
 from .noise_lines import noise_words, range_error_words
 
@@ -18,6 +20,8 @@ SHOWN_BEAMS = 8
 TWO_ROWS = 4
 """Up to so many beams have two rows each."""
 SHOWN_REJECTED = 3
+SHOWN_ERRORS = 4
+"""Kinds of systematic errors that are named in one list."""
 NAME = 8
 """Columns of a beam's name."""
 
@@ -66,7 +70,7 @@ def _beam_lines(beams: list[Beam]) -> Iterator[str]:
         return
     yield (
         f"{'beam':<{NAME}}{'x':>9}{'y':>9}{'z [mm]':>9} {'+-':<6}{'vx':>9}{'vy':>9}{'vz':>9} "
-        f"{'+- deg':<6}  {'k1':>10} {'k2 [1/m]':>9}"
+        f"{'+- deg':<6}  {'k1':>11} {'k2 [1/m]':>10}"
     )
     for beam in beams[:SHOWN_BEAMS]:
         yield _one_row(beam)
@@ -99,14 +103,12 @@ def _one_row(beam: Beam) -> str:
     direction = _cells(beam.direction, sigma[3:6], 5)
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
     k = [
-        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 5 - 2 * i)
-        if i < beam.terms
-        else "0"
+        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 4 - i) if i < beam.terms else "0"
         for i in range(2)
     ]
     return (
         f"{_short(beam.name):<{NAME}}{location} {_size(float(sigma[:3].max()) * MM):<6}{direction} "
-        f"{_size(turn):<6}  {k[0]:>10} {k[1]:>9}"
+        f"{_size(turn):<6}  {k[0]:>11} {k[1]:>10}"
     )
 
 
@@ -160,10 +162,11 @@ def _observability(result: Calibration) -> str:
     if found.condition is None:
         known = f"observability: {found.rank} of {found.unknowns} unknowns determined"
         return f"{known}; {UNDETERMINED}: {'; '.join(found.undetermined)}"
-    return (
+    words = (
         f"observability: all {found.unknowns} unknowns determined, condition number "
-        f"{found.condition:.0f} (usual demand: below 100); known worst: {found.weakest}"
+        f"{found.condition:.0f} (usual demand: below 100)"
     )
+    return f"{words}; known worst: {found.weakest}" if found.weakest else words
 
 
 def _limits(verdict: Verdict) -> str:
@@ -179,22 +182,50 @@ def _systematic(result: Calibration, reading: float) -> str:
         return "systematic errors: not tested"
     found = sorted((one for one in tested if one.found), key=lambda one: one.p_value)
     if found:
-        codes = ", ".join(f"{one.code} (p = {one.p_value:.1g})" for one in found)
-        return f"systematic errors found: {codes}: {found[0].message}"
+        return _found(result, found, reading)
     sensitive = [one for one in tested if not one.confounded]
     hidden = [one.code for one in tested if one.confounded]
-    words = f"systematic errors: {count(len(sensitive), 'kind')} tested, none found"
+    words = f"systematic errors: none of {count(len(sensitive), 'kind')} found"
     if hidden:
-        words += f" (indistinguishable: {', '.join(hidden)})"
+        words += f" (confounded: {_codes(hidden)})"
     if not sensitive:
         return words
-    worst = max(
-        sensitive,
-        key=lambda one: max(
-            np.nan_to_num(spot_shift(one, beam, reading)) for beam in range(len(result.beams))
-        ),
+    moved = [_largest(spot_shift, one, result, reading) for one in sensitive]
+    most = int(np.argmax(moved))
+    worst = sensitive[most]
+    return (
+        f"{words}; the worst unnoticed: {worst.code} below "
+        f"{size_in_words(worst.detectable, worst.unit)}, moving a spot by {moved[most] * MM:.2g} mm"
     )
-    return f"{words}; the largest that could go unnoticed: {worst.message}"
+
+
+def _found(result: Calibration, found: list[SystematicError], reading: float) -> str:
+    """Name the systematic errors that were found, apart from those that a clearer one explains."""
+    clear = [
+        f"{one.code} of {size_in_words(one.size, one.unit)} (p = {one.p_value:.1g}), moving a spot by "
+        f"{_largest(spot_error_by, one, result, reading) * MM:.2g} mm"
+        for one in found
+        if not one.explained_by
+    ]
+    less = [one.code for one in found if one.explained_by]
+    words = f"systematic errors found: {some(clear, 1)}"
+    return f"{words}; explained by it: {_codes(less)}" if less else words
+
+
+def _codes(codes: list[str]) -> str:
+    return some(codes, len(codes) if len(codes) <= SHOWN_ERRORS else SHOWN_ERRORS - 1)
+
+
+def _largest(
+    effect: Callable[[SystematicError, int, float], float],
+    one: SystematicError,
+    result: Calibration,
+    reading: float,
+) -> float:
+    """Return how far a systematic error moves a laser spot [m], for the beam that it moves most."""
+    return max(
+        float(np.nan_to_num(effect(one, beam, reading))) for beam in range(len(result.beams))
+    )
 
 
 def _rejected(result: Calibration) -> str:

@@ -191,7 +191,8 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
-        yield f"known worst: {result.observability.weakest}"
+        if result.observability.weakest:
+            yield f"known worst: {result.observability.weakest}"
     for one in fit.rejected[:SHOWN_REJECTED]:
         residual = "" if one.residual is None else f", residual {one.residual * MM:.3g} mm"
         yield f"rejected: station {one.station}, beam {one.beam}: {one.reason}{residual}"

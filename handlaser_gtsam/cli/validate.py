@@ -33,19 +33,29 @@ def validate(
         Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
     ] = None,
     range_error: Annotated[
-        RangeErrorChoice, typer.Option(help="Range-error terms.")
+        RangeErrorChoice,
+        typer.Option(help="Range-error terms; auto: k1 and k2 under a prior of learned scales."),
     ] = RangeErrorChoice.auto,
     poses: Annotated[
-        PosesChoice, typer.Option(help="How errors of the hand poses count.")
+        PosesChoice,
+        typer.Option(
+            help="How errors of the hand poses count; auto: pose sigmas that are not given are "
+            "estimated; exact: the robot is taken to make no errors."
+        ),
     ] = PosesChoice.auto,
     range_sigma_mm: Annotated[
-        float | None, typer.Option(help="Standard deviation of a reading, mm.")
+        float | None,
+        typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
     ] = None,
     pose_translation_sigma_mm: Annotated[
-        float | None, typer.Option(help="Sigma of the hand position an axis, mm.")
+        float | None,
+        typer.Option(help="Sigma of the hand position an axis, mm; estimated if not given."),
     ] = None,
     pose_rotation_sigma_deg: Annotated[
-        float | None, typer.Option(help="Sigma of the hand rotation about each axis, deg.")
+        float | None,
+        typer.Option(
+            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
+        ),
     ] = None,
     incidence_sigma_mm: Annotated[
         float | None,
@@ -54,7 +64,8 @@ def validate(
     estimate_noise: Annotated[
         bool,
         typer.Option(
-            "--estimate-noise", help="Estimate the sigmas of ranges and poses from the residuals."
+            "--estimate-noise",
+            help="Estimate the sigmas of ranges and poses even where they are given.",
         ),
     ] = False,
     range_sigma_by_beam: Annotated[
@@ -176,7 +187,7 @@ def _test(
     noise = settings.noise
     if options.poses == "exact":
         noise = replace(
-            noise, pose_translation_sigma=None, pose_rotation_sigma=None, pose_covariance=None
+            noise, pose_translation_sigma=0.0, pose_rotation_sigma=0.0, pose_covariance=None
         )
     if old is not None:
         mounts, tested = read_mounts(old), recording

@@ -175,9 +175,15 @@ def _rejected(found: Verdict, code: Code, words: str) -> Verdict:
 
 
 def spot_shift(one: SystematicError, beam: int, reading: float) -> float:
-    """Return how far a systematic error of its detectable size moves a spot [m]; NaN if unknown."""
+    """Return how far a systematic error that goes unnoticed moves a spot [m]; NaN if unknown."""
     shift = one.location_shift[beam] + reading * one.direction_shift[beam]
     return float(np.linalg.norm(shift))
+
+
+def spot_error_by(one: SystematicError, beam: int, reading: float) -> float:
+    """Return how far a systematic error of the size estimated moves a spot [m]; NaN if unknown."""
+    error = one.location_error[beam] + reading * one.direction_error[beam]
+    return float(np.linalg.norm(error))
 
 
 def _most_harmful(
@@ -185,17 +191,15 @@ def _most_harmful(
 ) -> tuple[SystematicError | None, float]:
     """Return the found systematic error that moves a spot most, in units of the spot's 95 % radius.
 
-    Its effect is that of its detectable size, in proportion; where that is not known, the error counts
-    with a ratio of zero.
+    Errors that a clearer one explains do not count; one of unknown effect counts with zero.
     """
     names = list(calibration.beams)
     worst, most = None, -1.0
     for one in calibration.systematic:
-        if not one.found:
+        if not one.found or one.explained_by:
             continue
-        scale = abs(one.size) / one.detectable if one.detectable > 0.0 else 0.0
         ratios = [
-            scale * spot_shift(one, names.index(spot.beam), reading) / spot.radius
+            spot_error_by(one, names.index(spot.beam), reading) / spot.radius
             for spot in spots
             if spot.radius > 0.0
         ]
