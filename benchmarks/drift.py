@@ -41,10 +41,10 @@ class Case:
 
 ROBOT = hl.Noise(SIGMA, TRANSLATION, ROTATION)
 CASES = (
-    Case("4 beams", 4, hl.Noise(SIGMA)),
-    Case("1 beam", 1, hl.Noise(SIGMA)),
-    Case("2 beams, sigma not given", 2, hl.Noise()),
-    Case("2 beams, k1 and k2 by evidence", 2, hl.Noise(SIGMA), "auto", (0.01, 0.05)),
+    Case("4 beams", 4, hl.Noise(SIGMA, 0.0, 0.0)),
+    Case("1 beam", 1, hl.Noise(SIGMA, 0.0, 0.0)),
+    Case("2 beams, range sigma not given", 2, hl.Noise(None, 0.0, 0.0)),
+    Case("2 beams, learned range errors", 2, hl.Noise(SIGMA, 0.0, 0.0), "auto", (0.01, 0.05)),
     Case("4 beams, a robot that errs", 4, ROBOT),
     Case("1 beam, a robot that errs", 1, ROBOT),
 )

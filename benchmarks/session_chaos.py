@@ -39,7 +39,7 @@ ACTIONS = (
 )
 ROBOT = (5e-5, math.radians(0.03))
 MODES = (
-    ("exact", hl.Noise(SIGMA), hl.CalibrationOptions("none")),
+    ("exact", hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions("none")),
     ("marginalised", hl.Noise(SIGMA, *ROBOT), hl.CalibrationOptions("none")),
     ("estimated", hl.Noise(SIGMA, *ROBOT), hl.CalibrationOptions("none", poses="estimated")),
     ("unknown", hl.Noise(), hl.CalibrationOptions("auto")),

@@ -8,6 +8,7 @@ from .diagnosis.reasons import Reasons, reasons
 from .diagnosis.words import Names
 from .estimation.solution import Solution
 from .losses import GAUSSIAN
+from .model import residuals, scene
 from .noise import Noise
 from .ordering import Order
 from .recording import Readings, Recording
@@ -28,6 +29,9 @@ def fit_of(
     """Return the fit, and the reasons for what was left out, in the order of the recording."""
     solution = selection.solution
     e = solution.result.residual
+    if solution.posterior is not None and not solution.problem.poses:
+        used = readings.subset(np.flatnonzero(selection.used)).seen_from(origins)
+        e = residuals(scene(solution.best, used), used.distance)
     squares = float(e @ e)
     given = noise.range_sigma is not None
     dof = solution.dof
@@ -37,7 +41,7 @@ def fit_of(
     table[station[selection.used], beam[selection.used]] = e
     of_used = np.flatnonzero(selection.used)
     worst = of_used[int(np.abs(e).argmax())]
-    far = _in_sigmas(solution, readings.subset(of_used).seen_from(origins), sigma)
+    far = _in_sigmas(solution, e, readings.subset(of_used).seen_from(origins), sigma)
     farthest = int(far.argmax())
     parameters = solution.best.seen_from(-origins)
     fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
@@ -83,9 +87,11 @@ def sizes(solution: Solution, *, given: bool) -> tuple[float, float, float]:
     return chi2, sigma0, (robust_sigma(solution) or sigma0) * typical
 
 
-def _in_sigmas(solution: Solution, used: Readings, sigma: float) -> FloatArray:
+def _in_sigmas(
+    solution: Solution, residual: FloatArray, used: Readings, sigma: float
+) -> FloatArray:
     """Return how many of its standard deviations each reading is off; zero for an exact fit."""
-    e = np.abs(solution.result.residual)
+    e = np.abs(residual)
     if solution.variances is None:
         return e / sigma if sigma > 0.0 else np.zeros(len(e))
     variances = solution.variances

@@ -22,8 +22,8 @@ from .errors import GrazingBeamError
 from .parameters import Parameters
 from .recording import Readings
 
-LARGEST_CORRECTION = 0.5
-"""A range error above this part of the reading is a wrong solution, not a sensor."""
+LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
+"""A true range below or above this part of its reading is a wrong solution, not a sensor."""
 GRAZING_LIMIT = 1e-3
 """Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
 
@@ -93,7 +93,7 @@ def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
 
 
 def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
-    """Tell whether no correction exceeds `LARGEST_CORRECTION` of its reading.
+    """Tell whether every true range lies between `LEAST_FACTOR` and `MOST_FACTOR` of its reading.
 
     Near k1 = -1 all corrected readings are alike, and many a wrong beam fits them.
     """
@@ -101,10 +101,10 @@ def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
 
 
 def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArray:
-    """Tell of every reading (N,) whether its correction is within `LARGEST_CORRECTION` of it."""
+    """Tell of every reading (N,) whether the true range is of its order."""
     k = parameters.range_errors[readings.beam]
-    change = k[:, 0] + k[:, 1] * readings.distance
-    return np.asarray(np.abs(change) <= LARGEST_CORRECTION)
+    factor = 1.0 + k[:, 0] + k[:, 1] * readings.distance
+    return np.asarray((factor >= LEAST_FACTOR) & (factor <= MOST_FACTOR))
 
 
 def cosines(x: Scene) -> FloatArray:

@@ -31,10 +31,23 @@ def test_robot_errors_widen_the_result(handlaser, poses):
         assert mine["sigma"]["location_m"][0] > other["sigma"]["location_m"][0]
 
 
-def test_poses_without_sigma_are_refused(handlaser):
-    code, _, err = handlaser("calibrate", RECORDING, "--poses", "estimated")
+def test_sigmas_that_are_not_given_are_estimated(handlaser):
+    """Those of the robot too, unless it is stated to be exact."""
+    estimated = {}
+    for poses in ("auto", "estimated", "exact"):
+        code, out, _ = handlaser("calibrate", RECORDING, "--poses", poses, "--json")
+        assert code == 0
+        estimated[poses] = {one["name"] for one in json.loads(out)["fit"]["noise_estimate"]}
+    assert estimated["auto"] == {"range", "pose translation", "pose rotation"}
+    assert estimated["estimated"] == estimated["auto"]
+    assert estimated["exact"] <= {"range"}
+
+
+def test_counting_the_errors_of_an_exact_robot_is_refused(handlaser):
+    zero = ("--pose-translation-sigma-mm", "0", "--pose-rotation-sigma-deg", "0")
+    code, _, err = handlaser("calibrate", RECORDING, *zero, "--poses", "estimated")
     assert code == 2
-    assert "without a pose sigma above zero" in err
+    assert "poses estimated with pose sigmas of zero" in err
 
 
 def test_the_result_says_what_the_tables_say(handlaser):
@@ -45,7 +58,8 @@ def test_the_result_says_what_the_tables_say(handlaser):
     low, high = beam["interval_95"]["location_m"][0]
     assert low < beam["location_m"][0] < high
     assert beam["spot"]["reading_m"] == pytest.approx(0.02)
-    assert len(beam["range_error_evidence"]["bic"]) == 3
+    low_k, high_k = beam["interval_95"]["k2_per_m"]
+    assert beam["range_error_excludes_zero"]["k2_per_m"] == (not low_k < 0.0 < high_k)
     assert np.array(found["beam_covariance"]).shape == (32, 32)
     assert np.allclose(np.array(found["beam_covariance"])[:8, :8], beam["covariance"])
     code, out, _ = handlaser(*arguments, "--verbose")

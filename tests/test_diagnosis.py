@@ -121,18 +121,33 @@ def test_each_limit_passes_above_and_fails_below(calibration, name):
     assert all(name.split("_")[0] in word for word in words)
 
 
-def test_the_cross_check_sees_a_wrong_calibration(calibration):
-    """One beam moved by three sigmas, one plane's covariance doubled."""
+@pytest.mark.parametrize("mixed", [True, False])
+def test_the_cross_check_sees_a_wrong_calibration(calibration, mixed):
+    """One beam moved by three sigmas, the standard deviations of one plane doubled."""
     result, recording = calibration
-    beam, plane = result.beams["2"], result.planes["C"]
-    sigma, axes = np.linalg.eigh(beam.covariance[:3, :3])
-    moved = replace(beam, location=beam.location + 3.0 * np.sqrt(sigma[-1]) * axes[:, -1])
-    wide = replace(plane, covariance=4.0 * plane.covariance)
-    wrong = replace(
-        result,
-        beams={**result.beams, "2": moved},
-        planes={**result.planes, "C": wide},
+    if not mixed:
+        options = hl.CalibrationOptions("k1k2", poses="exact")
+        result = hl.calibrate(recording, hl.Noise(3e-5), options)
+    assert (result.at_scales is not None) is mixed
+    joint = result.at_scales.covariance if mixed else result.covariance
+    sigma, axes = np.linalg.eigh(joint.all_beams()[1][:3, :3])
+    step = 3.0 * np.sqrt(sigma[-1]) * axes[:, -1]
+    wide = np.where(np.arange(4) == 2, 2.0, 1.0)[:, None, None]
+    joint = replace(
+        joint,
+        response=wide * joint.response,
+        planes=wide**2 * joint.planes,
     )
+    if mixed:
+        at = result.at_scales.parameters
+        locations = at.locations + step * (np.arange(4) == 1)[:, None]
+        own = replace(at, locations=locations)
+        wrong = replace(
+            result, at_scales=replace(result.at_scales, parameters=own, covariance=joint)
+        )
+    else:
+        beam = replace(result.beams["2"], location=result.beams["2"].location + step)
+        wrong = replace(result, beams={**result.beams, "2": beam}, covariance=joint)
     check = hl.cross_check(wrong, recording)
     assert check.largest == pytest.approx(3.0, abs=1e-3)
     assert check.parameter == "beam 2 location"

@@ -24,14 +24,17 @@ def test_a_beam_in_another_unit_is_named(told, recording):
     """Most of its readings would be left out, and the rest fitted by chance."""
     ranges = recording.ranges.copy()
     ranges[:, 1] *= 10.0
-    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA if told else None), NONE)
+    noise = hl.Noise(SIGMA, 0.0, 0.0) if told else hl.Noise()
+    found = hl.calibrate(replace(recording, ranges=ranges), noise, NONE)
     assert found.status != "converged"
+    assert "beam 2" in found.message
     if told:
         assert "readings of beam 2 contradict the others" in found.message
 
 
 def test_a_sigma_that_is_ten_times_too_small_is_no_calibration(recording):
-    found = hl.calibrate(recording, hl.Noise(SIGMA / 20.0), NONE)
+    """Of an exact robot: errors of a robot that nobody describes would explain the residuals."""
+    found = hl.calibrate(recording, hl.Noise(SIGMA / 20.0, 0.0, 0.0), NONE)
     assert found.status == "not_converged"
     assert "times as large as the sigmas say" in found.message
     assert all(beam.covariance is None for beam in found.beams.values())

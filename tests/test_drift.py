@@ -14,7 +14,7 @@ from handlaser_gtsam.simulate import Errors, simulate
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
 
 SIGMA, TURN = 1e-4, math.radians(0.3)
-NOISE, NONE = hl.Noise(SIGMA), hl.CalibrationOptions("none")
+NOISE, NONE = hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions("none")
 
 
 def knocked(planes=10, before=6, beams=3, beam=1, turn=TURN, seed=3, stations=9):

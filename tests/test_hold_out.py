@@ -12,7 +12,7 @@ from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.simulate import Errors, simulate
 
 SIGMA = 3e-5
-NOISE = hl.Noise(SIGMA)
+NOISE = hl.Noise(SIGMA, 0.0, 0.0)
 
 
 def two_days(seed, turned=0.0, planes=2):

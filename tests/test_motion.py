@@ -70,9 +70,9 @@ def test_an_open_beam_does_not_spoil_the_others():
     recording = recording_of(bench(1, 2), *motion("free", 25), [0] * 25, 1e-4)
     ranges = recording.ranges.copy()
     ranges[4:, 1] = np.nan
-    both = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(1e-4), NONE)
+    both = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(1e-4, 0.0, 0.0), NONE)
     alone = hl.calibrate(
-        replace(recording, ranges=ranges[:, :1], beam_names=("1",)), hl.Noise(1e-4), NONE
+        replace(recording, ranges=ranges[:, :1], beam_names=("1",)), hl.Noise(1e-4, 0.0, 0.0), NONE
     )
     assert both.status == "unobservable"
     assert all("beam 2" in words for words in both.observability.undetermined)
@@ -101,7 +101,7 @@ def test_indices_do_not_depend_on_units_or_noise():
         recording, world_t_hand=0.1 * recording.world_t_hand, ranges=0.1 * recording.ranges
     )
     indices = [
-        hl.calibrate(r, hl.Noise(s), NONE).observability.indices
+        hl.calibrate(r, hl.Noise(s, 0.0, 0.0), NONE).observability.indices
         for r, s in ((recording, 1e-3), (scaled, 1e-4))
     ]
     for name in ("O1", "O2", "O3", "O4"):

@@ -254,7 +254,7 @@ def test_a_landmark_of_the_graph_is_the_plane(walk):
 
 def test_known_poses_give_what_calibrate_gives():
     recording = hl.read_recording("examples/gripper/recording.csv")
-    noise = hl.Noise(3e-5)
+    noise = hl.Noise(3e-5, 0.0, 0.0)
     batch = hl.calibrate(recording, noise, hl.CalibrationOptions("none", outliers="keep"))
     graph, values, beams, planes = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, {}
     for i, (name, beam) in enumerate(batch.beams.items()):

@@ -162,10 +162,25 @@ def test_covariances_a_station_come_in_the_order_of_the_recording():
 
 
 @pytest.mark.parametrize("poses", ["marginalised", "estimated"])
-def test_counting_errors_that_nobody_stated_is_refused(poses):
+def test_counting_the_errors_of_an_exact_robot_is_refused(poses):
     recording, _ = robot()
-    with pytest.raises(hl.InputError, match=f"poses {poses} without a pose sigma"):
-        hl.calibrate(recording, hl.Noise(RANGE), hl.CalibrationOptions(poses=poses))
+    with pytest.raises(hl.InputError, match=f"poses {poses} with pose sigmas of zero"):
+        hl.calibrate(recording, hl.Noise(RANGE, 0.0, 0.0), hl.CalibrationOptions(poses=poses))
+
+
+@pytest.mark.parametrize("poses", ["auto", "marginalised", "estimated"])
+def test_errors_that_nobody_stated_are_estimated(poses):
+    recording, truth = robot(layout=Layout(4, 6, 15))
+    found = hl.calibrate(recording, hl.Noise(), hl.CalibrationOptions("none", poses=poses))
+    assert found.fit.poses == ("marginalised" if poses == "auto" else poses)
+    sigma = {one.name: (one.sigma, one.error) for one in found.noise_estimate}
+    # Ranges and translations are told to a tenth of themselves, rotations worse.
+    assert sigma["range"][0] == pytest.approx(RANGE, rel=0.3)
+    for name, true in (("pose translation", TRANSLATION), ("pose rotation", ROTATION)):
+        assert abs(sigma[name][0] - true) < 3.0 * sigma[name][1]
+    off = np.array([b.location for b in found.beams.values()]) - truth.locations
+    said = np.array([b.location_sigma for b in found.beams.values()])
+    assert (np.abs(off) < 4.0 * said).all()
 
 
 def test_outliers_are_found_beside_robot_errors():
@@ -198,16 +213,19 @@ def test_covariances_tell_the_truth_when_the_robot_errs(axes):
         assert found["marginalised"].direction < 0.75 * found["exact"].direction
 
 
-def test_robot_errors_that_nobody_stated_are_noticed():
+def test_robot_errors_that_are_not_counted_are_noticed():
     recording, _ = robot()
     words = "residuals of one station go together"
-    found = hl.calibrate(recording, hl.Noise(), NONE)
+    exact = replace(NONE, poses="exact")
+    found = hl.calibrate(recording, hl.Noise(), exact)
     assert any(words in warning for warning in found.warnings)
-    assert not any(words in warning for warning in hl.calibrate(recording, NOISE, NONE).warnings)
+    for noise in (NOISE, hl.Noise()):
+        counted = hl.calibrate(recording, noise, NONE)
+        assert not any(words in warning for warning in counted.warnings)
     for seed in range(5):
         rng = np.random.default_rng(seed)
         truth, stations = SCENES["paper"](Layout(), rng)
-        clean = hl.calibrate(simulate(truth, stations, Errors(RANGE), rng), hl.Noise(), NONE)
+        clean = hl.calibrate(simulate(truth, stations, Errors(RANGE), rng), hl.Noise(), exact)
         assert not any(words in warning for warning in clean.warnings)
 
 

@@ -86,7 +86,11 @@ def test_what_cannot_be_measured_is_refused(calibration):
         measured_plane(calibration, {"1": READING, "2": READING})
 
 
-def test_intervals_hold_their_values(calibration):
+def test_intervals_of_known_noise_are_gaussian():
+    recording = hl.read_recording("examples/gripper/recording.csv")
+    options = hl.CalibrationOptions("k1k2", poses="exact")
+    calibration = hl.calibrate(recording, hl.Noise(3e-5), options)
+    assert calibration.mixture is None
     low, high = calibration.intervals("1").T
     beam = calibration.beams["1"]
     value = np.concatenate((beam.location, beam.direction, beam.range_error))
@@ -94,6 +98,24 @@ def test_intervals_hold_their_values(calibration):
     assert np.allclose(0.5 * (low + high), value)
     narrow = calibration.intervals("1", level=0.5)
     assert (np.diff(narrow) < 0.4 * (high - low)[:, None] + 1e-15).all()
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_intervals_of_a_mixture_hold_what_is_drawn(calibration, level):
+    """A component drawn by its weight, then a value; the sigma is that of all of them."""
+    beam, mixture = calibration.beams["1"], calibration.mixture
+    value = np.concatenate((beam.location, beam.direction, beam.range_error))
+    rng = np.random.default_rng(4)
+    which = rng.choice(len(mixture.weight), 200_000, p=mixture.weight)
+    drawn = mixture.means[which, 0] + mixture.sigmas[which, 0] * rng.standard_normal(
+        (len(which), 8)
+    )
+    low, high = calibration.intervals("1", level).T
+    # 200,000 draws tell a tail to 0.1 %.
+    assert np.allclose((drawn < low - value).mean(axis=0), 0.5 * (1.0 - level), atol=0.005)
+    assert np.allclose((drawn > high - value).mean(axis=0), 0.5 * (1.0 - level), atol=0.005)
+    # Components of small weight are left out of the mixture.
+    assert np.allclose(drawn.std(axis=0), beam.sigma, rtol=0.02)
 
 
 def test_strong_correlations_are_named_with_advice(calibration):

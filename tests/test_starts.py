@@ -200,7 +200,7 @@ def test_random_problems_reach_the_optimum_found_from_the_truth():
         sizes = [int(x) for x in rng.integers([1, 1, 9], [7, 7, 24])]
         recording, truth = simulated(scene, Layout(*sizes), sigma, seed)
         options = CalibrationOptions(range_error="none")
-        calibration = calibrate(recording, Noise(sigma), options)
+        calibration = calibrate(recording, Noise(sigma, 0.0, 0.0), options)
         if calibration.status != "converged":
             continue
         from_truth = levenberg_marquardt(build_graph(recording.readings(), truth, 0, sigma))
@@ -271,7 +271,7 @@ def test_half_the_planes_satisfying_no_lemma_spoil_nothing():
     t = np.concatenate([m[1] for m in (*free, *poor)])
     plane = np.repeat(np.arange(4), 12).tolist()
     recording = recording_of(truth, R, t, plane, 1e-4)
-    for noise in (Noise(1e-4), Noise()):
+    for noise in (Noise(1e-4, 0.0, 0.0), Noise(None, 0.0, 0.0)):
         found = calibrate(recording, noise, CalibrationOptions("none"))
         assert found.status == "converged"
         graph = build_graph(recording.readings(), truth, 0, 1e-4)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from handlaser_gtsam.estimation.solution import solve
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from handlaser_gtsam import model
 from handlaser_gtsam.diagnosis.words import Names
+from handlaser_gtsam.estimation.solution import solve
 from handlaser_gtsam.noise import Noise
 from handlaser_gtsam.options import CalibrationOptions
 from handlaser_gtsam.parameters import Parameters

@@ -56,8 +56,8 @@ def misfit(recording: Recording, readings: Readings, parameters: Parameters, fit
         )
     if not plausible_range_errors(parameters, readings):
         return (
-            "the readings fit only with a range error of more than half of a reading, which no sensor "
-            f"has; {CHECKS}"
+            "the readings fit only with true ranges below half or above three times of them, which no "
+            f"sensor has; {CHECKS}"
         )
     spread = readings.spread()
     if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:

@@ -175,6 +175,16 @@ class ScaleProblem:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
         return self._beams(self.rows, points)
 
+    def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far beams (n,) and planes (P, 3) are from their optimum for known scales.
+
+        Natural units; `mode` are logarithms (d,) of the noise scales, `scale` (T,) are those of range
+        errors. Zero for a solution of the marginalised form itself.
+        """
+        beams, planes = self.beams(mode[None])
+        mean, _ = beams.conditional(scale)
+        return mean, planes.step[0] - planes.response[0] @ mean
+
     def _rows(self, readings: Readings) -> LinearReadings:
         return LinearReadings(self.at, readings, self.terms, self.length, self.base)
 

@@ -1,8 +1,9 @@
 r"""Beams, with the scales of noise and range errors integrated over.
 
 For given scales everything is Gaussian. The range errors of all beams are k1 ~ N(0, s1^2) and
-k2 D ~ N(0, s2^2) for the typical range D, and s1, s2 half-Cauchy (see `scales`). From the solution
-with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
+k2 D ~ N(0, s2^2) for the typical range D. s1 and s2 are half-Cauchy (see `scales`) about a scale s that
+both share, itself half-Cauchy about the linearity of the sensor: where one term is far larger than
+expected, so may the other be. From the solution with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
 it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
 
     mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
@@ -23,6 +24,8 @@ from .information import Information
 
 SPAN, STEP = 4.5, 0.75
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
+SHARED, SHARED_STEP = 10.0, 0.1
+"""The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 11
@@ -128,9 +131,15 @@ def _grid(sides: Sequence[FloatArray], linearity: float) -> RangeErrorGrid:
         return RangeErrorGrid(np.ones((1, 0)), np.zeros(1))
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
-    # The density of the logarithm of a half-Cauchy variable is s / (1 + s^2), up to a factor.
-    log_prior = (x - np.logaddexp(0.0, 2.0 * x)).sum(axis=1) + cell
-    return RangeErrorGrid(linearity * np.exp(x), log_prior)
+    shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
+    terms = _log_density(x[:, :, None] - shared).sum(axis=1)
+    log_prior = logsumexp(_log_density(shared) + terms, axis=1) + np.log(SHARED_STEP)
+    return RangeErrorGrid(linearity * np.exp(x), log_prior + cell)
+
+
+def _log_density(x: FloatArray) -> FloatArray:
+    """Return the logarithm of the density of the logarithm x of a half-Cauchy variable of scale 1."""
+    return np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
 
 
 class BeamPosterior:

@@ -64,15 +64,31 @@ class Posterior:
     learned: LearnedScales
 
 
-def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
-    """Return beams and planes with all scales integrated over."""
+def posterior(
+    problem: ScaleProblem,
+    learned: LearnedScales,
+    solved: tuple[FloatArray, FloatArray] | None = None,
+) -> Posterior:
+    """Return beams and planes with all scales integrated over.
+
+    Parameters
+    ----------
+    problem : ScaleProblem
+        About a solution.
+    learned : LearnedScales
+    solved : ((d,), (T,)), optional
+        Logarithms of the noise scales, and scales of the range errors, of which the parameters of
+        `problem` are the solution: those of `learned` where not given. What a solution with poses as
+        variables differs by from that of the marginalised form is kept.
+    """
+    known = (learned.mode, learned.range_error) if solved is None else solved
     beams, planes = problem.beams(learned.points)
     unit = _unit(learned, problem.readings.beams)
     bases = model.tangent_basis(problem.at.directions)
     lift = block_diag(*(beam_lift(basis, learned.terms) for basis in bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
     return Posterior(
-        _moved(problem, mixture, planes, unit),
+        _moved(problem, mixture, planes, unit, problem.step(*known)),
         _joint(problem, mixture, planes, unit),
         mixture.weight,
         mixture.means,
@@ -91,12 +107,17 @@ def _unit(learned: LearnedScales, beams: int) -> FloatArray:
 
 
 def _moved(
-    problem: ScaleProblem, mixture: Mixture, planes: PlaneResponse, unit: FloatArray
+    problem: ScaleProblem,
+    mixture: Mixture,
+    planes: PlaneResponse,
+    unit: FloatArray,
+    away: tuple[FloatArray, FloatArray],
 ) -> Parameters:
-    """Return the parameters at the mean of the mixture."""
+    """Return the parameters at the mean of the mixture, counted from a solution `away` of its own."""
     steps = planes.step - np.einsum("jpan,n->jpa", planes.response, mixture.mean)
-    plane = np.einsum("j,jpa->pa", mixture.sets, steps) * np.array([1.0, 1.0, problem.length])
-    beam = (mixture.mean * unit).reshape(problem.readings.beams, -1)
+    mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
+    plane = mean * np.array([1.0, 1.0, problem.length])
+    beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
     return apply_step(problem.at, beam, plane, problem.rows.centres, problem.terms)
 
 

@@ -38,6 +38,8 @@ ROUNDING = 1e-11
 ROUNDS = 10
 SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
+LEAST_WEIGHT = 0.5
+"""Readings to which a robust loss gives less say nothing about the scales."""
 SAME_SCALE = 0.02
 """Scales whose logarithms change by less have settled: they are integrated over in the end."""
 
@@ -145,6 +147,19 @@ def solve(
     return task.weighted(first, with_scales(scales, base, known))
 
 
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """Logarithms (d,) of the noise scales, and the scales (T,) of the range errors, natural units."""
+
+    u: FloatArray
+    k: FloatArray
+
+    def near(self, other: "_Point") -> bool:
+        """Tell whether all scales are nearly the same."""
+        apart = np.concatenate((self.u - other.u, np.log(self.k / other.k)))
+        return bool(np.abs(apart).max(initial=0.0) < SAME_SCALE)
+
+
 class _Task:
     """The arguments of one solution."""
 
@@ -205,51 +220,43 @@ class _Task:
         """Find the most probable scales and the solution for them; then integrate over the scales."""
         scales, base = unknown_scales(self.readings, self.noise, self.options, self.sigma)
         u = start_of(scales, max(self.sigma, LEAST_SIGMA), self.length)
-        variances = with_scales(scales, base, u)
-        before = np.full(len(u) + 2, np.inf)
+        wanted = _Point(u, np.full(self.terms, self.options.linearity or 1.0))
         problem: ScaleProblem | None = None
+        used: _Point | None = None
         for _ in range(ROUNDS):
             if solution.result.status == "interrupted":
                 return solution
             if solution.observability.full:
-                problem = self._scale_problem(solution.parameters, base, scales)
-                u = problem.mode(u)
-                variances = with_scales(scales, base, u)
-                if self.learns:
-                    self.prior = self._prior_of(problem.range_error_scales(u))
-            elif solution.whitening is not None:
+                problem = self._scale_problem(solution, base, scales)
+                u = problem.mode(wanted.u)
+                wanted = _Point(u, problem.range_error_scales(u) if self.learns else wanted.k)
+            elif used is not None:
                 break
-            now = np.concatenate(
-                (u, np.zeros(2) if self.prior is None else np.log(self.prior.sigma[0]))
-            )
-            same, before = np.abs(now - before).max() < SAME_SCALE, now
-            if same and solution.whitening is not None and _step(solution) < SETTLED:
+            if used is not None and wanted.near(used) and _step(solution) < SETTLED:
                 break
-            solution = self._reweighted(solution.parameters, variances)
-        return self._integrated(solution, problem, u, (scales, base, variances))
-
-    def _integrated(
-        self,
-        solution: Solution,
-        problem: ScaleProblem | None,
-        u: FloatArray,
-        noise: tuple[Scales, Variances, Variances],
-    ) -> Solution:
-        scales, base, variances = noise
-        solution = replace(
-            self._with_poses(replace(solution, variances=variances), variances),
-            scales_estimated=bool(scales.unknown),
-        )
+            used = wanted
+            if self.learns:
+                self.prior = self._prior_of(used.k)
+            solution = self._reweighted(solution.parameters, with_scales(scales, base, used.u))
+        used = used or wanted
+        variances = with_scales(scales, base, used.u)
+        solution = self._with_poses(replace(solution, variances=variances), variances)
+        solution = replace(solution, scales_estimated=bool(scales.unknown))
         if problem is None or self.loss != GAUSSIAN or not solution.observability.full:
             return solution
         if solution.problem.poses:
-            problem = self._scale_problem(solution.parameters, base, scales)
-            u = problem.mode(u)
-        return replace(solution, posterior=posterior(problem, problem.learned(u)))
+            problem = self._scale_problem(solution, base, scales)
+        learned = problem.learned(problem.mode(used.u))
+        return replace(solution, posterior=posterior(problem, learned, (used.u, used.k)))
 
-    def _scale_problem(self, at: Parameters, base: Variances, scales: Scales) -> ScaleProblem:
+    def _scale_problem(self, solution: Solution, base: Variances, scales: Scales) -> ScaleProblem:
+        """Return the scales as a problem; with a robust loss, of readings that it does not doubt."""
+        readings = self.readings
+        if self.loss != GAUSSIAN:
+            weight = self.loss.weight(solution.result.white / solution.problem.range_sigma)
+            readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
         linearity = self.options.linearity if self.learns else None
-        return ScaleProblem(at, self.readings, self.terms, base, scales, linearity)
+        return ScaleProblem(solution.parameters, readings, self.terms, base, scales, linearity)
 
     def _reweighted(self, at: Parameters, variances: Variances) -> Solution:
         how = whitening(at, self.readings, variances)

@@ -21,6 +21,9 @@ from .setting import Setting
 MOVED = 3e-3
 """Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
 the typical range, a relative change of the range."""
+MOVED_WITH_SCALES = 5e-4
+"""The same where scales are integrated over: how probable they are depends on how well all planes fit,
+which is known to second order in such a move."""
 TRUSTED = 4
 """Planes inside from which others may be put aside."""
 ROUNDS = 5
@@ -192,7 +195,8 @@ class Now:
     def reweighed(self) -> "Now":
         """Return the same with the weights of the present beams, where these have moved."""
         setting, state = self.setting, self.state
-        if not setting.weights_depend or setting.apart(state.beams, self.weighed) < MOVED:
+        limit = MOVED if setting.learned is None else MOVED_WITH_SCALES
+        if not setting.weights_depend or setting.apart(state.beams, self.weighed) < limit:
             return self
         factors, all_fitted = {}, {}
         for plane, number in self.contents.numbers.items():

@@ -103,7 +103,7 @@ def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
     kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
     farthest = np.zeros(beams)
     np.maximum.at(farthest, readings.beam, readings.distance)
-    kappa = np.where(np.abs(kappa) * farthest <= model.LARGEST_CORRECTION, kappa, 0.0)
+    kappa = np.where(np.abs(kappa) * farthest <= model.LEAST_FACTOR, kappa, 0.0)
     return kappa if kappa.any() else None
 
 
