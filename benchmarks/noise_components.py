@@ -2,7 +2,7 @@
 
     python -m benchmarks.noise_components [--runs N] [--jobs J]
 
-Four beams, 13 planes and 20 stations a plane; nothing about the noise is told. In the paper's scene the
+Four beams, 13 planes and 20 stations a plane; nothing about the noise is given. In the paper's scene the
 spots are 2 cm from the origin of the hand: there 0.03 deg move them by a third of the noise. In the
 scene `arm` they are 30 cm away.
 """
@@ -35,8 +35,7 @@ def run_once(seed: int, scene: str = "paper") -> FloatArray:
     rng = np.random.default_rng(seed)
     truth, stations = SCENES[scene](Layout(4, 13, 20), rng)
     recording = simulate(truth, stations, Errors(*TRUE[scene]), rng)
-    options = hl.CalibrationOptions("none", estimate_noise=True)
-    found = hl.calibrate(recording, options=options)
+    found = hl.calibrate(recording, options=hl.CalibrationOptions("none"))
     if found.status != "converged":
         return np.full(6, np.nan)
     rows = [
