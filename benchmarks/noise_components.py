@@ -2,9 +2,9 @@
 
     python -m benchmarks.noise_components [--runs N] [--jobs J]
 
-Four beams, 13 planes and 20 stations a plane; nothing about the noise is given. In the paper's scene the
-spots are 2 cm from the origin of the hand: there 0.03 deg move them by a third of the noise. In the
-scene `arm` they are 30 cm away.
+Four beams, 13 planes and 20 stations a plane; nothing about the noise is given. In the paper's scene
+the spots are 2 cm from the origin of the hand: there 0.03 deg move them by a third of the noise. In
+the scene `arm` they are 30 cm away.
 """
 
 import argparse
