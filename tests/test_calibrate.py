@@ -117,15 +117,14 @@ def test_the_given_sigma_scales_chi2(gripper):
 @pytest.mark.slow
 def test_covariance_matches_the_scatter_of_many_runs():
     """60 recordings of one scene: the mean NEES of beam 1 is near its 7 degrees of freedom."""
+    noise, options = hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions(range_error="k1k2")
     rng = np.random.default_rng(0)
     layout = Layout(k1=0.01, k2=1.0)
     truth, stations = hl.scenes.paper(layout, rng)
     nees = []
     for _ in range(60):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
-        beam = hl.calibrate(
-            recording, hl.Noise(SIGMA), hl.CalibrationOptions(range_error="k1k2")
-        ).beams["1"]
+        beam = hl.calibrate(recording, noise, options).beams["1"]
         error = np.concatenate(
             (
                 beam.location - truth.locations[0],

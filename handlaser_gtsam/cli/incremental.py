@@ -55,7 +55,7 @@ def plane_by_plane(
             return PlaneByPlane(calibrate(recording, noise, options), recording, told, None)
         moved = session.moved()
         comparison = session.settle()
-        if "range" in comparison.message:  # what had moved may have been a range error left out
+        if comparison.message:  # what had moved may have been noise that is known better now
             moved = session.moved()
     result = session.calibration()
     if moved is not None:
