@@ -146,11 +146,16 @@ class ScaleProblem:
         return find_mode(self._log_posterior, start)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
-        """Return the geometric posterior means (T,) of the scales of k1 and k2 D for known noise."""
+        """Return the geometric posterior means (T,) of the scales of k1 and k2 D for known noise.
+
+        Of sensors that have range errors; those that have none are integrated over later.
+        """
         grid, beams = self._grid(mode)
-        value = beams.log_evidence_of(grid.scale)[0] + grid.log_prior
+        if grid.scale.shape[1] == 0:
+            return np.empty(0)
+        value = (beams.log_evidence_of(grid.scale)[0] + grid.log_prior)[:-1]
         w = np.exp(value - value.max())
-        found: FloatArray = np.exp(w @ np.log(grid.scale) / w.sum())
+        found: FloatArray = np.exp(w @ np.log(grid.scale[:-1]) / w.sum())
         return found
 
     def learned(self, mode: FloatArray) -> LearnedScales:

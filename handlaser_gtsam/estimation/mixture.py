@@ -3,7 +3,8 @@ r"""Beams, with the scales of noise and range errors integrated over.
 For given scales everything is Gaussian. The range errors of all beams are k1 ~ N(0, s1^2) and
 k2 D ~ N(0, s2^2) for the typical range D. s1 and s2 are half-Cauchy (see `scales`) about a scale s that
 both share, itself half-Cauchy about the linearity of the sensor: where one term is far larger than
-expected, so may the other be. From the solution with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
+expected, so may the other be. Beside that, sensors without range errors that matter are as likely as
+those with. From the solution with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
 it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
 
     mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
@@ -26,6 +27,9 @@ SPAN, STEP = 4.5, 0.75
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
 """The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
+NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.5
+"""Range errors of exp(NEGLIGIBLE_ERROR) of the linearity are none; so have sensors with probability
+PERFECT. It decides only where readings cannot tell such small errors; otherwise they rule it out."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 11
@@ -47,7 +51,7 @@ class RangeErrorGrid:
     Attributes
     ----------
     scale : (G, T)
-        Of each term, for T terms.
+        Of each term, for T terms; those of sensors without range errors last.
     log_prior : (G,)
         With the volume of a cell.
     """
@@ -115,8 +119,8 @@ def refined_grid(
     terms = grid.scale.shape[1]
     if terms == 0:
         return grid
-    value = log_evidence + grid.log_prior
-    near = np.log(grid.scale[value > value.max() - WIDTH] / linearity)
+    value = (log_evidence + grid.log_prior)[:-1]
+    near = np.log(grid.scale[:-1][value > value.max() - WIDTH] / linearity)
     sides = [
         np.linspace(
             max(near[:, t].min() - 0.5 * STEP, -SPAN), near[:, t].max() + 0.5 * STEP, POINTS
@@ -134,12 +138,15 @@ def _grid(sides: Sequence[FloatArray], linearity: float) -> RangeErrorGrid:
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
     terms = _log_density(x[:, :, None] - shared).sum(axis=1)
     log_prior = logsumexp(_log_density(shared) + terms, axis=1) + np.log(SHARED_STEP)
-    return RangeErrorGrid(linearity * np.exp(x), log_prior + cell)
+    x = np.vstack((x, np.full((1, x.shape[1]), NEGLIGIBLE_ERROR)))
+    log_prior = np.append(log_prior + cell + np.log(1.0 - PERFECT), np.log(PERFECT))
+    return RangeErrorGrid(linearity * np.exp(x), log_prior)
 
 
 def _log_density(x: FloatArray) -> FloatArray:
     """Return the logarithm of the density of the logarithm x of a half-Cauchy variable of scale 1."""
-    return np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
+    density: FloatArray = np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
+    return density
 
 
 class BeamPosterior:

@@ -48,7 +48,7 @@ class Posterior:
     scales : tuple of ScaleEstimate
         Of the noise.
     range_error_scales : (2,) or None
-        Posterior medians of the scales of k1 [1] and k2 [1/m]; None where range errors have no prior.
+        Posterior means of the scales of k1 [1] and k2 [1/m]; None where range errors have no prior.
     learned : LearnedScales
         Over which was integrated.
     """
@@ -95,7 +95,7 @@ def posterior(
         mixture.sigmas,
         mixture.members,
         _scale_estimates(mixture, learned),
-        _medians(mixture, learned),
+        _mean_scales(mixture, learned),
         learned,
     )
 
@@ -155,14 +155,10 @@ def _scale_estimates(mixture: Mixture, learned: LearnedScales) -> tuple[ScaleEst
     return tuple(found)
 
 
-def _medians(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
-    """Return the posterior medians of the scales of k1 [1] and k2 [1/m]."""
+def _mean_scales(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
+    """Return the posterior means of the scales of k1 [1] and k2 [1/m]."""
     if learned.linearity is None:
         return None
     found = np.zeros(2)
-    for term in range(learned.terms):
-        values, index = np.unique(learned.grid.scale[:, term], return_inverse=True)
-        weight = np.bincount(index, mixture.grid)
-        middle = np.cumsum(weight) - 0.5 * weight
-        found[term] = np.exp(np.interp(0.5 * weight.sum(), middle, np.log(values)))
+    found[: learned.terms] = mixture.grid @ learned.grid.scale
     return np.asarray(found / np.array([1.0, learned.length]))
