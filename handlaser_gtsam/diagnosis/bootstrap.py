@@ -109,7 +109,7 @@ def _one_draw(
         j, g = mixture.members[c]
         variances, shift = _variances(learned, variances, learned.points[j]), mixture.means[c]
         if learned.linearity is not None:
-            sigma = learned.grid.scale[g] / np.array([1.0, learned.length])
+            sigma = learned.grid.total()[g] / np.array([1.0, learned.length])
             spread = np.tile(sigma, (readings.beams, 1))
             mean = at.range_errors + spread * rng.standard_normal(spread.shape)
             prior = RangeErrorPrior(spread, mean)

@@ -41,7 +41,7 @@ class LearnedScales:
     grid : RangeErrorGrid
         Over their scales.
     range_error : (T,)
-        Geometric mean of these, for the most probable noise.
+        Standard deviations of the range errors of a beam, for the most probable noise.
     """
 
     scales: Scales
@@ -136,7 +136,8 @@ class ScaleProblem:
         self.base, self.linearity = base, linearity
         self.length = length or float(np.median(readings.distance))
         self.k = at.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
-        self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms)
+        beams = readings.beams if members is None else len(members)
+        self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms, beams)
         self.rows = self._rows(readings)
         part = part_of(readings)
         self._part = self.rows if len(part) == len(readings) else self._rows(part)
@@ -146,16 +147,16 @@ class ScaleProblem:
         return find_mode(self._log_posterior, start)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
-        """Return the geometric posterior means (T,) of the scales of k1 and k2 D for known noise.
+        """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known.
 
         Of sensors that have range errors; those that have none are integrated over later.
         """
         grid, beams = self._grid(mode)
-        if grid.scale.shape[1] == 0:
+        if grid.own.shape[1] == 0:
             return np.empty(0)
-        value = (beams.log_evidence_of(grid.scale)[0] + grid.log_prior)[:-1]
+        value = (beams.log_evidence_of(grid)[0] + grid.log_prior)[:-1]
         w = np.exp(value - value.max())
-        found: FloatArray = np.exp(w @ np.log(grid.scale[:-1]) / w.sum())
+        found: FloatArray = np.exp(w @ np.log(grid.total()[:-1]) / w.sum())
         return found
 
     def learned(self, mode: FloatArray) -> LearnedScales:
@@ -208,8 +209,9 @@ class ScaleProblem:
 
     def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
         beams = self._beams(self.rows, mode[None])[0]
-        evidence = beams.log_evidence_of(self.wide.scale)[0]
-        return refined_grid(self.wide, evidence, self.linearity or 1.0), beams
+        evidence = beams.log_evidence_of(self.wide)[0]
+        fine = refined_grid(self.wide, evidence, self.linearity or 1.0)
+        return fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
 
 
 def part_of(readings: Readings) -> Readings:

@@ -1,11 +1,15 @@
 r"""Beams, with the scales of noise and range errors integrated over.
 
-For given scales everything is Gaussian. The range errors of all beams are k1 ~ N(0, s1^2) and
-k2 D ~ N(0, s2^2) for the typical range D. s1 and s2 are half-Cauchy (see `scales`) about a scale s that
-both share, itself half-Cauchy about the linearity of the sensor: where one term is far larger than
-expected, so may the other be. Beside that, sensors without range errors that matter are as likely as
-those with. From the solution with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
-it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
+For given scales everything is Gaussian. With the typical range D, the range errors of beam i are
+
+    k1_i = m1 + d1_i,  k2_i D = m2 + d2_i,  d1 ~ N(0, s1^2),  d2 ~ N(0, s2^2),  m1, m2 ~ N(0, S^2):
+
+sensors of one kind err alike, and the robot's scale does so to all of them. s1, s2 and S are
+half-Cauchy (see `scales`) about a scale that they share, itself half-Cauchy about the linearity of
+the sensor: where one is far larger than expected, so may the others be. Beside that, sensors without
+range errors that matter are as likely as those with. The mean over the beams and the contrasts between
+them make the prior diagonal. From the solution with a wide prior, k^ with covariance V, a narrower
+prior is a linear update: with the precision E that it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
 
     mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
 
@@ -20,10 +24,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from .information import Information
 
-SPAN, STEP = 4.5, 0.75
+SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
 """The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
@@ -32,7 +36,7 @@ NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.5
 PERFECT. It decides only where readings cannot tell such small errors; otherwise they rule it out."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
-POINTS = 11
+POINTS = 8
 SMALLEST = 3e-4
 """Components of smaller weight beside the largest are not kept for quantiles."""
 LEAST_INFORMATION = 1e-6
@@ -46,18 +50,32 @@ BISECTIONS = 45
 
 @dataclass(frozen=True, slots=True)
 class RangeErrorGrid:
-    """Scales of k1 and k2 D at which the range errors' prior is integrated over.
+    """Scales of the range errors at which their prior is integrated over, natural units.
 
     Attributes
     ----------
-    scale : (G, T)
-        Of each term, for T terms; those of sensors without range errors last.
+    own : (G, T)
+        s1, s2: of the beams by themselves, for T terms; those of sensors without range errors last.
+    common : (G,)
+        S: of what all beams share; zero for one beam.
     log_prior : (G,)
         With the volume of a cell.
     """
 
-    scale: FloatArray
+    own: FloatArray
+    common: FloatArray
     log_prior: FloatArray
+
+    def total(self) -> FloatArray:
+        """Return the standard deviations (G, T) of the range errors of one beam."""
+        found: FloatArray = np.hypot(self.own, self.common[:, None])
+        return found
+
+    def near(self, value: FloatArray) -> "RangeErrorGrid":
+        """Return the points whose value (G,), in the logarithm, is not far below the largest."""
+        kept = value > value.max() - WIDTH
+        kept[-1:] = True
+        return RangeErrorGrid(self.own[kept], self.common[kept], self.log_prior[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,42 +123,49 @@ def mixture_quantiles(
     return found
 
 
-def widest_grid(linearity: float, terms: int) -> RangeErrorGrid:
+def widest_grid(linearity: float, terms: int, beams: int) -> RangeErrorGrid:
     """Return a coarse grid over all scales that are possible."""
     steps = round(SPAN / STEP)
     side = np.arange(-steps, steps + 1, dtype=np.float64) * STEP
-    return _grid([side] * terms, linearity)
+    return _grid([side] * _axes(terms, beams), linearity, terms)
 
 
 def refined_grid(
     grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
 ) -> RangeErrorGrid:
     """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms = grid.scale.shape[1]
+    terms = grid.own.shape[1]
     if terms == 0:
         return grid
     value = (log_evidence + grid.log_prior)[:-1]
-    near = np.log(grid.scale[:-1][value > value.max() - WIDTH] / linearity)
+    points = np.column_stack((grid.own, grid.common))[:-1][value > value.max() - WIDTH]
+    points = points[:, : terms + int(grid.common.any())]
+    near = np.log(points / linearity)
     sides = [
-        np.linspace(
-            max(near[:, t].min() - 0.5 * STEP, -SPAN), near[:, t].max() + 0.5 * STEP, POINTS
-        )
-        for t in range(terms)
+        np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, SPAN), POINTS)
+        for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
     ]
-    return _grid([np.minimum(side, SPAN) for side in sides], linearity)
+    return _grid(sides, linearity, terms)
 
 
-def _grid(sides: Sequence[FloatArray], linearity: float) -> RangeErrorGrid:
+def _axes(terms: int, beams: int) -> int:
+    """Return how many scales there are."""
+    return 0 if terms == 0 else terms + int(beams > 1)
+
+
+def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErrorGrid:
     if not sides:
-        return RangeErrorGrid(np.ones((1, 0)), np.zeros(1))
+        return RangeErrorGrid(np.ones((1, 0)), np.zeros(1), np.zeros(1))
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    terms = _log_density(x[:, :, None] - shared).sum(axis=1)
-    log_prior = logsumexp(_log_density(shared) + terms, axis=1) + np.log(SHARED_STEP)
+    each = _log_density(x[:, :, None] - shared).sum(axis=1)
+    log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
     x = np.vstack((x, np.full((1, x.shape[1]), NEGLIGIBLE_ERROR)))
     log_prior = np.append(log_prior + cell + np.log(1.0 - PERFECT), np.log(PERFECT))
-    return RangeErrorGrid(linearity * np.exp(x), log_prior)
+    scale = linearity * np.exp(x)
+    common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
+    return RangeErrorGrid(scale[:, :terms], common, log_prior)
 
 
 def _log_density(x: FloatArray) -> FloatArray:
@@ -175,12 +200,14 @@ class BeamPosterior:
         beams = np.arange(len(k)) if members is None else members
         k = k[beams]
         self.at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
-        self.terms = np.tile(np.arange(terms), len(beams))
-        self.widest, precision = widest, widest**-2
+        self.count, self.terms = len(beams), np.repeat(np.arange(terms), len(beams))
+        self.turn, self.is_mean = _contrasts(len(beams), terms)
+        self.widest = np.where(self.is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
+        own, mean = self.turn.T @ (self.widest[:, None] ** -2 * self.turn), self.turn @ k.ravel()
         matrix, vector = information.matrix.copy(), information.vector.copy()
         matrix += LEAST_INFORMATION * np.eye(size)
-        matrix[:, self.at, self.at] += precision
-        vector[:, self.at] -= precision * k.ravel()
+        matrix[:, self.at[:, None], self.at] += own
+        vector[:, self.at] -= own @ k.ravel()
         diagonal = np.einsum("jii->ji", matrix)
         scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
         scaled = matrix * scale[:, :, None] * scale[:, None, :]
@@ -190,19 +217,27 @@ class BeamPosterior:
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
         self.log_evidence -= 0.5 * log_det
         if self.at.size and np.isfinite(widest):
-            self.log_evidence -= 0.5 * precision * float((k**2).sum())
-            self.log_evidence -= self.at.size * np.log(widest)
-        self.V = self.covariance[:, self.at[:, None], self.at]
-        self.k = self.mean[:, self.at] + k.ravel()
+            self.log_evidence -= 0.5 * float((mean**2 / self.widest**2).sum())
+            self.log_evidence -= float(np.log(self.widest).sum())
+        self.U = self.covariance[:, :, self.at] @ self.turn.T
+        self.V = self.turn @ self.U[:, self.at]
+        self.k = self.mean[:, self.at] @ self.turn.T + mean
 
-    def narrowed(self, scale: FloatArray, sets: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return log evidence (j, G), Z (j, G, K, K), Z k^ (j, G, K) of some sets for scales (G, T)."""
+    def spread(self, grid: RangeErrorGrid) -> FloatArray:
+        """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
+        if grid.own.shape[1] == 0:  # range errors without a prior
+            return np.ones((len(grid.common), len(self.terms)))
+        shared = np.where(self.is_mean, np.sqrt(self.count), 0.0) * grid.common[:, None]
+        found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
+        return found
+
+    def narrowed(self, own: FloatArray, sets: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log evidence (j, G), Z (j, G, K, K), Z k^ (j, G, K) of some sets for priors (G, K)."""
         k, V, log_evidence = self.k[sets], self.V[sets], self.log_evidence[sets, None]
         size = k.shape[1]
-        if size == 0 or not np.isfinite(self.widest):
-            zero = np.zeros((len(k), len(scale), size, size))
+        if size == 0 or not np.isfinite(self.widest).all():
+            zero = np.zeros((len(k), len(own), size, size))
             return np.broadcast_to(log_evidence, zero.shape[:2]), zero, zero.sum(axis=3)
-        own = scale[:, self.terms]
         R = np.sqrt(np.maximum(own**-2 - self.widest**-2, 0.0))
         inner = np.eye(size) + R[:, :, None] * V[:, None] * R[:, None, :]
         Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
@@ -210,21 +245,21 @@ class BeamPosterior:
         change = np.linalg.slogdet(inner)[1] + np.einsum("jga,ja->jg", Zk, k)
         return log_evidence - 0.5 * change - np.log(own / self.widest).sum(axis=1), Z, Zk
 
-    def log_evidence_of(self, scale: FloatArray) -> FloatArray:
-        """Return the log evidence (J, G) of the noise scales and those of the range errors (G, T)."""
-        return np.concatenate([self.narrowed(scale, part)[0] for part in self._parts(len(scale))])
+    def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
+        """Return the log evidence (J, G) of the noise scales and those of the range errors."""
+        own = self.spread(grid)
+        return np.concatenate([self.narrowed(own, part)[0] for part in self._parts(len(own))])
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
-        marginal: FloatArray = logsumexp(self.log_evidence_of(grid.scale) + grid.log_prior, axis=1)
+        marginal: FloatArray = logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1)
         return marginal
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean (n,) and covariance (n, n) of the first set for scales (T,) of range errors."""
-        part = slice(0, 1)
-        _, Z, Zk = self.narrowed(scale[None], part)
-        S, U = self.covariance[0], self.covariance[0][:, self.at]
-        return self.mean[0] - U @ Zk[0, 0], S - U @ Z[0, 0] @ U.T
+        """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
+        _, Z, Zk = self.narrowed(scale[None, self.terms], slice(0, 1))
+        U = self.U[0]
+        return self.mean[0] - U @ Zk[0, 0], self.covariance[0] - U @ Z[0, 0] @ U.T
 
     def mixture(
         self,
@@ -235,13 +270,14 @@ class BeamPosterior:
         """Return the posterior for weights of the sets (J,), and of `coordinates` (m, n) if given."""
         if coordinates is None:
             coordinates = np.empty((0, self.mean.shape[1]))
-        parts = self._parts(len(grid.scale))
-        log_w = self.log_evidence_of(grid.scale) + grid.log_prior + log_weight[:, None]
+        own = self.spread(grid)
+        parts = self._parts(len(own))
+        log_w = self.log_evidence_of(grid) + grid.log_prior + log_weight[:, None]
         w = np.exp(log_w - logsumexp(log_w))
         w[w < NEGLIGIBLE * w.max()] = 0.0
         w /= w.sum()
         found = [
-            self._components(grid, w[part], part, coordinates) for part in parts if w[part].any()
+            self._components(own, w[part], part, coordinates) for part in parts if w[part].any()
         ]
         weight, means, within = (np.concatenate([one[k] for one in found]) for k in range(3))
         covariance = sum((one[3] for one in found), np.zeros(self.covariance.shape[1:]))
@@ -261,23 +297,39 @@ class BeamPosterior:
         )
 
     def _components(
-        self, grid: RangeErrorGrid, w: FloatArray, part: slice, coordinates: FloatArray
+        self, own: FloatArray, w: FloatArray, part: slice, coordinates: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return weights, means, sigmas of the components, and their mean covariance times weight."""
-        _, Z, Zk = self.narrowed(grid.scale, part)
-        S, U = self.covariance[part], self.covariance[part][:, :, self.at]
+        _, Z, Zk = self.narrowed(own, part)
+        S, U = self.covariance[part], self.U[part]
         j, g = np.nonzero(w)
         means = self.mean[part][j] - np.einsum("cnk,ck->cn", U[j], Zk[j, g])
         Zbar = np.einsum("jg,jgkl->jkl", w, Z)
         within = np.einsum("j,jab->ab", w.sum(axis=1), S)
         within -= np.einsum("jak,jkl,jbl->ab", U, Zbar, U, optimize=True)
         along = coordinates @ U
-        own = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
+        wide = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
         less = np.einsum("cmk,ckl,cml->cm", along[j], Z[j, g], along[j], optimize=True)
-        return w[j, g], means, np.sqrt(np.maximum(own[j] - less, 0.0)), within
+        return w[j, g], means, np.sqrt(np.maximum(wide[j] - less, 0.0)), within
 
     def _parts(self, points: int) -> list[slice]:
         """Return slices of the sets that fit into memory for so many scales of range errors."""
         sets, size = self.k.shape
         share = max(LARGEST_CHUNK // max(points * size**2, 1), 1)
         return [slice(a, a + share) for a in range(0, sets, share)]
+
+
+def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:
+    """Return an orthogonal matrix (K, K) from range errors, beam after beam, to means and contrasts.
+
+    Term after term, the mean over the beams, times the root of their number, first. Also return which
+    of them are means.
+    """
+    one = np.eye(beams)
+    if beams > 1:
+        one = np.linalg.qr(np.column_stack((np.ones(beams), np.eye(beams)[:, 1:])))[0].T
+    turn = np.zeros((terms, beams, beams, terms))
+    for term in range(terms):
+        turn[term, :, :, term] = one
+    is_mean = np.tile(np.arange(beams) == 0, terms)
+    return turn.reshape(terms * beams, beams * terms), is_mean

@@ -160,5 +160,5 @@ def _mean_scales(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
     if learned.linearity is None:
         return None
     found = np.zeros(2)
-    found[: learned.terms] = mixture.grid @ learned.grid.scale
+    found[: learned.terms] = mixture.grid @ learned.grid.total()
     return np.asarray(found / np.array([1.0, learned.length]))
