@@ -10,7 +10,8 @@ range errors k1 ~ N(0, 0.01 a), k2 ~ N(0, 0.2/m a) of every beam. It is calibrat
 range-error terms, and without any at a = 0.
 
 NEES is the squared error of all beams in their joint covariance over the number of unknowns, of all of
-them and of r and v alone. Coverage counts how often the 95 % intervals of single coordinates hold the
+them and of r and v alone, the mounts: its limits are on these. Range errors of exactly zero (a = 0) are
+no draw from any distribution of range errors that has a width, so that of k is below one there. Coverage counts how often the 95 % intervals of single coordinates hold the
 truth. `>5` counts recordings with a coordinate of a beam beyond five of its standard deviations,
 `fail` those without a result; `v/none` and `v/k1k2` are ratios of rms errors of v over the recordings
 that both ways solve. What misses a limit is named at the end of a line.
@@ -187,9 +188,7 @@ def line(case: Case, runs: list[dict[RangeError, Judged | None]]) -> str:
         + f"fail {len(runs) - len(done)}, >5 {sum(one.farthest > FAR for one in done)}, "
         f"{np.mean([one.seconds for one in done]):.2f} s"
     )
-    missed = [
-        name for name, holds in limits(case, float(each.mean()), covered, ratio, none) if not holds
-    ]
+    missed = [name for name, holds in limits(case, mounts, covered, ratio, none) if not holds]
     return text + (f"  MISSES {', '.join(missed)}" if missed else "")
 
 

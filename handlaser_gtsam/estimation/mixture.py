@@ -6,8 +6,8 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
 sensors of one kind err alike, and the robot's scale does so to all of them. s1, s2 and S are
 half-Cauchy (see `scales`) about a scale that they share, itself half-Cauchy about the linearity of
-the sensor: where one is far larger than expected, so may the others be. Beside that, sensors without
-range errors that matter are as likely as those with. The mean over the beams and the contrasts between
+the sensor: where one is far larger than expected, so may the others be. Beside that, all
+sensors may be without range errors that matter. The mean over the beams and the contrasts between
 them make the prior diagonal. From the solution with a wide prior, k^ with covariance V, a narrower
 prior is a linear update: with the precision E that it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
 
@@ -31,9 +31,10 @@ SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
 """The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.5
+NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.2
 """Range errors of exp(NEGLIGIBLE_ERROR) of the linearity are none; so have sensors with probability
-PERFECT. It decides only where readings cannot tell such small errors; otherwise they rule it out."""
+PERFECT, where there are several that can contradict it. A single beam whose readings hardly determine
+its range errors would have them explained away."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
@@ -162,7 +163,8 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     each = _log_density(x[:, :, None] - shared).sum(axis=1)
     log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
     x = np.vstack((x, np.full((1, x.shape[1]), NEGLIGIBLE_ERROR)))
-    log_prior = np.append(log_prior + cell + np.log(1.0 - PERFECT), np.log(PERFECT))
+    perfect = PERFECT if x.shape[1] > terms else 1e-12
+    log_prior = np.append(log_prior + cell + np.log(1.0 - perfect), np.log(perfect))
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior)

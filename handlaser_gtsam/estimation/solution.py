@@ -40,7 +40,7 @@ SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
 LEAST_WEIGHT = 0.5
 """Readings to which a robust loss gives less say nothing about the scales."""
-SAME_SCALE = 0.02
+SAME_SCALE = 0.05
 """Scales whose logarithms change by less have settled: they are integrated over in the end."""
 
 Progress = Callable[[Trial], None] | None
@@ -244,9 +244,11 @@ class _Task:
         solution = replace(solution, scales_estimated=bool(scales.unknown))
         if problem is None or self.loss != GAUSSIAN or not solution.observability.full:
             return solution
+        u = wanted.u
         if solution.problem.poses:
             problem = self._scale_problem(solution, base, scales)
-        learned = problem.learned(problem.mode(used.u))
+            u = problem.mode(u)
+        learned = problem.learned(u)
         return replace(solution, posterior=posterior(problem, learned, (used.u, used.k)))
 
     def _scale_problem(self, solution: Solution, base: Variances, scales: Scales) -> ScaleProblem:
