@@ -10,11 +10,12 @@ range errors k1 ~ N(0, 0.01 a), k2 ~ N(0, 0.2/m a) of every beam. It is calibrat
 range-error terms, and without any at a = 0.
 
 NEES is the squared error of all beams in their joint covariance over the number of unknowns, of all of
-them and of r and v alone, the mounts: its limits are on these. Range errors of exactly zero (a = 0) are
-no draw from any distribution of range errors that has a width, so that of k is below one there. Coverage counts how often the 95 % intervals of single coordinates hold the
-truth. `>5` counts recordings with a coordinate of a beam beyond five of its standard deviations,
-`fail` those without a result; `v/none` and `v/k1k2` are ratios of rms errors of v over the recordings
-that both ways solve. What misses a limit is named at the end of a line.
+them and of r and v alone, the mounts: its limits are on these. Range errors of exactly zero (a = 0)
+are no draw from any distribution of range errors that has a width, so that of k is below one there.
+Coverage counts how often the 95 % intervals of single coordinates hold the truth. `>5` counts
+recordings with a coordinate of a beam beyond five of its standard deviations, `fail` those without a
+result; `v/none` and `v/k1k2` are ratios of rms errors of v over the recordings that both ways solve.
+What misses a limit is named at the end of a line.
 
 --scene-check counts recordings with a coordinate beyond five standard deviations in the scene `arm` of
 the package, with k1 = 0.02 and k2 = 0.01/m, readings that err by 0.1 mm, and exact poses.

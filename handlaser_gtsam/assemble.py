@@ -178,6 +178,8 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
     found, parameters = solution.observability, solution.parameters
     condition = found.condition if found.full else None
     parts = open_parts(found, parameters, names)
+    if solution.prior is not None:  # what is known of range errors without any reading
+        parts = tuple(part for part in parts if part.quantity != "range error")
     words, help_ = undetermined(parts), advice(parts)
     if found.full and fit.dof == 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)

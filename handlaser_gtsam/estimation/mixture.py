@@ -31,15 +31,15 @@ SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
 """The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.2
+NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.3
 """Range errors of exp(NEGLIGIBLE_ERROR) of the linearity are none; so have sensors with probability
 PERFECT, where there are several that can contradict it. A single beam whose readings hardly determine
 its range errors would have them explained away."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
-SMALLEST = 3e-4
-"""Components of smaller weight beside the largest are not kept for quantiles."""
+LOST = 1e-4
+"""The smallest components, which have this weight together, are not kept for quantiles."""
 LEAST_INFORMATION = 1e-6
 """Of every unknown in natural units: a part of a recording may lack a beam."""
 NEGLIGIBLE = 1e-6
@@ -74,8 +74,8 @@ class RangeErrorGrid:
 
     def near(self, value: FloatArray) -> "RangeErrorGrid":
         """Return the points whose value (G,), in the logarithm, is not far below the largest."""
-        kept = value > value.max() - WIDTH
-        kept[-1:] = True
+        kept = value > value[: max(len(value) - 1, 1)].max() - WIDTH
+        kept[-1] = True
         return RangeErrorGrid(self.own[kept], self.common[kept], self.log_prior[kept])
 
 
@@ -286,7 +286,9 @@ class BeamPosterior:
         mean = weight @ means
         off = means - mean
         covariance = covariance + (weight[:, None] * off).T @ off
-        kept = weight > SMALLEST * weight.max()
+        order = np.argsort(-weight, kind="stable")
+        enough = int(np.searchsorted(np.cumsum(weight[order]), 1.0 - LOST)) + 1
+        kept = np.sort(order[:enough])
         return Mixture(
             mean,
             0.5 * (covariance + covariance.T),
