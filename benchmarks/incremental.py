@@ -1,8 +1,9 @@
 """Planes added one by one: how far from the batch solution, and how long.
 
-    python -m benchmarks.incremental [--planes 200] [--every 1] [--robot | --poses]
+    python -m benchmarks.incremental [--planes 200] [--every 1] [--robot | --poses | --defaults]
 
-Four beams, 11 stations a plane in any motion; a robot that errs, with poses marginalised or estimated.
+Four beams, 11 stations a plane in any motion; a robot that errs, with poses marginalised or estimated,
+or with range errors too and nothing given: then all scales are learned and integrated over.
 `batch` solves all readings so far from the present estimate, covariance included, in turns with the
 planes that are added. Times are medians of 15 planes; `mean` is over the last 50, with the comparisons
 that a session makes by itself. The slope is that of a line through the medians.
@@ -43,14 +44,18 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="compare after so many planes")
     parser.add_argument("--robot", action="store_true", help="poses marginalised")
     parser.add_argument("--poses", action="store_true", help="poses estimated")
+    parser.add_argument("--defaults", action="store_true", help="give nothing")
     arguments = parser.parse_args()
     rng = np.random.default_rng(1)
-    truth, stations = SCENES["unplanned"](Layout(4, arguments.planes, 11), rng)
-    errs = arguments.robot or arguments.poses
+    k = (0.01, 0.2) if arguments.defaults else (0.0, 0.0)
+    truth, stations = SCENES["unplanned"](Layout(4, arguments.planes, 11, *k), rng)
+    errs = arguments.robot or arguments.poses or arguments.defaults
     pose = (TRANSLATION, ROTATION) if errs else (0.0, 0.0)
     recording = simulate(truth, stations, Errors(SIGMA, *pose), rng)
     noise = hl.Noise(SIGMA, *pose)
     options = hl.CalibrationOptions("none", poses="estimated" if arguments.poses else "auto")
+    if arguments.defaults:
+        noise, options = hl.Noise(), hl.CalibrationOptions()
     session = hl.Session(noise, options)
     shown = sorted({*SHOWN, arguments.planes})
     seconds, batches, largest, largest_sigma, rows = [], [], 0.0, 0.0, []

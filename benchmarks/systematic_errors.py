@@ -169,13 +169,13 @@ def linearization(
     used = ~np.isnan(result.fit.residuals[readings.station, readings.beam])
     origins = readings.plane_means(readings.world_t_hand)
     readings = readings.subset(np.flatnonzero(used)).seen_from(origins)
-    at = result.parameters()
+    scaled = result.at_scales
+    at = result.parameters() if scaled is None else scaled.parameters
     at = replace(at, offsets=at.offsets + (at.normals * origins).sum(axis=1))
     variances = result.variances or Variances(np.full(readings.beams, result.fit.range_sigma))
-    scales = result.range_error_scales
     prior = np.full((readings.beams, 2), np.inf)
-    if scales is not None:
-        prior[:] = scales.k1, scales.k2_per_m
+    if scaled is not None and scaled.range_error_prior is not None:
+        prior = scaled.range_error_prior.sigma
     return at, readings, whitening(at, readings, variances), prior, readings.station
 
 
