@@ -204,6 +204,7 @@ class BeamPosterior:
         self.at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
         self.count, self.terms = len(beams), np.repeat(np.arange(terms), len(beams))
         self.turn, self.is_mean = _contrasts(len(beams), terms)
+        self.has_prior = bool(self.at.size) and np.isfinite(widest)
         self.widest = np.where(self.is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
         own, mean = self.turn.T @ (self.widest[:, None] ** -2 * self.turn), self.turn @ k.ravel()
         matrix, vector = information.matrix.copy(), information.vector.copy()
@@ -218,7 +219,7 @@ class BeamPosterior:
         log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
         self.log_evidence -= 0.5 * log_det
-        if self.at.size and np.isfinite(widest):
+        if self.has_prior:
             self.log_evidence -= 0.5 * float((mean**2 / self.widest**2).sum())
             self.log_evidence -= float(np.log(self.widest).sum())
         self.U = self.covariance[:, :, self.at] @ self.turn.T
@@ -233,24 +234,39 @@ class BeamPosterior:
         found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
         return found
 
-    def narrowed(self, own: FloatArray, sets: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return log evidence (j, G), Z (j, G, K, K), Z k^ (j, G, K) of some sets for priors (G, K)."""
-        k, V, log_evidence = self.k[sets], self.V[sets], self.log_evidence[sets, None]
-        size = k.shape[1]
-        if size == 0 or not np.isfinite(self.widest).all():
-            zero = np.zeros((len(k), len(own), size, size))
-            return np.broadcast_to(log_evidence, zero.shape[:2]), zero, zero.sum(axis=3)
+    def _narrowing(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K), each of one of the sets (C,)."""
         R = np.sqrt(np.maximum(own**-2 - self.widest**-2, 0.0))
-        inner = np.eye(size) + R[:, :, None] * V[:, None] * R[:, None, :]
+        return R, np.eye(own.shape[1]) + R[:, :, None] * self.V[sets] * R[:, None, :]
+
+    def narrowed(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return Z (C, K, K) and Z k^ (C, K) for priors (C, K), each of one of the sets (C,)."""
+        if not self.has_prior:
+            zero = np.zeros((*own.shape, own.shape[1]))
+            return zero, zero.sum(axis=2)
+        R, inner = self._narrowing(own, sets)
         Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
-        Zk = np.einsum("jgab,jb->jga", Z, k)
-        change = np.linalg.slogdet(inner)[1] + np.einsum("jga,ja->jg", Zk, k)
-        return log_evidence - 0.5 * change - np.log(own / self.widest).sum(axis=1), Z, Zk
+        return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        own = self.spread(grid)
-        return np.concatenate([self.narrowed(own, part)[0] for part in self._parts(len(own))])
+        own, count = self.spread(grid), len(self.k)
+        if not self.has_prior:
+            return np.broadcast_to(self.log_evidence[:, None], (count, len(own)))
+        found = np.empty((count, len(own)))
+        size = -np.log(own / self.widest).sum(axis=1)
+        share = max(LARGEST_CHUNK // max(own.size * own.shape[1], 1), 1)
+        for a in range(0, count, share):
+            sets = np.arange(a, min(a + share, count)).repeat(len(own))
+            R, inner = self._narrowing(np.tile(own, (len(sets) // len(own), 1)), sets)
+            right = R * self.k[sets]
+            root = np.linalg.cholesky(inner)
+            log_det = 2.0 * np.log(np.einsum("cii->ci", root)).sum(axis=1)
+            solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            value = -0.5 * (log_det + np.einsum("ca,ca->c", right, solved))
+            found[a : a + share] = value.reshape(-1, len(own)) + size
+        log_evidence: FloatArray = self.log_evidence[:, None] + found
+        return log_evidence
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
@@ -259,9 +275,9 @@ class BeamPosterior:
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
-        _, Z, Zk = self.narrowed(scale[None, self.terms], slice(0, 1))
+        Z, Zk = self.narrowed(scale[None, self.terms], np.zeros(1, dtype=np.intp))
         U = self.U[0]
-        return self.mean[0] - U @ Zk[0, 0], self.covariance[0] - U @ Z[0, 0] @ U.T
+        return self.mean[0] - U @ Zk[0], self.covariance[0] - U @ Z[0] @ U.T
 
     def mixture(
         self,
@@ -272,17 +288,15 @@ class BeamPosterior:
         """Return the posterior for weights of the sets (J,), and of `coordinates` (m, n) if given."""
         if coordinates is None:
             coordinates = np.empty((0, self.mean.shape[1]))
-        own = self.spread(grid)
-        parts = self._parts(len(own))
         log_w = self.log_evidence_of(grid) + grid.log_prior + log_weight[:, None]
         w = np.exp(log_w - logsumexp(log_w))
         w[w < NEGLIGIBLE * w.max()] = 0.0
         w /= w.sum()
-        found = [
-            self._components(own, w[part], part, coordinates) for part in parts if w[part].any()
-        ]
-        weight, means, within = (np.concatenate([one[k] for one in found]) for k in range(3))
-        covariance = sum((one[3] for one in found), np.zeros(self.covariance.shape[1:]))
+        members = np.argwhere(w)
+        weight = w[w > 0.0]
+        means, within, covariance = self._components(
+            self.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
+        )
         mean = weight @ means
         off = means - mean
         covariance = covariance + (weight[:, None] * off).T @ off
@@ -297,30 +311,27 @@ class BeamPosterior:
             weight[kept] / weight[kept].sum(),
             off[kept] @ coordinates.T,
             within[kept],
-            np.argwhere(w)[kept],
+            members[kept],
         )
 
     def _components(
-        self, own: FloatArray, w: FloatArray, part: slice, coordinates: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return weights, means, sigmas of the components, and their mean covariance times weight."""
-        _, Z, Zk = self.narrowed(own, part)
-        S, U = self.covariance[part], self.U[part]
-        j, g = np.nonzero(w)
-        means = self.mean[part][j] - np.einsum("cnk,ck->cn", U[j], Zk[j, g])
-        Zbar = np.einsum("jg,jgkl->jkl", w, Z)
-        within = np.einsum("j,jab->ab", w.sum(axis=1), S)
-        within -= np.einsum("jak,jkl,jbl->ab", U, Zbar, U, optimize=True)
+        self, own: FloatArray, weight: FloatArray, sets: IntArray, coordinates: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return means and sigmas of components (C,), and their mean covariance.
+
+        For priors (C, K), each of one of the sets (C,), in ascending order.
+        """
+        Z, Zk = self.narrowed(own, sets)
+        U, S = self.U, self.covariance
+        means = self.mean[sets] - np.einsum("cnk,ck->cn", U[sets], Zk)
+        seen, first = np.unique(sets, return_index=True)
+        Zbar = np.add.reduceat(weight[:, None, None] * Z, first)
+        within = np.einsum("j,jab->ab", np.add.reduceat(weight, first), S[seen])
+        within -= np.einsum("jak,jkl,jbl->ab", U[seen], Zbar, U[seen], optimize=True)
         along = coordinates @ U
         wide = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
-        less = np.einsum("cmk,ckl,cml->cm", along[j], Z[j, g], along[j], optimize=True)
-        return w[j, g], means, np.sqrt(np.maximum(wide[j] - less, 0.0)), within
-
-    def _parts(self, points: int) -> list[slice]:
-        """Return slices of the sets that fit into memory for so many scales of range errors."""
-        sets, size = self.k.shape
-        share = max(LARGEST_CHUNK // max(points * size**2, 1), 1)
-        return [slice(a, a + share) for a in range(0, sets, share)]
+        less = np.einsum("cmk,ckl,cml->cm", along[sets], Z, along[sets], optimize=True)
+        return means, np.sqrt(np.maximum(wide[sets] - less, 0.0)), within
 
 
 def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:

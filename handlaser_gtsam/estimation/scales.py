@@ -31,11 +31,9 @@ REACH = (7.0, 5.0)
 """Scales are looked for within this below and above their start, in the logarithm."""
 CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
-GRID = (-2.4, -1.2, 0.0, 1.2, 2.4)
-FARTHEST = 7.3
-"""Squared distance from the mode, in standard deviations, of the farthest points of the design."""
-MOST_AXES = 3
-"""More scales than these are integrated on two points an axis (spherical cubature)."""
+POINTS = {1: 7, 2: 5, 3: 3}
+"""Points an axis, those of Gauss and Hermite, by the number of scales. More scales than these are
+integrated on two points an axis (spherical cubature)."""
 STRETCH = (0.4, 2.5)
 """Limits of the stretch of a side."""
 
@@ -159,14 +157,20 @@ def design(log_posterior: LogPosterior, mode: FloatArray) -> Design:
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
     fall = np.maximum(top - log_posterior(ends), 1e-3).reshape(2, size)
     stretch = np.clip(1.0 / np.sqrt(fall), *STRETCH)
-    if size <= MOST_AXES:
-        z = np.array([p for p in product(GRID, repeat=size) if np.dot(p, p) <= FARTHEST])
-        log_weight = np.zeros(len(z))
-    else:
-        z = np.sqrt(size) * np.concatenate((np.eye(size), -np.eye(size)))
-        log_weight = np.full(len(z), 0.5 * size)
+    z, weight = _points(size)
+    log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     return Design(mode + (side * z) @ axes.T, log_weight + np.log(side).sum(axis=1))
+
+
+def _points(size: int) -> tuple[FloatArray, FloatArray]:
+    """Return points (J, d) and weights (J,) for a normal distribution of d unit variances."""
+    if size not in POINTS:
+        return np.sqrt(size) * np.concatenate((np.eye(size), -np.eye(size))), np.ones(2 * size)
+    x, w = np.polynomial.hermite_e.hermegauss(POINTS[size])
+    z = np.array(list(product(x, repeat=size)))
+    weight: FloatArray = np.array(list(product(w, repeat=size))).prod(axis=1)
+    return z, weight
 
 
 def _axes(log_posterior: LogPosterior, mode: FloatArray) -> FloatArray:

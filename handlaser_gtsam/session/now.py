@@ -69,9 +69,13 @@ class Now:
     doubtful: frozenset[str]
     learned_with: int
     sums: ScaleSums | None = None
+    estimate: BeamState | None = None
+    """The beams with all scales integrated over, once that has been done."""
 
     def integrated(self) -> BeamState:
         """Return the beams with all scales integrated over."""
+        if self.estimate is not None:
+            return self.estimate
         return self.state if self.sums is None else self.sums.integrated(self.state)
 
     @property
@@ -147,6 +151,7 @@ class Now:
             changes=self.changes + 1,
             doubtful=doubtful,
             sums=_summed(self.sums, joining),
+            estimate=None,
         )
         if not (joining.factors or left):
             return new, joining
@@ -208,7 +213,9 @@ class Now:
             all_fitted[plane] = fitted
         graph, found = self.graph.changed(factors, fine=bool(self.doubtful))
         sums = _sums(setting, state.beams, all_fitted)
-        return replace(self, graph=graph, state=found, weighed=state.beams, sums=sums)
+        return replace(
+            self, graph=graph, state=found, weighed=state.beams, sums=sums, estimate=None
+        )
 
 
 def begin(contents: Contents, setting: Setting, beams: Beams, options: IncrementalOptions) -> Now:

@@ -381,7 +381,7 @@ class Session:
         fresh = begin(
             contents, setting_of(found, self.noise, self.options.sensor), beams, self.incremental
         )
-        self._now = fresh
+        fresh = self._now = replace(fresh, estimate=fresh.integrated())
         return Update(
             tuple(fresh.contents.numbers),
             self.waiting,
@@ -421,7 +421,7 @@ class Session:
         new, comparison = checked(new)
         if comparison is not None and comparison.message:
             gain = float("nan")
-        self._now = new
+        new = self._now = replace(new, estimate=new.integrated())
         old = set(now.contents.rejected)
         return Update(
             tuple(new.contents.numbers) if words else joining.planes,
