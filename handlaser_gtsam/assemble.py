@@ -21,7 +21,7 @@ from .calibration import (
 )
 from .covariance import covariance, covariance_of_determined
 from .diagnosis.correlations import strong_correlations
-from .diagnosis.doubts import doubts, misfit, noise_advice, suspicious
+from .diagnosis.doubts import doubts, few_readings, misfit, noise_advice, suspicious
 from .diagnosis.hypotheses import better_ways
 from .diagnosis.mirror import mirror_image_fits
 from .diagnosis.observability import observability
@@ -100,6 +100,7 @@ def assemble(
         + ((wrong,) if wrong else ())
         + _label_warnings(recording, order, names, why)
         + doubts(used, solution.best, fit, noise, solution.variances)
+        + few_readings(solution.redundancy, fit)
         + tuple(one.warning for one in systematic if one.warning),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
@@ -146,8 +147,6 @@ def _variances(solution: Solution, order: Order, fit: Fit) -> Variances | None:
 
 def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, ...]:
     """Name the scales of the noise that were estimated, beams in the order of the recording."""
-    if solution.posterior is None:
-        return ()
     beams = {i: (number, name) for number, (name, i) in enumerate(names.beams)}
 
     def of(one: ScaleEstimate) -> tuple[int, str]:
@@ -156,7 +155,7 @@ def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, .
         number, name = beams[one.scale.beam]
         return number, f"{RANGE} of beam {name}"
 
-    ordered = sorted(solution.posterior.scales, key=lambda one: of(one)[0])
+    ordered = sorted(solution.scales, key=lambda one: of(one)[0])
     return tuple(NoiseComponent(of(one)[1], one.sigma, one.error) for one in ordered)
 
 
@@ -181,7 +180,7 @@ def _determined(names: Names, used: Readings, solution: Solution, fit: Fit) -> D
     if solution.prior is not None:  # what is known of range errors without any reading
         parts = tuple(part for part in parts if part.quantity != "range error")
     words, help_ = undetermined(parts), advice(parts)
-    if found.full and fit.dof == 0 and not fit.range_sigma_given:
+    if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(used, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)

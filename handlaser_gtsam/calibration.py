@@ -133,7 +133,7 @@ class Fit:
         Sum of squared residuals in units of the covariance behind the weights. If all readings weigh
         the same and no range sigma was given: over 1 m^2.
     dof : int
-        Readings less determined unknowns.
+        Readings, and pseudo-readings of the prior of range errors, less determined unknowns.
     sigma0 : float
         sqrt(chi2 / dof): near 1 when the given sigmas are right; the estimated range sigma in metres
         if all readings weigh the same and none was given.
@@ -179,7 +179,7 @@ class NoiseComponent:
     """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
 
     `prior_carries` says that the recording hardly tells the sigma: what is expected of such a robot or
-    sensor decides about it.
+    sensor decides about it. With a robust loss the error is not known, and NaN.
     """
 
     name: str
@@ -189,7 +189,7 @@ class NoiseComponent:
     @property
     def prior_carries(self) -> bool:
         """Whether the sigma is hardly determined by the recording."""
-        return not self.error < POOR_SIGMA * self.sigma
+        return self.error >= POOR_SIGMA * self.sigma
 
 
 @dataclass(frozen=True, slots=True)

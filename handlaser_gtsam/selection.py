@@ -7,6 +7,8 @@ too flat. Outliers are tested again with the final model, for range errors may h
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from . import sensor as limits
 from .arrays import BoolArray, IntArray
@@ -149,7 +151,11 @@ def _tested(
         sigmas = reading_sigmas(solution.parameters, part, variances)
         known = not solution.scales_estimated
         sigma, t = judge(part, kept, solution.parameters, terms, sigmas, known=known)
-    agreeing = np.abs(t) <= cut(part, kept, sigma)
+    far = cut(part, kept, sigma)
+    if noise.range_sigma is None or solution.scales_estimated:
+        # Few readings make their own scale small: what is far in units of it need not be an outlier.
+        far = float(student.isf(norm.sf(far), max(solution.redundancy, 1)))
+    agreeing = np.abs(t) <= far
     if not enough(part, agreeing, terms):
         return used
     tested = np.zeros_like(used)

@@ -26,7 +26,7 @@ def noise_words(result: Calibration, *, brief: bool = False) -> str:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {result.fit.range_sigma * MM:.3g} mm ({how})"]
     poses = [estimate_words(one) for one in result.noise_estimate if one.name in KINDS]
-    words = ", ".join([*parts, *poses] if poses else [*parts, _given_poses(result)])
+    words = ", ".join([*parts, *poses, *_given_poses(result, set(estimated))])
     carried = [KINDS.get(name, name) for name, one in estimated.items() if one.prior_carries]
     if carried:
         words += f"; the prior decides that of {some(carried, SHOWN)}"
@@ -38,17 +38,23 @@ def estimate_words(one: NoiseComponent) -> str:
     scale, unit = (DEG, "deg") if one.name == "pose rotation" else (MM, "mm")
     name = KINDS.get(one.name, one.name.replace("range", "a reading", 1))
     if not math.isfinite(one.error):
-        return f"{name} not distinguishable from zero"
+        return f"{name} {one.sigma * scale:.2g} {unit} (estimated)"
     return f"{name} {one.sigma * scale:.2g} +- {one.error * scale:.1g} {unit} (estimated)"
 
 
-def _given_poses(result: Calibration) -> str:
+def _given_poses(result: Calibration, estimated: set[str]) -> list[str]:
+    """Return the pose sigmas that were not estimated."""
     pose = None if result.variances is None else result.variances.pose
     if result.fit.poses == "exact" or pose is None:
-        return "hand poses exact"
+        return ["hand poses exact"]
     variance = np.einsum("sii->si", pose).mean(axis=0)
     turn, shift = (math.sqrt(float(variance[part].mean())) for part in (slice(3), slice(3, 6)))
-    return f"hand position {shift * MM:.2g} mm, hand rotation {turn * DEG:.2g} deg (given)"
+    words = []
+    if "pose translation" not in estimated:
+        words.append(f"hand position {shift * MM:.2g} mm (given)")
+    if "pose rotation" not in estimated:
+        words.append(f"hand rotation {turn * DEG:.2g} deg (given)")
+    return words
 
 
 def zero_excluded(result: Calibration, beam: str) -> tuple[bool, bool]:

@@ -19,6 +19,8 @@ POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""
 FAR_TOGETHER = 4.0
 """Residuals of one station that go together by so many standard deviations are no accident."""
+FEW = 10
+"""Readings beyond the unknowns from which a noise that is not given is known to a quarter or so."""
 FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
@@ -121,6 +123,16 @@ def doubts(
             "sigmas off; leave it out if it is an outlier"
         )
     return tuple(words)
+
+
+def few_readings(redundancy: int, fit: Fit) -> tuple[str, ...]:
+    """Warn where the noise is estimated from few readings more than there are unknowns."""
+    if fit.range_sigma_given or redundancy >= FEW:
+        return ()
+    return (
+        f"only {redundancy} readings more than unknowns: the noise is hardly determined, and neither "
+        "are the standard deviations; add stations, or give the range sigma",
+    )
 
 
 def noise_advice(fit: Fit) -> str:

@@ -226,7 +226,11 @@ class _Sums:
             starts, root = self.rows.first_station, pose[:, None, :, None] * self.rows.root
             back = np.swapaxes(root, 2, 3)
             inner = np.eye(6) + f[..., None] * (back @ self.pose_pose @ root)
-            K = (f**2)[..., None] * (root @ np.linalg.inv(inner) @ back)
+            scale = 1.0 / np.sqrt(np.einsum("jsii->jsi", inner))[..., None]
+            unit = scale * inner * np.swapaxes(scale, 2, 3)
+            K = (f**2)[..., None] * (
+                (root * np.swapaxes(scale, 2, 3)) @ np.linalg.inv(unit) @ (scale * back)
+            )
             log_det = log_det + np.linalg.slogdet(inner)[1].sum(axis=1)
             KB = K @ np.swapaxes(self.beam_pose, 1, 2)
             KC = K @ np.swapaxes(self.plane_pose, 1, 2)

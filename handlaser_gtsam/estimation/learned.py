@@ -10,7 +10,7 @@ from ..recording import Readings
 from ..weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
 from .mixture import SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
-from .scales import Design, Scales, design, find_mode
+from .scales import Design, Scales, design, find_mode, with_scales
 
 ENOUGH = 3000
 """So many readings tell the scales."""
@@ -85,11 +85,7 @@ class LearnedScales:
 
     def variances(self, u: FloatArray | None = None) -> Variances:
         """Return the variances for logarithms (d,) of the scales; the most probable where not given."""
-        found = self.scales.noise(self.mode if u is None else u)
-        pose = self.base.pose
-        if pose is not None:
-            pose = pose * np.outer(found.pose, found.pose)
-        return Variances(found.range_sigma, self.base.incidence_sigma, pose)
+        return with_scales(self.scales, self.base, self.mode if u is None else u)
 
 
 def widest_scale(linearity: float | None) -> float:
@@ -144,7 +140,7 @@ class ScaleProblem:
 
     def mode(self, start: FloatArray) -> FloatArray:
         """Return the most probable logarithms of the scales of the noise."""
-        return find_mode(self._log_posterior, start)
+        return find_mode(self._log_posterior, start, self.scales.bounds)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known.
@@ -163,7 +159,7 @@ class ScaleProblem:
         """Return the points at which the scales are integrated over, about their `mode`."""
         around = Design(mode[None], np.zeros(1))
         if len(self.readings) <= MOST_READINGS:
-            around = design(self._log_posterior, mode)
+            around = design(self._log_posterior, mode, self.scales.bounds)
         return LearnedScales(
             self.scales,
             self.base,

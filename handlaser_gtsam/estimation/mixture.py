@@ -260,8 +260,7 @@ class BeamPosterior:
             sets = np.arange(a, min(a + share, count)).repeat(len(own))
             R, inner = self._narrowing(np.tile(own, (len(sets) // len(own), 1)), sets)
             right = R * self.k[sets]
-            root = np.linalg.cholesky(inner)
-            log_det = 2.0 * np.log(np.einsum("cii->ci", root)).sum(axis=1)
+            log_det = np.linalg.slogdet(inner)[1]
             solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             value = -0.5 * (log_det + np.einsum("ca,ca->c", right, solved))
             found[a : a + share] = value.reshape(-1, len(own)) + size

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ..arrays import FloatArray
+from ..weighting import Variances
 from .information import NoiseSet
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
@@ -27,8 +28,9 @@ FLOOR = 0.1
 """A range sigma below this part of the residuals becomes improbable."""
 STEP = 0.02
 """Of differences in the logarithm of a scale."""
-REACH = (7.0, 5.0)
-"""Scales are looked for within this below and above their start, in the logarithm."""
+REACH = {RANGE: (4.0, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
+"""Scales are looked for within this below and above what is expected of them, in the logarithm: a range
+sigma not far below its floor, or rounding decides."""
 CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
 POINTS = {1: 7, 2: 5, 3: 3}
@@ -58,6 +60,12 @@ class Scale:
     beam: int | None
     unit: float
     prior: float
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of its logarithm."""
+        below, above = REACH[self.name]
+        return float(np.log(self.prior) - below), float(np.log(self.prior) + above)
 
     def log_prior(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the density of the logarithm u of the scale."""
@@ -95,12 +103,24 @@ class Scales:
                 pose[AXES[scale.name]] = value
         return NoiseSet(ranges, pose)
 
+    @property
+    def bounds(self) -> FloatArray:
+        """Of the logarithms of the unknown scales, (d, 2)."""
+        return np.array([scale.bounds for scale in self.unknown]).reshape(-1, 2)
+
     def log_prior(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the joint prior density at points (J, d)."""
         total = np.zeros(len(u))
         for column, scale in enumerate(self.unknown):
             total += scale.log_prior(u[:, column])
         return total
+
+
+def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
+    """Return the variances for logarithms (d,) of the unknown scales."""
+    found = scales.noise(u)
+    pose = None if base.pose is None else base.pose * np.outer(found.pose, found.pose)
+    return Variances(found.range_sigma, base.incidence_sigma, pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +143,8 @@ LogPosterior = Callable[[FloatArray], FloatArray]
 """Of points (J, d): the logarithm of the posterior density (J,) of the logarithms of the scales."""
 
 
-def find_mode(log_posterior: LogPosterior, start: FloatArray) -> FloatArray:
-    """Return the most probable logarithms (d,) of the scales, from `start`."""
+def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Return the most probable logarithms (d,) of the scales within `bounds` (d, 2), from `start`."""
     if start.size == 0:
         return start
     size = start.size
@@ -134,20 +154,19 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray) -> FloatArray:
         value = log_posterior(u + steps)
         return -float(value[0]), -(value[1 : size + 1] - value[size + 1 :]) / (2.0 * STEP)
 
-    bounds = [(u - REACH[0], u + REACH[1]) for u in start]
     found = minimize(
         objective,
-        start.copy(),
+        np.clip(start, bounds[:, 0], bounds[:, 1]),
         jac=True,
-        bounds=bounds,
+        bounds=[(low, high) for low, high in bounds.tolist()],
         method="L-BFGS-B",
         options={"maxiter": 60, "ftol": 1e-7, "gtol": 1e-3},
     )
     return np.asarray(found.x, dtype=np.float64)
 
 
-def design(log_posterior: LogPosterior, mode: FloatArray) -> Design:
-    """Return the points about `mode` (d,) at which the scales are integrated over."""
+def design(log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray) -> Design:
+    """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over."""
     size = mode.size
     if size == 0:
         return Design(np.zeros((1, 0)), np.zeros(1))
@@ -160,7 +179,8 @@ def design(log_posterior: LogPosterior, mode: FloatArray) -> Design:
     z, weight = _points(size)
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
-    return Design(mode + (side * z) @ axes.T, log_weight + np.log(side).sum(axis=1))
+    points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
+    return Design(points, log_weight + np.log(side).sum(axis=1))
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:

@@ -27,9 +27,9 @@ from ..recording import Readings
 from ..solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
 from ..weighting import Variances, Whitening, unequal, whitening
 from .learned import ScaleProblem
-from .posterior import Posterior, posterior
-from .scales import Scales
-from .unknowns import LEAST_SIGMA, start_of, unknown_scales, with_scales
+from .posterior import Posterior, ScaleEstimate, posterior
+from .scales import Scales, with_scales
+from .unknowns import LEAST_SIGMA, start_of, unknown_scales
 
 UNIT_SIGMA = 1e-3
 """Range sigma [m] that weights the graph where nothing is known of it."""
@@ -75,8 +75,13 @@ class Solution:
     whitening: Whitening | None = None
     prior: RangeErrorPrior | None = None
     posterior: Posterior | None = None
-    scales_estimated: bool = False
-    """Whether scales of the noise were estimated beside a common one of all readings."""
+    scales: tuple[ScaleEstimate, ...] = ()
+    """Scales of the noise that were estimated, beside a common one of all readings."""
+
+    @property
+    def scales_estimated(self) -> bool:
+        """Whether there are any."""
+        return bool(self.scales)
 
     @property
     def poses(self) -> Literal["exact", "marginalised", "estimated"]:
@@ -100,6 +105,11 @@ class Solution:
         """Readings and priors of range errors, less unknowns that are determined."""
         priors = 0 if self.prior is None else self.prior.rows(max(self.problem.terms))
         return len(self.result.residual) + priors - self.observability.rank
+
+    @property
+    def redundancy(self) -> int:
+        """How many readings there are beyond all unknowns that are determined."""
+        return len(self.result.residual) - self.observability.rank
 
     @property
     def best(self) -> Parameters:
@@ -195,15 +205,20 @@ class _Task:
         for _ in range(ROUNDS):
             problem, result = self._minimize(start, weight)
             self.sigma = self._estimated_sigma(problem, result.residual)
-            settled = self.prior is None or self.sigma > 0.5 * weight
+            settled = self.prior is None or self.sigma > 0.5 * weight or self.redundancy <= 0
             if known or settled or self.loss != GAUSSIAN or self.sigma < LEAST_SIGMA:
                 break
             weight, start = self.sigma, read_parameters(problem, result.values)
         return self._diagnosed(problem, result, known or self.sigma)
 
+    @property
+    def redundancy(self) -> int:
+        """How many readings there are beyond all unknowns, range errors included."""
+        return len(self.readings) - self.rank
+
     def is_exact(self) -> bool:
-        """Tell whether residuals are rounding."""
-        return self.sigma < ROUNDING * float(self.readings.distance.max())
+        """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
+        return self.redundancy > 0 and self.sigma < ROUNDING * float(self.readings.distance.max())
 
     def weighted(self, solution: Solution, variances: Variances) -> Solution:
         """Solve with the weights that follow from `variances`, and anew until they settle."""
@@ -241,7 +256,14 @@ class _Task:
         used = used or wanted
         variances = with_scales(scales, base, used.u)
         solution = self._with_poses(replace(solution, variances=variances), variances)
-        solution = replace(solution, scales_estimated=bool(scales.unknown))
+        sigmas = np.exp(used.u)
+        solution = replace(
+            solution,
+            scales=tuple(
+                ScaleEstimate(one, float(sigma) * one.unit, np.nan)
+                for one, sigma in zip(scales.unknown, sigmas, strict=True)
+            ),
+        )
         if problem is None or self.loss != GAUSSIAN or not solution.observability.full:
             return solution
         u = wanted.u
@@ -249,7 +271,8 @@ class _Task:
             problem = self._scale_problem(solution, base, scales)
             u = problem.mode(u)
         learned = problem.learned(u)
-        return replace(solution, posterior=posterior(problem, learned, (used.u, used.k)))
+        found = posterior(problem, learned, (used.u, used.k))
+        return replace(solution, posterior=found, scales=found.scales)
 
     def _scale_problem(self, solution: Solution, base: Variances, scales: Scales) -> ScaleProblem:
         """Return the scales as a problem; with a robust loss, of readings that it does not doubt."""
@@ -326,9 +349,7 @@ class _Task:
         """Return the standard deviation of a reading [m] that the residuals show."""
         if problem.loss != GAUSSIAN:
             return problem.range_sigma
-        priors = 0 if self.prior is None else self.prior.rows(self.terms)
-        dof = max(len(self.readings) + priors - self.rank, 1)
-        return float(np.sqrt(residual @ residual / dof))
+        return float(np.sqrt(residual @ residual / max(self.redundancy, 1)))
 
 
 def _step(solution: Solution) -> float:

@@ -61,13 +61,6 @@ def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
     return np.array(guess, dtype=np.float64)
 
 
-def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
-    """Return the variances for logarithms (d,) of the unknown scales."""
-    found = scales.noise(u)
-    pose = None if base.pose is None else base.pose * np.outer(found.pose, found.pose)
-    return Variances(found.range_sigma, base.incidence_sigma, pose)
-
-
 def _range_scales(
     readings: Readings, noise: Noise, options: CalibrationOptions, rms: float
 ) -> tuple[Scale, ...]:

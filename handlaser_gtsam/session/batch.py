@@ -192,8 +192,7 @@ class Inside:
         solution = Solution(problem, result, self.at, found, own, how, prior)
         if learned is not None:
             whole = posterior(self.scale_problem(self.at), learned)
-            unknown = bool(learned.scales.unknown)
-            solution = replace(solution, posterior=whole, scales_estimated=unknown)
+            solution = replace(solution, posterior=whole, scales=whole.scales)
         rms = float(np.sqrt(np.mean(result.residual**2)))
         selection = Selection(
             self.used,
