@@ -366,7 +366,9 @@ def test_far_from_the_world_origin_nothing_changes(away):
         recording.plane_labels,
         recording.beam_names,
     )
-    near, far = hl.calibrate(recording, hl.Noise(SIGMA)), hl.calibrate(moved, hl.Noise(SIGMA))
+    exact = hl.Noise(SIGMA, 0.0, 0.0)
+    options = hl.CalibrationOptions("k1k2")
+    near, far = (hl.calibrate(one, exact, options) for one in (recording, moved))
     # Positions of `away` metres are rounded to 1e-16 of that; a sigma is 1e-4 m, few readings a beam.
     tolerance = max(1e-6, away * 1e-16 / 1e-7)
     for name, beam in near.beams.items():
@@ -376,6 +378,12 @@ def test_far_from_the_world_origin_nothing_changes(away):
     for name, plane in near.planes.items():
         offset = plane.offset - plane.normal @ shift
         assert abs(far.planes[name].offset - offset) < 1e-5 * plane.offset_sigma * away
+    # Unknown scales are searched for, and found to a thousandth of what they are known to.
+    near, far = hl.calibrate(recording), hl.calibrate(moved)
+    for name, beam in near.beams.items():
+        sigma = beam.location_sigma
+        assert (np.abs(far.beams[name].location - beam.location) < 1e-3 * sigma).all()
+        assert np.allclose(far.beams[name].location_sigma, sigma, rtol=1e-3)
         turned = np.array([*(-shift), 1.0])
         assert far.planes[name].offset_sigma == pytest.approx(
             np.sqrt(turned @ plane.covariance @ turned), rel=1e-4

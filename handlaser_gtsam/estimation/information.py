@@ -225,13 +225,12 @@ class _Sums:
         if self.rows.root is not None and pose.any():
             starts, root = self.rows.first_station, pose[:, None, :, None] * self.rows.root
             back = np.swapaxes(root, 2, 3)
-            inner = np.eye(6) + f[..., None] * (back @ self.pose_pose @ root)
-            scale = 1.0 / np.sqrt(np.einsum("jsii->jsi", inner))[..., None]
-            unit = scale * inner * np.swapaxes(scale, 2, 3)
-            K = (f**2)[..., None] * (
-                (root * np.swapaxes(scale, 2, 3)) @ np.linalg.inv(unit) @ (scale * back)
-            )
-            log_det = log_det + np.linalg.slogdet(inner)[1].sum(axis=1)
+            # By its eigenvectors 1 + X keeps its digits where errors of the poses dwarf the sensor's.
+            values, axes = np.linalg.eigh(f[..., None] * (back @ self.pose_pose @ root))
+            values = np.maximum(values, 0.0)
+            along = f[..., None] * (root @ axes) / np.sqrt(1.0 + values)[..., None, :]
+            K = along @ np.swapaxes(along, 2, 3)
+            log_det = log_det + np.log1p(values).sum(axis=(1, 2))
             KB = K @ np.swapaxes(self.beam_pose, 1, 2)
             KC = K @ np.swapaxes(self.plane_pose, 1, 2)
             flat = np.swapaxes(self.beam_pose, 0, 1).reshape(self.size, -1)

@@ -28,9 +28,13 @@ FLOOR = 0.1
 """A range sigma below this part of the residuals becomes improbable."""
 STEP = 0.02
 """Of differences in the logarithm of a scale."""
-REACH = {RANGE: (4.0, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
+FARTHEST = 4.0
+"""A search moves the logarithm of a scale by no more; it is searched for again from where it ends."""
+REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales are looked for within this below and above what is expected of them, in the logarithm: a range
-sigma not far below its floor, or rounding decides."""
+sigma not far below its floor, or rounding decides;"""
+MOST = 30.0
+"""and pose errors not above so many times the residuals."""
 CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
 POINTS = {1: 7, 2: 5, 3: 3}
@@ -54,18 +58,22 @@ class Scale:
         What the scale multiplies: 1, or a standard deviation that was given [m, rad].
     prior : float
         Scale of the half-Cauchy prior in these units; for a range sigma where the flat prior ends.
+    most : float
+        Larger ones are not looked for.
     """
 
     name: str
     beam: int | None
     unit: float
     prior: float
+    most: float = np.inf
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Of its logarithm."""
         below, above = REACH[self.name]
-        return float(np.log(self.prior) - below), float(np.log(self.prior) + above)
+        low = np.log(self.prior) - below
+        return float(low), float(min(np.log(self.prior) + above, max(np.log(self.most), low)))
 
     def log_prior(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the density of the logarithm u of the scale."""
@@ -154,11 +162,14 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray
         value = log_posterior(u + steps)
         return -float(value[0]), -(value[1 : size + 1] - value[size + 1 :]) / (2.0 * STEP)
 
+    start = np.clip(start, bounds[:, 0], bounds[:, 1])
+    low = np.maximum(bounds[:, 0], start - FARTHEST)
+    high = np.minimum(bounds[:, 1], start + FARTHEST)
     found = minimize(
         objective,
-        np.clip(start, bounds[:, 0], bounds[:, 1]),
+        start,
         jac=True,
-        bounds=[(low, high) for low, high in bounds.tolist()],
+        bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
         method="L-BFGS-B",
         options={"maxiter": 60, "ftol": 1e-7, "gtol": 1e-3},
     )

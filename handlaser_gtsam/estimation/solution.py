@@ -143,7 +143,8 @@ def solve(
     """
     task = _Task(readings, noise, options, progress, scale, prior)
     first = task.equally_weighted(start)
-    if first.result.status == "interrupted" or task.is_exact():
+    unknown = noise.range_sigma is None and task.redundancy <= 0
+    if first.result.status == "interrupted" or unknown or task.is_exact():
         return first
     scales, base = unknown_scales(readings, noise, options, task.sigma)
     alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
@@ -256,14 +257,11 @@ class _Task:
         used = used or wanted
         variances = with_scales(scales, base, used.u)
         solution = self._with_poses(replace(solution, variances=variances), variances)
-        sigmas = np.exp(used.u)
-        solution = replace(
-            solution,
-            scales=tuple(
-                ScaleEstimate(one, float(sigma) * one.unit, np.nan)
-                for one, sigma in zip(scales.unknown, sigmas, strict=True)
-            ),
-        )
+        if problem is not None:
+            sigmas = (np.exp(used.u) * [one.unit for one in scales.unknown]).tolist()
+            pairs = zip(scales.unknown, sigmas, strict=True)
+            estimates = tuple(ScaleEstimate(one, sigma, np.nan) for one, sigma in pairs)
+            solution = replace(solution, scales=estimates)
         if problem is None or self.loss != GAUSSIAN or not solution.observability.full:
             return solution
         u = wanted.u

@@ -7,7 +7,7 @@ from ..noise import Noise
 from ..options import CalibrationOptions
 from ..recording import Readings
 from ..weighting import Variances
-from .scales import FLOOR, RANGE, ROTATION, TRANSLATION, Scale, Scales
+from .scales import FLOOR, MOST, RANGE, ROTATION, TRANSLATION, Scale, Scales
 
 LEAST_SIGMA = 1e-12
 """Of a reading [m]."""
@@ -36,7 +36,8 @@ def unknown_scales(
             unknown += _given_covariance(pose, options)
         else:
             pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
-            factor, more = _pose_scales(noise, options)
+            length = float(np.median(readings.distance))
+            factor, more = _pose_scales(noise, options, MOST * max(rms, LEAST_SIGMA), length)
             unknown += more
     ranges = np.full(readings.beams, sigma)
     return Scales(unknown, ranges, factor), Variances(ranges, noise.incidence_sigma, pose)
@@ -84,15 +85,21 @@ def _given_covariance(pose: FloatArray, options: CalibrationOptions) -> tuple[Sc
     return tuple(found)
 
 
-def _pose_scales(noise: Noise, options: CalibrationOptions) -> tuple[FloatArray, tuple[Scale, ...]]:
-    """Return the known factors (6,) of unit pose covariances, and the scales that are unknown."""
+def _pose_scales(
+    noise: Noise, options: CalibrationOptions, most: float, length: float
+) -> tuple[FloatArray, tuple[Scale, ...]]:
+    """Return the known factors (6,) of unit pose covariances, and the scales that are unknown.
+
+    No translation error is looked for above `most` [m], nor a rotation that moves spots at `length` so.
+    """
     factor, unknown = np.ones(6), []
-    for name, axes, given, prior in (
-        (TRANSLATION, slice(3, 6), noise.pose_translation_sigma, noise.pose_translation_prior),
-        (ROTATION, slice(0, 3), noise.pose_rotation_sigma, noise.pose_rotation_prior),
+    translation, rotation = noise.pose_translation_sigma, noise.pose_rotation_sigma
+    for name, axes, given, prior, limit in (
+        (TRANSLATION, slice(3, 6), translation, noise.pose_translation_prior, most),
+        (ROTATION, slice(0, 3), rotation, noise.pose_rotation_prior, most / length),
     ):
         if given is None or (options.estimate_noise and given > 0.0):
-            unknown.append(Scale(name, None, 1.0, given or prior))
+            unknown.append(Scale(name, None, 1.0, given or prior, limit))
         else:
             factor[axes] = given
     return factor, tuple(unknown)

@@ -158,7 +158,7 @@ def _stations(calibration: Calibration, failed: tuple[LimitCheck, ...]) -> Impro
     if freedom(calibration) < FEW_DEGREES:
         return Improvement(
             "more-stations",
-            f"more stations (the noise is hardly determined with {calibration.fit.dof} to spare)",
+            f"more stations ({calibration.fit.dof} degrees of freedom hardly determine the noise)",
         )
     return Improvement("more-stations", "more stations (4 times as many halve the error)")
 
