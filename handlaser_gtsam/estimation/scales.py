@@ -28,8 +28,9 @@ FLOOR = 0.1
 """A range sigma below this part of the residuals becomes improbable."""
 STEP = 0.02
 """Of differences in the logarithm of a scale."""
-FARTHEST = 4.0
-"""A search moves the logarithm of a scale by no more; it is searched for again from where it ends."""
+FARTHEST, ROUNDS = 0.75, 15
+"""A search moves the logarithm of a scale by no more, and is repeated from where it ends so many times:
+a long step may end where rounding passes for a good fit."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales are looked for within this below and above what is expected of them, in the logarithm: a range
 sigma not far below its floor, or rounding decides;"""
@@ -162,18 +163,22 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray
         value = log_posterior(u + steps)
         return -float(value[0]), -(value[1 : size + 1] - value[size + 1 :]) / (2.0 * STEP)
 
-    start = np.clip(start, bounds[:, 0], bounds[:, 1])
-    low = np.maximum(bounds[:, 0], start - FARTHEST)
-    high = np.minimum(bounds[:, 1], start + FARTHEST)
-    found = minimize(
-        objective,
-        start,
-        jac=True,
-        bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
-        method="L-BFGS-B",
-        options={"maxiter": 60, "ftol": 1e-7, "gtol": 1e-3},
-    )
-    return np.asarray(found.x, dtype=np.float64)
+    here = np.clip(start, bounds[:, 0], bounds[:, 1])
+    for _ in range(ROUNDS):
+        low = np.maximum(bounds[:, 0], here - FARTHEST)
+        high = np.minimum(bounds[:, 1], here + FARTHEST)
+        found = minimize(
+            objective,
+            here.copy(),
+            jac=True,
+            bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
+            method="L-BFGS-B",
+            options={"maxiter": 60, "ftol": 1e-8, "gtol": 1e-3},
+        )
+        before, here = here, np.asarray(found.x, dtype=np.float64)
+        if np.abs(here - before).max() < 0.99 * FARTHEST:
+            break
+    return here
 
 
 def design(log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray) -> Design:
