@@ -378,16 +378,16 @@ def test_far_from_the_world_origin_nothing_changes(away):
     for name, plane in near.planes.items():
         offset = plane.offset - plane.normal @ shift
         assert abs(far.planes[name].offset - offset) < 1e-5 * plane.offset_sigma * away
+        turned = np.array([*(-shift), 1.0])
+        assert far.planes[name].offset_sigma == pytest.approx(
+            np.sqrt(turned @ plane.covariance @ turned), rel=1e-4
+        )
     # Unknown scales are searched for, and found to about a hundredth of what they are known to.
     near, far = hl.calibrate(recording), hl.calibrate(moved)
     for name, beam in near.beams.items():
         sigma = beam.location_sigma
         assert (np.abs(far.beams[name].location - beam.location) < 1e-2 * sigma).all()
         assert np.allclose(far.beams[name].location_sigma, sigma, rtol=1e-2)
-        turned = np.array([*(-shift), 1.0])
-        assert far.planes[name].offset_sigma == pytest.approx(
-            np.sqrt(turned @ plane.covariance @ turned), rel=1e-4
-        )
 
 
 def test_only_turning_leaves_a_mirror_image():
