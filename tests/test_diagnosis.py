@@ -11,6 +11,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.diagnosis.mirror import mirror_image_fits
 from handlaser_gtsam.diagnosis.observability import observability
 from handlaser_gtsam.limits import Limits, exceeded
+from handlaser_gtsam.parameters import RangeErrorPrior
 from handlaser_gtsam.solvers.reduction import apply_step, normal_equations
 from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
 
@@ -55,6 +56,15 @@ def test_more_noise_determines_less():
     ranks = [observability(bench(1), readings, 0, sigma).rank for sigma in (1e-4, 1e-1, 10.0)]
     assert ranks == sorted(ranks, reverse=True)
     assert ranks[0] > ranks[-1]
+
+
+@pytest.mark.parametrize("width", [0.01, 0.3, 30.0, np.inf])
+def test_range_errors_that_have_a_prior_are_never_undetermined(width):
+    """However wide it is; without a prior, readings of this noise do not determine them."""
+    readings = recording_of(bench(1), *motion("free", 60), [0] * 60, 1e-4).readings()
+    prior = RangeErrorPrior(np.full((2, 2), width))
+    found = observability(bench(1), readings, 2, 5e-3, prior=prior)
+    assert found.full == np.isfinite(width)
 
 
 @pytest.mark.parametrize("still", [True, False])

@@ -1,8 +1,8 @@
 r"""Which unknowns the readings determine, and which they leave open.
 
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
-normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. In these units the
-planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
+normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2 (where these have a
+wide prior, a multiple of its sigma: what has a prior is never undetermined). In these units the planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
 undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
 rounding. Both follow from the noise: better sensors determine more.
 """
@@ -23,6 +23,8 @@ from ..weighting import Whitening
 
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
+WITHIN_PRIOR = 2.0
+"""In the natural units, a prior alone determines range errors this many times better than asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +189,11 @@ def observability(
     counts = per_beam(terms, readings.beams)
     most = max(counts)
     length = float(np.median(readings.distance))
-    beam_unit = np.tile([length] * 3 + [1.0] * 2 + [1.0, 1.0 / length][:most], readings.beams)
+    error_unit = np.array([1.0, 1.0 / length])
+    if prior is not None:
+        sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)
+        error_unit = np.maximum(error_unit, WITHIN_PRIOR / options.most_sigma * sigma)
+    beam_unit = np.tile([length] * 3 + [1.0] * 2 + error_unit[:most].tolist(), readings.beams)
     plane_unit = np.array([1.0, 1.0, length])
     if whitening is None:
         normal = normal_equations(parameters, readings, most)
