@@ -15,16 +15,8 @@ from handlaser_gtsam.options import CalibrationOptions
 from handlaser_gtsam.parameters import Parameters
 from handlaser_gtsam.recording import Readings
 from handlaser_gtsam.results.alternatives import WHOLE
-from handlaser_gtsam.results.systematic import (
-    LEVEL,
-    POWER,
-    alike,
-    detectable_of,
-    holm,
-    needed,
-    systematic_errors,
-    two_sided,
-)
+from handlaser_gtsam.results.score_tests import LEVEL, POWER, alike, holm, needed, two_sided
+from handlaser_gtsam.results.systematic import detectable_of, systematic_errors
 from handlaser_gtsam.weighting import Variances, whitening
 
 SIGMA = 1e-4

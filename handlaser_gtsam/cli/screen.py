@@ -9,9 +9,9 @@ from ..arrays import FloatArray
 from ..calibration import Beam, Calibration
 from ..limits import worst_of_each
 from ..recording import Recording
-from ..results.alternatives import size_in_words
 from ..results.systematic import SystematicError
 from ..results.verdict import Verdict, spot_error_by, spot_shift
+from ..results.wording import size_in_words
 from .lines import DEG, MM, UNDETERMINED, count, decimals, some, with_sigma, wrapped
 from .noise_lines import noise_words, range_error_words
 

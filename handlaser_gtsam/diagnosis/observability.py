@@ -1,8 +1,9 @@
 r"""Which unknowns the readings determine, and which they leave open.
 
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
-normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2 (where these have a
-wide prior, a multiple of its sigma: what has a prior is never undetermined). In these units the planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
+normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
+prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
+planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
 undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
 rounding. Both follow from the noise: better sensors determine more.
 """

@@ -1,0 +1,317 @@
+"""Score tests of systematic errors: all members of all families, and what could go unnoticed of them.
+
+The formulas stand in `systematic`. The scales of a prior on range errors are learned: an error that
+shows by improbable range errors, and not by residuals, widens that prior until they are probable. Such
+a strained member is judged as if range errors had no prior.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import nct, norm
+from scipy.stats import t as student
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..parameters import Parameters
+from ..recording import Readings
+from ..weighting import Whitening
+from .alternatives import WHOLE, Family, families, whole_columns
+from .projection import WIDTH, Projection, Rows, linear_rows, weighed
+from .wording import WORDING
+
+LEVEL = 0.01
+"""At most this part of recordings without any systematic error shows one."""
+POWER = 0.8
+"""Probability with which an error of the detectable size is found."""
+RIGHT = 0.95
+"""Two errors are alike where the right one fits better with a smaller probability."""
+LEAST_SHARE = 1e-6
+"""A column of which less is left is confounded. Rounding leaves up to 1e-11 of a member of a family;
+of errors that a recording shows at all, 3e-5 or more is left."""
+MOST_SIGMA = 0.02
+"""So is one whose size is known worse than to this part of its natural unit, the typical range or 1: it
+would be found from five times that on, where derivatives at zero do not describe it any more."""
+LEAST_LOOSE = 0.5
+"""Of what the unknowns leave of a column beside the prior, the part that is left without it; where it
+is less, the prior does most of the telling. It is 0.04 to 0.1 of a cubic range error, and 0.7 or more
+of all others."""
+TINY = 1e-14
+"""Rounding of what is left where everything is explained."""
+GAUSSIAN_DOF = 1e5
+"""With so many degrees of freedom an estimated scale is as good as given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """What each member of every family is.
+
+    Attributes
+    ----------
+    codes : (m,) of str
+    plane, beam, position : (m,)
+        What it concerns: a plane, a beam, and the position in the recording of its first station; -1
+        for all.
+    """
+
+    codes: np.ndarray[tuple[int], np.dtype[np.str_]]
+    plane: IntArray
+    beam: IntArray
+    position: IntArray
+
+
+def members_of(local: tuple[Family, ...]) -> Members:
+    """Return the errors of all readings, and then the members of the families."""
+    counts = [len(family.plane) for family in local]
+    names = WHOLE + tuple(family.code for family in local)
+    everything = np.full(len(WHOLE), -1)
+    return Members(
+        np.array(names).repeat([1] * len(WHOLE) + counts),
+        np.concatenate((everything, *(family.plane for family in local))),
+        np.concatenate((everything, *(family.beam for family in local))),
+        np.concatenate((everything, *(family.position for family in local))),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Remains:
+    """What the unknowns leave of all members and of the residuals, with or without the prior.
+
+    Attributes
+    ----------
+    projection : Projection
+    left : (m,)
+        Squares of the whitened columns.
+    moved : (m, 7 B)
+        By how much the beams' part of the unknowns fits the column: it moves by the negative.
+    score : (m,)
+        Products of the columns with the residuals.
+    square : float
+        Of the residuals.
+    """
+
+    projection: Projection
+    left: FloatArray
+    moved: FloatArray
+    score: FloatArray
+    square: float
+
+
+class ScoreTests:
+    """All members of all families, and their statistics.
+
+    Attributes
+    ----------
+    members : Members
+    determined, strained : (m,) of bool
+    size, sigma, z, p : (m,)
+        Estimated size, its standard deviation, their ratio, and the probability after Holm.
+    detectable : (m,)
+        Infinite where not determined.
+    critical, delta : float
+        The |z| from which on an error is found, and the mean of z that exceeds it with `POWER`.
+    """
+
+    def __init__(
+        self,
+        at: Parameters,
+        readings: Readings,
+        how: Whitening,
+        prior: FloatArray,
+        position: IntArray,
+        dof: int | None,
+    ) -> None:
+        self.at, self.dof = at, dof
+        rows = linear_rows(at, readings, how)
+        self.whole = whole_columns(at, readings, position)
+        self.families = families(at, readings, position)
+        self.members = members_of(self.families)
+        sums = [(family.plane, *family.products(rows)) for family in self.families]
+        bound = self._remains(rows, Projection(rows, prior), sums)
+        loose = bound
+        if bound.projection.pull.any():
+            free = Projection(rows, np.where(prior > 0.0, np.inf, 0.0))
+            loose = self._remains(rows, free, sums)
+        scale = how.sigma if dof is None else float(np.sqrt(bound.square / dof))
+        self.determined = self._determined(rows, loose, sums, scale)
+        if (prior[:, 0] > 0.0).all():
+            self.determined[WHOLE.index("translation-scale")] = False
+        self.critical, self.delta = needed(LEVEL / max(int(self.determined.sum()), 1), dof)
+        self.strained = loose.left < LEAST_LOOSE * bound.left
+        self._bound, self._loose = bound, loose
+        self.left = np.where(self.strained, loose.left, bound.left)
+        self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
+        self._test(scale)
+
+    def products(self, y: FloatArray) -> FloatArray:
+        """Return the products (m, q) of all members with columns y (N, q)."""
+        return np.concatenate((self.whole.T @ y, *(family.dot(y) for family in self.families)))
+
+    def column(self, member: int) -> FloatArray:
+        """Return the column (N,) of one member."""
+        if member < len(WHOLE):
+            return np.asarray(self.whole[:, member])
+        member -= len(WHOLE)
+        for family in self.families:
+            if member < len(family.plane):
+                return family.column_of(member)
+            member -= len(family.plane)
+        raise IndexError(member)
+
+    def _remains(
+        self,
+        rows: Rows,
+        projection: Projection,
+        sums: list[tuple[IntArray, FloatArray, FloatArray]],
+    ) -> Remains:
+        """Take out of all members, and of the residuals, what the unknowns explain."""
+        found = projection.perpendicular(self.whole)
+        left, moved = [found.squares], [found.moved.T]
+        for plane, products, squares in sums:
+            of_beams, part = projection.members(products, squares, plane)
+            left.append(part)
+            moved.append(of_beams)
+        pulled = projection.pull.copy()
+        pulled[:, 5:] *= self.at.range_errors
+        rest = projection.perpendicular(rows.residual[:, None], pulled.reshape(-1, 1))
+        score = self.products(rest.heavy)[:, 0]
+        return Remains(
+            projection,
+            np.concatenate(left),
+            np.concatenate(moved),
+            score,
+            float(rest.squares[0]),
+        )
+
+    def _determined(
+        self,
+        rows: Rows,
+        loose: Remains,
+        sums: list[tuple[IntArray, FloatArray, FloatArray]],
+        scale: float,
+    ) -> BoolArray:
+        """Tell which members leave enough, even without the prior, to be known at all."""
+        squares = [(self.whole * weighed(rows.how, self.whole)).sum(axis=0)]
+        whole = np.concatenate((*squares, *(own for _, _, own in sums)))
+        share = loose.left / np.where(whole > 0.0, whole, np.inf)
+        unit = {"m": float(np.median(rows.readings.distance)), "1": 1.0}
+        codes = self.members.codes.tolist()
+        most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in codes])
+        return np.asarray((share > LEAST_SHARE) & (loose.left > (scale / most) ** 2))
+
+    def _test(self, scale: float) -> None:
+        """Test all members, given the typical scale of noise."""
+        left = np.where(self.determined, self.left, 1.0)
+        score = np.where(self.strained, self._loose.score, self._bound.score)
+        square = np.where(self.strained, self._loose.square, self._bound.square)
+        each = np.full(len(left), scale)
+        if self.dof is not None:
+            explained = np.where(self.determined, score**2 / left, 0.0)
+            priors = int((self._bound.projection.pull > 0.0).sum())
+            dof = np.where(self.strained, max(self.dof - priors, 2), self.dof)
+            each = np.sqrt(np.maximum(square - explained, TINY * square) / (dof - 1))
+        self.size, self.sigma = score / left, each / np.sqrt(left)
+        self.z = np.where(self.determined, self.size / np.maximum(self.sigma, TINY * scale), 0.0)
+        tested = np.flatnonzero(self.determined)
+        self.p = np.ones(len(left))
+        self.p[tested] = holm(two_sided(self.z[tested], self.dof))
+        if (self.p < LEVEL).any():
+            scale = float(each[tested].min())
+        smallest = self.delta * scale / np.sqrt(left)
+        self.detectable = np.where(self.determined, smallest, np.inf)
+
+    def shifts(self, members: IntArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return by how much r and v of every beam (m, B, 3) are wrong by members of some sizes."""
+        basis = model.tangent_basis(self.at.directions)
+        sizes = np.where(self.determined[members], sizes, np.nan)
+        x = -self.moved[members].reshape(len(members), len(basis), WIDTH) * sizes[:, None, None]
+        return x[:, :, :3], np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5])
+
+    def representatives(self) -> IntArray:
+        """Return the clearest determined member of every family, the clearest first."""
+        tested = np.flatnonzero(self.determined)
+        tested = tested[np.argsort(-np.abs(self.z[tested]), kind="stable")]
+        _, first = np.unique(self.members.codes[tested], return_index=True)
+        return np.asarray(tested[np.sort(first)])
+
+    def correlations(self, members: IntArray) -> FloatArray:
+        """Return how members (k,) correlate with all (k, m), as far as the unknowns leave them.
+
+        Two of which one is strained are compared without the prior, as that one is judged.
+        """
+        columns = np.stack([self.column(member) for member in members.tolist()], axis=1)
+        found = self._correlated(self._bound, members, columns)
+        if self.strained[self.determined].any():
+            loose = self._correlated(self._loose, members, columns)
+            either = self.strained[members][:, None] | self.strained
+            found = np.where(either, loose, found)
+        return np.clip(found, -1.0, 1.0)
+
+    def _correlated(self, remains: Remains, members: IntArray, columns: FloatArray) -> FloatArray:
+        products = self.products(remains.projection.perpendicular(columns).heavy).T
+        left = np.where(self.determined, remains.left, np.inf)
+        return np.asarray(products / np.sqrt(left[members, None] * left))
+
+    def explained(self, members: IntArray, rho: FloatArray) -> list[str]:
+        """Return for every representative the code of a clearer one that explains it, or nothing."""
+        kept: list[int] = []
+        words = []
+        for one in range(len(members)):
+            G = rho[kept][:, members[kept]]
+            r = rho[kept, members[one]]
+            solved = np.linalg.lstsq(G, np.stack((r, self.z[members[kept]]), axis=1), rcond=None)[0]
+            freedom = max(1.0 - float(r @ solved[:, 0]), TINY)
+            alone = (self.z[members[one]] - float(r @ solved[:, 1])) / np.sqrt(freedom)
+            if kept and abs(alone) < self.critical:
+                words.append(str(self.members.codes[members[kept[int(np.argmax(np.abs(r)))]]]))
+            else:
+                words.append("")
+                kept.append(one)
+        return words
+
+
+def holm(p: FloatArray) -> FloatArray:
+    """Return probabilities (m,) corrected for their number (Holm, Scand. J. Statist. 1979)."""
+    order = np.argsort(p, kind="stable")
+    steps = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    corrected = np.empty(len(p))
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected
+
+
+def two_sided(z: FloatArray, dof: int | None) -> FloatArray:
+    """Return the probability of a larger |z|: Gaussian, or Student's with dof - 1."""
+    tail = norm.sf(np.abs(z)) if dof is None else student.sf(np.abs(z), dof - 1)
+    return np.asarray(2.0 * tail)
+
+
+def needed(level: float, dof: int | None) -> tuple[float, float]:
+    """Return the critical |z| at a level, and the mean of z that exceeds it with probability `POWER`.
+
+    The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
+    Student.
+    """
+    gaussian = float(norm.isf(0.5 * level))
+    if dof is None or dof > GAUSSIAN_DOF:
+        return gaussian, gaussian + float(norm.ppf(POWER))
+    critical = float(student.isf(0.5 * level, dof - 1))
+
+    def short(mean: float) -> float:
+        return float(nct.sf(critical, dof - 1, mean)) - POWER
+
+    top = 2.0 * critical + 10.0
+    return critical, float(brentq(short, 0.0, top)) if short(top) > 0.0 else top
+
+
+def alike(rho: FloatArray, delta: float) -> BoolArray:
+    """Tell which errors cannot be told from a true one of which z has the mean `delta`.
+
+    The statistic of another is z' ~ N(rho delta, 1) with correlation rho to z. The right one fits
+    better where z^2 > z'^2. As z - z' and z + z' are independent with means (1 -+ rho) delta and
+    variances 2 (1 -+ rho), that has the probability F(a) F(b) + F(-a) F(-b), a, b = delta sqrt((1
+    -+ rho) / 2), F the Gaussian distribution function.
+    """
+    a, b = delta * np.sqrt(0.5 * (1.0 - rho)), delta * np.sqrt(0.5 * (1.0 + rho))
+    right = norm.cdf(a) * norm.cdf(b) + norm.cdf(-a) * norm.cdf(-b)
+    return np.asarray(right < RIGHT)
