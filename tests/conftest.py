@@ -1,7 +1,11 @@
 """What all tests share: the command, and benchmarks importable behind whatever is installed."""
 
+import os
 import sys
 from pathlib import Path
+
+# Tests run in as many processes as there are processors. NumPy reads this when it is imported.
+os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import pytest
 
