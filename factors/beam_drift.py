@@ -1,7 +1,11 @@
 r"""What a beam may have moved between two times: process noise between its variables then and now.
 
-The error of the direction is v_now - v_before (3,): for small turns its length is their angle, and
-unlike a tangent vector it needs no basis that both share.
+The error of the direction has two rows, as many as there are degrees of freedom. With B the tangent
+basis of v_before it is
+
+    e = B' v_now sqrt(2 / (1 + c)),    c = v_before . v_now,
+
+of which the length is that of v_now - v_before: for small turns, their angle.
 """
 
 from collections.abc import Sequence
@@ -12,6 +16,9 @@ import numpy as np
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.keys import BeamKeys
+
+LEAST = 1e-12
+"""Of 1 + c: directions that are opposite have no shortest way from one to the other."""
 
 
 def beam_drift(
@@ -26,7 +33,7 @@ def beam_drift(
     Parameters
     ----------
     before, now : BeamKeys
-        With range errors of as many terms.
+        With range errors of as many terms, or with the key of one that has not changed in common.
     location_sigma : float
         Of each coordinate of the shift [m].
     direction_sigma : float
@@ -37,30 +44,37 @@ def beam_drift(
     Raises
     ------
     InputError
-        A sigma that is not positive, or range errors of one of the two only.
+        A sigma that is not positive, range errors of one of the two only, sigmas for a range error that
+        both have in common, or a location or direction that they have in common.
     """
     sigmas = (location_sigma, direction_sigma, *range_error_sigmas)
     if not all(0.0 < sigma < np.inf for sigma in sigmas):
         raise InputError(f"process noise {sigmas}", "positive standard deviations")
+    shared = {before.location, before.direction} & {now.location, now.direction}
+    if shared:
+        names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in sorted(shared))
+        raise InputError(f"the beam before and now share {names}", "keys of its own for each time")
     isotropic = gtsam.noiseModel.Isotropic.Sigma
     factors: list[gtsam.NonlinearFactor] = [
         gtsam.BetweenFactorPoint3(
             before.location, now.location, np.zeros(3), isotropic(3, location_sigma)
         ),
         gtsam.CustomFactor(
-            isotropic(3, direction_sigma), [before.direction, now.direction], _DirectionChange()
+            isotropic(2, direction_sigma), [before.direction, now.direction], _DirectionChange()
         ),
     ]
-    with_errors = [keys.range_error is not None for keys in (before, now)]
-    if with_errors != [bool(range_error_sigmas)] * 2:
+    k, k_now = before.range_error, now.range_error
+    tied = k is not None and k_now is not None and k != k_now
+    if (k is None) != (k_now is None) or bool(range_error_sigmas) != tied:
         raise InputError(
-            f"range errors {with_errors} and {len(range_error_sigmas)} sigmas of them",
-            "both beams with range errors and one sigma a term, or none",
+            f"range errors under {k} and {k_now} and {len(range_error_sigmas)} sigmas of them",
+            "both beams with range errors and one sigma a term; no sigmas where both have none, or the "
+            "key of one that stays the same",
         )
-    if before.range_error is not None and now.range_error is not None:
+    if k is not None and k_now is not None and tied:
         model = gtsam.noiseModel.Diagonal.Sigmas(np.asarray(range_error_sigmas, dtype=float))
         none = np.zeros(len(range_error_sigmas))
-        factors.append(gtsam.BetweenFactorVector(before.range_error, now.range_error, none, model))
+        factors.append(gtsam.BetweenFactorVector(k, k_now, none, model))
     return tuple(factors)
 
 
@@ -76,8 +90,28 @@ class _DirectionChange:
         jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
     ) -> FloatArray:
         before, now = (values.atUnit3(key) for key in factor.keys())  # noqa: SIM118
+        v, basis, other = before.point3(), before.basis(), now.basis()
+        e, c = basis.T @ now.point3(), float(v @ now.point3())
+        scale = np.sqrt(2.0 / max(1.0 + c, LEAST))
+        by_c = -0.5 * scale / max(1.0 + c, LEAST)
         if jacobians is not None:
-            jacobians[0] = -before.basis()  # type: ignore[index]
-            jacobians[1] = now.basis()  # type: ignore[index]
-        change: FloatArray = now.point3() - before.point3()
+            turned = np.outer([e[1], -e[0]], basis_turn(v, basis)) - c * np.eye(2)
+            jacobians[0] = scale * turned + by_c * np.outer(e, e)  # type: ignore[index]
+            along = v @ other
+            jacobians[1] = scale * basis.T @ other + by_c * np.outer(e, along)  # type: ignore[index]
+        change: FloatArray = scale * e
         return change
+
+
+def basis_turn(v: FloatArray, basis: FloatArray) -> FloatArray:
+    """Return by how much the tangent basis (3, 2) at v (3,) turns about v, for steps along itself.
+
+    GTSAM takes its first axis across v and the coordinate axis a at the largest angle to v; in a step
+    dv it turns towards the second axis b2 by b2 . (dv x a) / |v x a|.
+    """
+    a = np.zeros(3)
+    a[np.abs(v).argmin()] = 1.0
+    across = np.cross(v, a)
+    sign = np.sign(across @ basis[:, 0])
+    turn: FloatArray = sign * (np.cross(basis.T, a) @ basis[:, 1]) / np.linalg.norm(across)
+    return turn

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
 from handlaser_gtsam.errors import InputError, SolverError
-from handlaser_gtsam.keys import BeamKeys
+from handlaser_gtsam.keys import BeamKeys, integer_key
 from handlaser_gtsam.weighting import Whitening
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
@@ -92,7 +92,9 @@ class RangeBlock:
                 raise InputError(
                     f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
                 )
-        self.plane, self.pose, self.whitening = plane, pose, whitening
+        self.plane = integer_key(plane, "plane")
+        self.pose = None if pose is None else integer_key(pose, "hand pose")
+        self.whitening = whitening
         self.distance = frozen(distance)
         self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
         self.prepared: Share | None = None
@@ -195,14 +197,47 @@ def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
-    """Return the factor of `block`; raises InputError for noise of the wrong dimension."""
-    rows = len(block.distance)
+    """Return the factor of `block`.
+
+    Raises
+    ------
+    InputError
+        Two variables of the factor share a key, or noise that is neither a number above zero nor a
+        noise model of the right dimension that weighs readings one by one.
+    """
+    keys = block.keys()
+    if len(set(keys)) < len(keys):
+        names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys)
+        raise InputError(f"variables {names}", "a key of its own for each variable of a factor")
+    return gtsam.CustomFactor(_noise_model(noise, len(block.distance)), keys, block)
+
+
+def _noise_model(noise: object, rows: int) -> gtsam.noiseModel.Base:
+    """Return a noise model for so many readings; raises InputError where `noise` is none."""
     if isinstance(noise, gtsam.noiseModel.Base):
         if noise.dim() != rows:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
-        noise_model = noise
-    else:
-        if not (np.isfinite(noise) and noise > 0.0):
-            raise InputError(f"range sigma {noise:g}", "a positive standard deviation in metres")
-        noise_model = gtsam.noiseModel.Isotropic.Sigma(rows, noise)
-    return gtsam.CustomFactor(noise_model, block.keys(), block)
+        if rows > 1 and isinstance(noise, gtsam.noiseModel.Robust) and weighs_as_a_whole(noise):
+            raise InputError(
+                f"a robust noise model that gives {rows} readings one common weight",
+                "an estimator with mEstimator.Base.ReweightScheme.Scalar, or one factor a reading",
+            )
+        return noise
+    if isinstance(noise, bool) or not isinstance(noise, (int, float, np.number)):
+        raise InputError(f"{noise!r} as noise", "a sigma in metres, or a noise model of GTSAM")
+    if not (np.isfinite(noise) and noise > 0.0):
+        raise InputError(f"range sigma {noise:g}", "a positive standard deviation in metres")
+    return gtsam.noiseModel.Isotropic.Sigma(rows, float(noise))
+
+
+def weighs_as_a_whole(robust: gtsam.noiseModel.Robust) -> bool:
+    """Tell whether one gross error takes the weight of all rows; GTSAM does so by default.
+
+    The scheme of an estimator cannot be asked for, so it is tried out.
+    """
+    small = np.full(robust.dim(), 1e-3)
+    gross = small.copy()
+    gross[-1] = 1e6
+    inner = robust.noise()
+    alone, beside = (robust.whiten(inner.unwhiten(white))[0] for white in (small, gross))
+    return bool(abs(beside) < 0.5 * abs(alone))

@@ -5,10 +5,13 @@
 """
 
 from dataclasses import dataclass
+from numbers import Integral
 
 import gtsam
 
 from .errors import InputError
+
+EXAMPLE = "gtsam.symbol('l', 0), ..."
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +38,20 @@ class BeamKeys:
     range_error: int | None = None
 
     def __post_init__(self) -> None:
-        keys = [self.location, self.direction]
-        keys += [] if self.range_error is None else [self.range_error]
-        if not all(isinstance(key, int) for key in keys) or len(set(keys)) < len(keys):
-            raise InputError(f"keys {keys}", "different integers: gtsam.symbol('l', 0), ...")
+        for name in ("location", "direction", "range_error"):
+            key = getattr(self, name)
+            if name != "range_error" or key is not None:
+                object.__setattr__(self, name, integer_key(key, name.replace("_", " ")))
+        keys = [key for key in (self.location, self.direction, self.range_error) if key is not None]
+        if len(set(keys)) < len(keys):
+            raise InputError(f"keys {keys} of one beam", f"different integers: {EXAMPLE}")
+
+
+def integer_key(key: object, of: str) -> int:
+    """Return a key as an integer that GTSAM takes; raises InputError where it is none."""
+    if isinstance(key, bool) or not isinstance(key, Integral) or key < 0:
+        raise InputError(f"{key!r} as the key of a {of}", f"an integer: {EXAMPLE}")
+    return int(key)
 
 
 def beam_keys(index: int, terms: int) -> BeamKeys:

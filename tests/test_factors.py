@@ -151,6 +151,88 @@ def test_noise_that_does_not_fit_is_refused(noise):
         factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()] * 2, [0.1, 0.2], noise)
 
 
+@pytest.mark.parametrize("noise", [None, "1e-3", True, [1e-3, 1e-3]])
+def test_noise_of_another_type_is_refused(noise):
+    with pytest.raises(InputError, match="as noise; expected a sigma in metres"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()] * 2, [0.1, 0.2], noise)
+
+
+def huber(rows, scheme, inner=None):
+    estimator = gtsam.noiseModel.mEstimator.Huber.Create(1.345, scheme)
+    inner = inner or gtsam.noiseModel.Isotropic.Sigma(rows, 1e-3)
+    return gtsam.noiseModel.Robust.Create(estimator, inner)
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+def test_a_robust_noise_model_weighs_reading_by_reading_or_is_refused(correlated):
+    schemes = gtsam.noiseModel.mEstimator.Base.ReweightScheme
+    values = gtsam.Values()
+    values.insert(11, np.zeros(3))
+    values.insert(12, gtsam.Unit3(0.0, 0.0, 1.0))
+    values.insert(PLANE, gtsam.OrientedPlane3(gtsam.Unit3(0.0, 0.0, 1.0), -1.0))
+    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 0.1 * i])) for i in range(5)]
+    d = np.array([1.0, 0.9, 0.8 + 0.05, 0.7, 0.6]) + 2e-4 * np.array([1.0, -1.0, 0.0, 1.0, -1.0])
+    inner = gtsam.noiseModel.Gaussian.Covariance(1e-6 * (np.eye(5) + 0.2)) if correlated else None
+    with pytest.raises(InputError, match="one common weight"):
+        factors.range_to_plane(BARE, PLANE, poses, d, huber(5, schemes.Block, inner))
+    if correlated:
+        return
+    factor = factors.range_to_plane(BARE, PLANE, poses, d, huber(5, schemes.Scalar))
+    robust, _ = factor.linearize(values).jacobian()
+    plain, _ = factors.range_to_plane(BARE, PLANE, poses, d, 1e-3).linearize(values).jacobian()
+    weight = np.abs(robust).max(axis=1) / np.abs(plain).max(axis=1)
+    assert weight[[0, 1, 3, 4]] == pytest.approx(1.0)
+    assert weight[2] == pytest.approx(np.sqrt(1.345 / 50.0), rel=1e-6)
+    factors.range_to_plane(BARE, PLANE, poses[:1], d[:1], huber(1, schemes.Block))
+
+
+def test_integers_of_numpy_are_keys_and_coinciding_keys_are_refused():
+    beam = BeamKeys(*np.array([11, 12]))
+    factor = factors.range_to_plane(beam, np.int64(PLANE), [gtsam.Pose3()], [0.1], 1.0)
+    assert list(factor.keys()) == [11, 12, PLANE]
+    with pytest.raises(InputError, match="a key of its own"):
+        factors.range_to_plane(BARE, 11, [gtsam.Pose3()], [0.1], 1.0)
+    with pytest.raises(InputError, match="a key of its own"):
+        factors.range_to_plane_from_pose(BARE, PLANE, PLANE, 0.1, 1.0)
+    for key in (1.0, "x0", None, True, -1):
+        with pytest.raises(InputError, match="as the key of a plane"):
+            factors.range_to_plane(BARE, key, [gtsam.Pose3()], [0.1], 1.0)
+
+
+@given(st.integers(0, 10**6), st.floats(0.0, 3.0))
+@settings(max_examples=60, deadline=None)
+def test_the_drift_of_a_beam_has_as_many_rows_as_degrees_of_freedom(seed, angle):
+    rng = np.random.default_rng(seed)
+    before, now = BeamKeys(1, 2), BeamKeys(3, 4)
+    _, turn = factors.beam_drift(before, now, 1e-3, 0.5)
+    v = gtsam.Unit3(rng.standard_normal(3))
+    axis = v.basis() @ rng.standard_normal(2)
+    w = gtsam.Rot3.Expmap(angle * axis / np.linalg.norm(axis)).rotate(v.point3())
+    values = gtsam.Values()
+    values.insert(2, v)
+    values.insert(4, gtsam.Unit3(w))
+    e = turn.unwhitenedError(values)
+    assert e.shape == (2,)
+    assert np.linalg.norm(e) == pytest.approx(2.0 * np.sin(0.5 * angle), abs=1e-9)
+    # GTSAM chooses another basis where two coordinates of v are of one size: no derivative there.
+    apart = np.diff(np.sort(np.abs(v.point3())))
+    if apart.min() > 1e-3:
+        A, _ = turn.linearize(values).jacobian()
+        numeric = np.hstack([numeric_jacobian(turn, values, key, 1e-6) for key in (2, 4)])
+        assert np.abs(0.5 * A - numeric).max() < 1e-6 / max(np.cos(0.5 * angle), 0.05) ** 3
+
+
+def test_beams_of_which_the_drift_makes_no_sense_are_refused():
+    with pytest.raises(InputError, match="share"):
+        factors.beam_drift(BeamKeys(1, 2), BeamKeys(3, 2), 1e-3, 1e-3)
+    with pytest.raises(InputError, match="one sigma a term"):
+        factors.beam_drift(BeamKeys(1, 2, 5), BeamKeys(3, 4, 6), 1e-3, 1e-3)
+    with pytest.raises(InputError, match="stays the same"):
+        factors.beam_drift(BeamKeys(1, 2, 5), BeamKeys(3, 4, 5), 1e-3, 1e-3, [1e-3])
+    assert len(factors.beam_drift(BeamKeys(1, 2, 5), BeamKeys(3, 4, 5), 1e-3, 1e-3)) == 2
+    assert len(factors.beam_drift(BeamKeys(1, 2, 5), BeamKeys(3, 4, 6), 1e-3, 1e-3, [1e-3])) == 3
+
+
 def test_poses_and_readings_must_pair():
     with pytest.raises(InputError, match="hand poses"):
         factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()], [0.1, 0.2], 1.0)
