@@ -11,15 +11,19 @@ from .calibration import Fit
 from .errors import InputError
 from .keys import BeamKeys
 
+LEAST_OBLIQUE = 1e-6
+"""Squared sine of the incidence below which a row says nothing of its range."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """A row of a range factor: a label, the index of its beam, its residual and sigma [m], its pose."""
+    """A row of a range factor: label, beam, residual, sigma and range [m], whether it has a pose."""
 
     label: str
     beam: int
     residual: float
     sigma: float
+    range: float
     posed: bool
 
 
@@ -63,7 +67,7 @@ def fit_of_graph(
         range_sigma=float(np.median(sigma)),
         range_sigma_given=True,
         poses="estimated" if any(row.posed for row in rows) else "exact",
-        median_reading=float("nan"),
+        median_reading=_median([row.range for row in rows]),
         loss="gaussian",
         farthest=float(np.abs(e / sigma).max()),
         farthest_at=(rows[far].label, names[rows[far].beam]),
@@ -92,9 +96,32 @@ def _rows(
         name = key_name(keys[-1]) if posed else f"factor {i}"
         e = np.atleast_1d(factor.unwhitenedError(values))
         sigma = _sigmas(factor.noiseModel(), len(e))
-        for row, (one, s) in enumerate(zip(e.tolist(), sigma.tolist(), strict=True)):
+        ranges = _ranges(factor, values)
+        for row in range(len(e)):
             label = name if len(e) == 1 else f"{name} row {row + 1}"
-            yield _Row(label, beam, one, s, posed)
+            yield _Row(label, beam, float(e[row]), float(sigma[row]), float(ranges[row]), posed)
+
+
+def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
+    """Return the ranges (N,) of a range factor [m]; NaN where a beam is perpendicular to its plane.
+
+    A factor does not give its readings away, but its derivatives do: with the range s and the tangent
+    basis B of the direction, de/dv = s de/dr B. Weights of rows cancel.
+    """
+    jacobian, _ = factor.linearize(values).jacobian()
+    by_location, by_direction = jacobian[:, :3], jacobian[:, 3:5]
+    across = by_location @ values.atUnit3(list(factor.keys())[1]).basis()
+    square = (across**2).sum(axis=1)
+    seen = square > LEAST_OBLIQUE * (by_location**2).sum(axis=1)
+    product = (by_direction * across).sum(axis=1)
+    found: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
+    return found
+
+
+def _median(ranges: list[float]) -> float:
+    """Return the median of what is known; NaN where nothing is."""
+    known = [one for one in ranges if not np.isnan(one)]
+    return float(np.median(known)) if known else float("nan")
 
 
 def _keys(beam: BeamKeys) -> list[int]:

@@ -5,7 +5,7 @@ the information of beams and planes. Whether the values are the optimum of the g
 whether the graph determines the beams.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -16,6 +16,7 @@ from scipy.stats import chi2 as chi2_distribution
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Plane, StartReport, Status
 from .diagnosis.correlations import strong_correlations
+from .diagnosis.observability import ObservabilityOptions
 from .errors import InputError
 from .joint import JointCovariance
 from .keys import BeamKeys
@@ -24,8 +25,6 @@ from .own_fit import fit_of_graph, key_name
 METHOD = "graph"
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
-MOST_SIGMA = 0.1
-"""What is known worse than this, in metres and radians, is not determined."""
 UNLIKELY = 1e-6
 
 
@@ -68,7 +67,8 @@ def read_graph(
     unknowns = linear.gradientAtZero().vector().size
     fit = fit_of_graph(graph, values, beams, planes, unknowns)
     information = _information(graph, linear, wanted)
-    status, message, found = _judged(information, wanted)
+    length = fit.median_reading if fit.median_reading > 0.0 else 1.0
+    status, message, found = _judged(information, wanted, length)
     if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
         status = "not_converged"
         message = "the values are not at the optimum of the graph: optimise further"
@@ -94,12 +94,44 @@ def read_graph(
 
 
 @dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of variable: how it is read, its type in words, and its natural units.
+
+    The units are powers of the typical range.
+    """
+
+    words: str
+    read: Callable[[gtsam.Values, int], object]
+    expected: str
+    powers: tuple[int, ...]
+
+
+LOCATION = _Kind("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1))
+DIRECTION = _Kind("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0))
+RANGE_ERROR = _Kind(
+    "range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)
+)
+PLANE = _Kind("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1))
+
+
+@dataclass(frozen=True, slots=True)
 class _Variable:
     """A variable that is read: what it is, its key, and its columns among all that are read."""
 
-    words: str
+    kind: _Kind
+    name: str
     key: int
     columns: slice
+
+    @property
+    def words(self) -> str:
+        """What it is, with its name."""
+        return f"{self.kind.words} {self.name}"
+
+    @property
+    def powers(self) -> tuple[int, ...]:
+        """Natural units of its columns."""
+        return self.kind.powers[: self.columns.stop - self.columns.start]
 
 
 def _wanted(
@@ -115,40 +147,36 @@ def _wanted(
     for key in inside:
         if not values.exists(key):
             raise InputError(f"no value of {key_name(key)}", "one for every variable of the graph")
-    asked: list[tuple[str, int, int]] = []
+    asked: list[tuple[_Kind, str, int]] = []
     for name, beam in beams.items():
-        asked.append((f"location of beam {name}", beam.location, 3))
-        asked.append((f"direction of beam {name}", beam.direction, 2))
+        asked += [(LOCATION, name, beam.location), (DIRECTION, name, beam.direction)]
         if beam.range_error is not None:
-            asked.append((f"range error of beam {name}", beam.range_error, 0))
-    asked += [(f"plane {name}", key, 3) for name, key in planes.items()]
+            asked.append((RANGE_ERROR, name, beam.range_error))
+    asked += [(PLANE, name, key) for name, key in planes.items()]
     found: dict[int, _Variable] = {}
     first = 0
-    for words, key, dim in asked:
+    for kind, name, key in asked:
         if key not in inside:
-            raise InputError(f"{words} under {key_name(key)}", "a variable of the graph")
-        _require_type(values, key, words)
+            words = f"{kind.words} {name} under {key_name(key)}"
+            raise InputError(words, "a variable of the graph")
+        dim = _dimension(values, kind, name, key)
         if key not in found:
-            dim = dim or values.atVector(key).size
-            if words.startswith("range") and dim > 2:
-                raise InputError(f"{dim} numbers as {words}", "a vector (k1,) or (k1, k2)")
-            found[key] = _Variable(words, key, slice(first, first + dim))
+            found[key] = _Variable(kind, name, key, slice(first, first + dim))
             first += dim
     return list(found.values())
 
 
-def _require_type(values: gtsam.Values, key: int, words: str) -> None:
-    kind = words.split()[0]
-    read, expected = {
-        "location": (values.atPoint3, "Point3"),
-        "direction": (values.atUnit3, "Unit3"),
-        "range": (values.atVector, "vector (k1,) or (k1, k2)"),
-        "plane": (values.atOrientedPlane3, "OrientedPlane3"),
-    }[kind]
+def _dimension(values: gtsam.Values, kind: _Kind, name: str, key: int) -> int:
+    """Return the dimension of a variable; raises InputError where it is of another type."""
     try:
-        read(key)
+        value = kind.read(values, key)
     except RuntimeError as error:
-        raise InputError(f"another type under {key_name(key)}, {words}", f"a {expected}") from error
+        found = f"another type under {key_name(key)}, {kind.words} {name}"
+        raise InputError(found, f"a {kind.expected}") from error
+    dim = np.asarray(value).size if kind is RANGE_ERROR else len(kind.powers)
+    if not 1 <= dim <= len(kind.powers):
+        raise InputError(f"{dim} numbers as {kind.words} {name}", f"a {kind.expected}")
+    return dim
 
 
 def _information(
@@ -187,9 +215,12 @@ def _left_to_go(linear: gtsam.GaussianFactorGraph) -> float:
 
 
 def _judged(
-    information: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable]
+    information: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable], length: float
 ) -> tuple[Status, str, tuple[FloatArray, FloatArray] | None]:
-    """Return status and message, and (covariance, eigenvalues) where there is a covariance."""
+    """Return status and message, and (covariance, eigenvalues) where there is a covariance.
+
+    Eigenvalues are those in natural units, with `length` [m] for the typical range, as everywhere.
+    """
     if information is None:
         words = (
             "the graph leaves variables open: anchor at least one pose, tie every pose to others by a "
@@ -197,8 +228,9 @@ def _judged(
         )
         return "unobservable", words, None
     matrix, vector = information
-    values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    weak = values < MOST_SIGMA**-2
+    unit = length ** np.array([power for one in wanted for power in one.powers], dtype=float)
+    values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
+    weak = values < ObservabilityOptions().most_sigma ** -2
     if weak.any():
         share = (axes[:, weak] ** 2).sum(axis=1)
         open_ = [one.words for one in wanted if share[one.columns].sum() > 0.1]
@@ -207,7 +239,7 @@ def _judged(
             f"and check that all lengths are metres"
         )
         return "unobservable", words, None
-    covariance = (axes / values) @ axes.T
+    covariance = (axes / values) @ axes.T * np.outer(unit, unit)
     away = float((np.abs(covariance @ vector) / np.sqrt(np.diagonal(covariance))).max())
     found = covariance, values
     if not away <= OPTIMAL:

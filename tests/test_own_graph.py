@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import pytest
+from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from benchmarks.mobile_base import WALLS, driven, run_once
@@ -380,10 +381,72 @@ def test_a_calibration_of_a_graph_can_be_written_and_used(walk, tmp_path):
     found = hl.read_graph(walk[0], hl.optimize(*walk).values, {"laser": BEAM}, PLANES)
     path = tmp_path / "own.json"
     hl.write_calibration(path, found)
-    assert json.loads(path.read_text())["beams"][0]["spot"] is None
+    spot = json.loads(path.read_text())["beams"][0]["spot"]
+    typical = np.median([reading(pose, WALL, R, V) for pose in robot().poses[::2]])
+    assert spot["reading_m"] == pytest.approx(typical, rel=0.2)
     hl.write_calibration(path, found, reading=1.5)
     assert json.loads(path.read_text())["beams"][0]["spot"]["reading_m"] == 1.5
     assert hl.read_mounts(path).locations[0] == pytest.approx(found.beams["laser"].location)
+
+
+def test_the_solution_of_the_shipped_recording_is_determined_as_calibrate_says():
+    """At ranges of 15 mm it determines k2 to 0.4/m only, but that is 0.006 in its natural unit."""
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    noise = hl.Noise(3e-5, 0.0, 0.0)
+    done = hl.calibrate(recording, noise, hl.CalibrationOptions("k1k2", outliers="keep"))
+    assert done.status == "converged"
+    graph, values, keys, planes = graph_of(recording, done, 1.0)
+    found = hl.read_graph(graph, hl.optimize(graph, values).values, keys, planes)
+    assert found.status == "converged", found.message
+    for name, beam in found.beams.items():
+        # The graph leaves out the slope of the range error by which `calibrate` multiplies the sigma.
+        k1, k2 = done.beams[name].range_error
+        slope = 1.0 + k1 + 2.0 * k2 * done.fit.median_reading
+        assert slope * beam.sigma == pytest.approx(done.beams[name].sigma, rel=0.02)
+    assert found.fit.median_reading == pytest.approx(done.fit.median_reading, rel=0.1)
+
+
+@pytest.mark.parametrize(("scale", "sigma"), [(1.0, 6e-5), (0.1, 6e-6), (100.0, 6e-3)])
+def test_what_is_determined_does_not_depend_on_the_unit(scale, sigma):
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    done = hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0), hl.CalibrationOptions("none"))
+    for factor, status in ((1.0, "converged"), (10.0, "unobservable")):
+        graph, values, keys, planes = graph_of(recording, done, scale, factor * sigma)
+        assert hl.read_graph(graph, values, keys, planes).status in (status, "not_converged")
+        solved = hl.optimize(graph, values).values
+        assert hl.read_graph(graph, solved, keys, planes).status == status
+
+
+def graph_of(recording, calibration, scale, sigma=3e-5):
+    """Return a graph with a factor a beam and plane, lengths `scale` times as large, and its start."""
+    graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}
+    for i, (name, beam) in enumerate(calibration.beams.items()):
+        own = hl.BeamKeys(
+            gtsam.symbol("l", i),
+            gtsam.symbol("u", i),
+            gtsam.symbol("e", i) if beam.terms else None,
+        )
+        values.insert(own.location, scale * beam.location)
+        values.insert(own.direction, gtsam.Unit3(beam.direction))
+        if own.range_error is not None:
+            values.insert(own.range_error, beam.range_error / [1.0, scale])
+        keys[name] = own
+    planes = {name: gtsam.symbol("w", p) for p, name in enumerate(calibration.planes)}
+    for name, plane in calibration.planes.items():
+        n = gtsam.Unit3(plane.normal)
+        values.insert(planes[name], gtsam.OrientedPlane3(n, scale * plane.offset))
+    poses = [
+        gtsam.Pose3(gtsam.Rot3(turn), scale * shift)
+        for turn, shift in zip(recording.world_R_hand, recording.world_t_hand, strict=True)
+    ]
+    labels = np.array(recording.plane_labels)
+    for plane, key in planes.items():
+        for i, own in enumerate(keys.values()):
+            rows = np.flatnonzero((labels == plane) & ~np.isnan(recording.ranges[:, i]))
+            at = [poses[row] for row in rows]
+            d = scale * recording.ranges[rows, i]
+            graph.push_back(range_to_plane(own, key, at, d, sigma))
+    return graph, values, keys, planes
 
 
 def test_factors_that_are_no_readings_are_not_counted(walk):
