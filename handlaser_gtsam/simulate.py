@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from . import model
 from .arrays import FloatArray, IntArray
 from .errors import InputError
+from .noise import Noise
 from .parameters import Parameters
 from .recording import Recording
 from .sensor import Sensor
@@ -56,6 +57,16 @@ class Errors:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InputError(f"{name} {value:g}", "zero or a positive number")
+
+    def stated(self) -> Noise:
+        """Return the noise that a rig file states of these errors: a covariance if not all axes err."""
+        known = self.range_sigma or None
+        sigmas = (self.pose_translation_sigma, self.pose_rotation_sigma)
+        if len(set(self.pose_axes)) == 3 or not any(sigmas):
+            return Noise(known, *sigmas)
+        variances = np.zeros((2, 3))
+        variances[:, list(self.pose_axes)] = np.square(sigmas[::-1])[:, None]
+        return Noise(known, pose_covariance=np.diag(variances.ravel()))
 
 
 def simulate(

@@ -1,14 +1,17 @@
 """The command line: exit codes, streams and files of the contract."""
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers import DEGENERATE, GRIPPER, degenerate, simulated
 from typer.testing import CliRunner
 
+import handlaser_gtsam as hl
 from handlaser_gtsam import __version__
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.scenes import Layout
@@ -184,6 +187,26 @@ def test_simulate_never_overwrites_unasked(handlaser, tmp_path):
     assert (tmp_path / "recording.csv").read_bytes() == before
     assert handlaser("simulate", tmp_path, "--seed", "5", "--force")[0] == 0
     assert (tmp_path / "recording.csv").read_bytes() != before
+
+
+@pytest.mark.parametrize(("axes", "erring"), [((), (1, 4)), (("--pose-axes", "z"), (2, 5))])
+def test_the_rig_of_a_simulation_states_the_axes_that_err(handlaser, tmp_path, axes, erring):
+    assert handlaser("simulate", tmp_path, *axes, "--quiet")[0] == 0
+    noise = hl.read_rig(tmp_path / "rig.toml").noise
+    variances = np.zeros(6)
+    variances[list(erring)] = math.radians(0.03) ** 2, 5e-5**2
+    assert noise.pose_covariance == pytest.approx(np.diag(variances))
+    recording, rig = tmp_path / "recording.csv", tmp_path / "rig.toml"
+    code, out, _ = handlaser("calibrate", recording, "--rig", rig, "--json")
+    assert code == 0
+    assert 0.8 < json.loads(out)["fit"]["sigma0"] < 1.25
+
+
+def test_the_rig_of_a_simulation_on_all_axes_states_sigmas(handlaser, tmp_path):
+    assert handlaser("simulate", tmp_path, "--pose-axes", "xyz", "--quiet")[0] == 0
+    noise = hl.read_rig(tmp_path / "rig.toml").noise
+    assert noise.pose_covariance is None
+    assert noise.pose_translation_sigma == pytest.approx(5e-5)
 
 
 def test_simulated_arm_calibrates_with_its_rig(handlaser, tmp_path):

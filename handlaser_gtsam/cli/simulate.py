@@ -65,7 +65,6 @@ def simulate(
     from ..files.calibration_json import write_truth
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
-    from ..noise import Noise
     from ..simulate import simulate as run
 
     there = [name for name in FILES if (folder / name).exists()]
@@ -86,10 +85,7 @@ def simulate(
     except OSError as error:
         raise InputError(f"no folder ({error.strerror})", "a folder to write to", folder) from error
     write_recording(folder / FILES[0], recording)
-    noise = Noise(
-        errors.range_sigma or None, errors.pose_translation_sigma, errors.pose_rotation_sigma
-    )
-    write_rig(folder / FILES[1], noise, sensor)
+    write_rig(folder / FILES[1], errors.stated(), sensor)
     write_truth(folder / FILES[2], truth, recording)
     if not quiet:
         print(f"wrote {', '.join(FILES)} to {folder}: {planes} planes, {stations} stations each")
