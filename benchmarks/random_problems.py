@@ -112,19 +112,20 @@ def _not_named(problem: Problem, found: Calibration, dimension: int) -> float:
     )
     length = float(np.median(readings.distance))
     null = true_null_space(at.seen_from(origins), readings.seen_from(origins), length, dimension)
-    named = {(part.owner, part.quantity): part.axes for part in found.observability.open_parts}
+    open_parts = found.observability.open_parts
+    named = {(part.kind, part.name, part.quantity): part.axes for part in open_parts}
     worst = 0.0
     v_basis, n_basis = model.tangent_basis(at.directions), model.tangent_basis(at.normals)
     for i, beam in enumerate(beams):
         rows = null[5 * i : 5 * i + 5]
-        worst = max(worst, _outside(rows[:3], named.get((f"beam {beam.name}", "location"))))
+        worst = max(worst, _outside(rows[:3], named.get(("beam", beam.name, "location"))))
         turned = v_basis[i] @ rows[3:]
-        worst = max(worst, _outside(turned, named.get((f"beam {beam.name}", "direction"))))
+        worst = max(worst, _outside(turned, named.get(("beam", beam.name, "direction"))))
     for p, plane in enumerate(planes):
         rows = null[5 * len(beams) + 3 * p :][:3]
         turned = n_basis[p] @ rows[:2]
-        worst = max(worst, _outside(turned, named.get((f"plane {plane.name}", "normal"))))
-        worst = max(worst, _outside(rows[2:], named.get((f"plane {plane.name}", "offset"))))
+        worst = max(worst, _outside(turned, named.get(("plane", plane.name, "normal"))))
+        worst = max(worst, _outside(rows[2:], named.get(("plane", plane.name, "offset"))))
     return worst
 
 

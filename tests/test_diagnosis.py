@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
+from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.diagnosis.mirror import mirror_image_fits
 from handlaser_gtsam.diagnosis.observability import observability
+from handlaser_gtsam.diagnosis.words import Names, weakest
 from handlaser_gtsam.limits import Limits, exceeded
 from handlaser_gtsam.parameters import RangeErrorPrior
+from handlaser_gtsam.scenes import Layout
 from handlaser_gtsam.solvers.reduction import apply_step, normal_equations
 from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
 
@@ -65,6 +67,18 @@ def test_range_errors_that_have_a_prior_are_never_undetermined(width):
     prior = RangeErrorPrior(np.full((2, 2), width))
     found = observability(bench(1), readings, 2, 5e-3, prior=prior)
     assert found.full == np.isfinite(width)
+
+
+@pytest.mark.parametrize("planes", [2, 25, 60])
+def test_what_is_known_worst_is_named_however_many_planes_share_it(planes):
+    recording, truth = simulated(layout=Layout(planes=planes))
+    names = Names(
+        tuple((name, i) for i, name in enumerate(recording.beam_names)),
+        tuple((name, p) for p, name in enumerate(recording.plane_names)),
+    )
+    words = weakest(observability(truth, recording.readings(), 2, 3e-5), truth, names)
+    assert "beam" in words
+    assert len(words) < 600
 
 
 @pytest.mark.parametrize("still", [True, False])

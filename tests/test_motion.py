@@ -21,8 +21,10 @@ def test_what_the_motion_leaves_open_is_what_the_solution_leaves_open(case):
     recording = degenerate(case)
     check = check_motion(recording)
     solved = hl.calibrate(recording, options=NONE).observability
-    key = [(part.owner, part.quantity, part.axes.shape[1]) for part in check.open_parts]
-    assert key == [(part.owner, part.quantity, part.axes.shape[1]) for part in solved.open_parts]
+    key = [(part.kind, part.name, part.quantity, part.axes.shape[1]) for part in check.open_parts]
+    assert key == [
+        (part.kind, part.name, part.quantity, part.axes.shape[1]) for part in solved.open_parts
+    ]
     assert check.advice == solved.advice
 
 

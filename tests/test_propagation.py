@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.correlations import strong_correlations
+from handlaser_gtsam.diagnosis.correlations import (
+    Coordinate,
+    Correlation,
+    strong_correlations,
+)
 from handlaser_gtsam.propagation import measured_plane, spot
 
 READING = 0.015
@@ -121,11 +125,15 @@ def test_intervals_of_a_mixture_hold_what_is_drawn(calibration, level):
 def test_strong_correlations_are_named_with_advice(calibration):
     pairs = strong_correlations(calibration.covariance)
     assert pairs == calibration.correlations
-    named = {(pair.first, pair.second): pair for pair in pairs}
+    named = {(str(pair.first), str(pair.second)): pair for pair in pairs}
     pair = named["beam 1 k1", "beam 1 k2"]
     S = calibration.beams["1"].covariance
     assert pair.coefficient == pytest.approx(S[6, 7] / np.sqrt(S[6, 6] * S[7, 7]))
     assert "wider span of ranges" in pair.advice
     assert strong_correlations(calibration.covariance, limit=0.9999) == ()
+    left, right = Coordinate("left front", 0), Coordinate("left k1 rear", 4)
+    assert "other normals" in Correlation(left, right, 0.99).advice
+    assert "turn the hand" in Correlation(left, Coordinate("left front", 4), 0.99).advice
+    assert "wider span" in Correlation(left, Coordinate("left k1 rear", 6), 0.99).advice
     weak = strong_correlations(calibration.covariance, limit=0.5)
     assert [abs(p.coefficient) for p in weak] == sorted(abs(p.coefficient) for p in weak)[::-1]

@@ -9,24 +9,38 @@ from ..joint import BEAM_COORDINATES, JointCovariance
 STRONG = 0.95
 """Correlations above this are worth a word."""
 NAMES = ("location x", "location y", "location z", "direction x", "direction y", "direction z")
-LABELS = dict(zip(BEAM_COORDINATES, (*NAMES, "k1", "k2"), strict=True))
+LABELS = (*NAMES, "k1", "k2")
+"""In the order of `joint.BEAM_COORDINATES`."""
+FIRST_ERROR = 6
+"""Coordinates from here on are range errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """One of the eight coordinates of a beam, as `joint.BEAM_COORDINATES` counts them."""
+
+    beam: str
+    number: int
+
+    def __str__(self) -> str:
+        """Return "beam NAME QUANTITY"."""
+        return f"beam {self.beam} {LABELS[self.number]}"
 
 
 @dataclass(frozen=True, slots=True)
 class Correlation:
-    """Two unknowns and their correlation coefficient, each as "beam NAME QUANTITY"."""
+    """Two unknowns and their correlation coefficient."""
 
-    first: str
-    second: str
+    first: Coordinate
+    second: Coordinate
     coefficient: float
 
     @property
     def advice(self) -> str:
         """What would tell the two apart."""
-        both = self.first + " " + self.second
-        if " k1" in both or " k2" in both:
+        if max(self.first.number, self.second.number) >= FIRST_ERROR:
             return "measure over a wider span of ranges, or estimate fewer range-error terms"
-        if self.first.split(" ")[1] != self.second.split(" ")[1]:
+        if self.first.beam != self.second.beam:
             return "add planes with other normals"
         return "turn the hand further, and vary the range"
 
@@ -37,7 +51,6 @@ def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[
     Of the three components of a direction, the largest follows from the others and is left out.
     """
     S = joint.matrix(planes=[])
-    labels = joint.labels(planes=[])
     variance = np.diagonal(S)
     keep = variance > 0.0
     for beam, basis in enumerate(joint.beam_bases):
@@ -49,7 +62,8 @@ def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[
     first, second = np.triu_indices(len(rows), 1)
     strong = np.flatnonzero(np.abs(C[first, second]) > limit)
     strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]
-    names = [f"{labels[row][0]} {LABELS[labels[row][1]]}" for row in rows]
+    width = len(BEAM_COORDINATES)
+    names = [Coordinate(joint.beam_names[row // width], row % width) for row in rows.tolist()]
     return tuple(
         Correlation(names[first[i]], names[second[i]], float(C[first[i], second[i]]))
         for i in strong

@@ -1,7 +1,8 @@
 """What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from .observability import NullSpace, Observability
 
 SHARE = 0.02
 """A part of a null vector below this length is not worth a word."""
+WEAK_SHARE = 0.4
+"""Of the longest part of the weakest direction: what is shorter is not named."""
 LEAK = 1e-6
 """A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
 
@@ -42,8 +45,9 @@ class OpenPart:
 
     Attributes
     ----------
-    owner : str
-        "beam NAME" or "plane NAME".
+    kind : "beam" or "plane"
+    name : str
+        Of the beam or plane.
     quantity : str
         `location`, `direction`, `range error`, `normal` or `offset`.
     axes : (D, K)
@@ -51,7 +55,8 @@ class OpenPart:
         range error over (k1, k2), offset 1.
     """
 
-    owner: str
+    kind: Literal["beam", "plane"]
+    name: str
     quantity: str
     axes: FloatArray
 
@@ -64,11 +69,12 @@ def open_parts(found: Observability, parameters: Parameters, names: Names) -> tu
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     """Say what is left open, one sentence a beam or kind of plane."""
     words = []
-    for owner in dict.fromkeys(part.owner for part in parts if part.owner.startswith("beam ")):
-        own = [_part_words(part) for part in parts if part.owner == owner]
-        words.append(f"{owner}: {', '.join(own)}")
+    of_beams = [part for part in parts if part.kind == "beam"]
+    for name in dict.fromkeys(part.name for part in of_beams):
+        own = [_part_words(part) for part in of_beams if part.name == name]
+        words.append(f"beam {name}: {', '.join(own)}")
     for quantity in ("normal", "offset"):
-        planes = [p.owner.removeprefix("plane ") for p in parts if p.quantity == quantity]
+        planes = [part.name for part in parts if part.quantity == quantity]
         if planes:
             words.append(f"{_planes(planes)}: {quantity}")
     return tuple(words)
@@ -94,7 +100,7 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     if quantities >= {"range error"} and not words:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:
-        listed = _planes(list(dict.fromkeys(part.owner.removeprefix("plane ") for part in parts)))
+        listed = _planes(list(dict.fromkeys(part.name for part in parts)))
         words.append(f"measure {listed} at three or more spots that are not on a line")
     return tuple(words)
 
@@ -108,12 +114,9 @@ def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
     width = len(reduced.beam_unit) // len(parameters.locations)
     planes = -(reduced.plane_response @ axis)
     space = NullSpace(axis.reshape(-1, width, 1), planes)
-    parts = _parts(space, parameters, names, share=WEAK_SHARE)
+    lengths = [np.linalg.norm(rows) for *_, rows in _rows(space, parameters, names)]
+    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(lengths)))
     return "; ".join(undetermined(parts))
-
-
-WEAK_SHARE = 0.2
-"""Only what takes this part of the weakest direction is named."""
 
 
 def open_coordinates(found: Observability, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
@@ -137,27 +140,28 @@ def _parts(
 ) -> tuple[OpenPart, ...]:
     if space.beams.shape[-1] == 0:
         return ()
+    found = (
+        OpenPart(kind, name, quantity, _span(rows, share))
+        for kind, name, quantity, rows in _rows(space, parameters, names)
+    )
+    return tuple(part for part in found if part.axes.shape[1])
+
+
+def _rows(
+    space: NullSpace, parameters: Parameters, names: Names
+) -> Iterator[tuple[Literal["beam", "plane"], str, str, FloatArray]]:
+    """Yield kind, name and quantity of every part, and its rows (D, K) of the null space."""
     beams, planes = _normalized(space)
     bases = model.tangent_basis(parameters.directions)
-    parts = []
     for name, i in names.beams:
-        for quantity, rows in (
-            ("location", beams[i, :3]),
-            ("direction", bases[i] @ beams[i, 3:5]),
-            ("range error", beams[i, 5:]),
-        ):
-            axes = _span(rows, share)
-            if axes.shape[1]:
-                parts.append(OpenPart(f"beam {name}", quantity, axes))
+        yield "beam", name, "location", beams[i, :3]
+        yield "beam", name, "direction", bases[i] @ beams[i, 3:5]
+        yield "beam", name, "range error", beams[i, 5:]
     normals = model.tangent_basis(parameters.normals)
     for name, p in names.planes:
+        yield "plane", name, "normal", normals[p] @ planes[p, :2]
         # The offset is that at the world's origin: where the normal is open, it is too.
-        offset = np.linalg.norm(planes[p], axis=0, keepdims=True)
-        for quantity, rows in (("normal", normals[p] @ planes[p, :2]), ("offset", offset)):
-            axes = _span(rows, share)
-            if axes.shape[1]:
-                parts.append(OpenPart(f"plane {name}", quantity, axes))
-    return tuple(parts)
+        yield "plane", name, "offset", np.linalg.norm(planes[p], axis=0, keepdims=True)
 
 
 def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:

@@ -69,7 +69,12 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
             "indices": None if determined.indices is None else asdict(determined.indices),
         },
         "correlations": [
-            {"first": c.first, "second": c.second, "coefficient": c.coefficient, "advice": c.advice}
+            {
+                "first": str(c.first),
+                "second": str(c.second),
+                "coefficient": c.coefficient,
+                "advice": c.advice,
+            }
             for c in calibration.correlations
         ],
         "range_error_scales": None
