@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ..arrays import FloatArray
 from ..weighting import Variances
@@ -28,9 +27,13 @@ FLOOR = 0.1
 """A range sigma below this part of the residuals becomes improbable."""
 STEP = 0.02
 """Of differences in the logarithm of a scale."""
-FARTHEST, ROUNDS = 0.75, 15
-"""A search moves the logarithm of a scale by no more, and is repeated from where it ends so many times:
-a long step may end where rounding passes for a good fit."""
+FARTHEST, ROUNDS = 0.75, 40
+"""A step of the search moves the logarithm of a scale by no more, and there are at most so many: a long
+step may end where rounding passes for a good fit."""
+SHORTENED = 5
+"""A step that leads down is taken a quarter as long, so many times."""
+LAST_STEP = 1e-2
+"""A Newton step shorter than this leaves an error of about its square."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales are looked for within this below and above what is expected of them, in the logarithm: a range
 sigma not far below its floor, or rounding decides;"""
@@ -153,32 +156,64 @@ LogPosterior = Callable[[FloatArray], FloatArray]
 
 
 def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray) -> FloatArray:
-    """Return the most probable logarithms (d,) of the scales within `bounds` (d, 2), from `start`."""
+    """Return the most probable logarithms (d,) of the scales within `bounds` (d, 2), from `start`.
+
+    Newton's method, upwards along every axis of the curvature, with steps of at most `FARTHEST`.
+    """
     if start.size == 0:
         return start
-    size = start.size
-    steps = STEP * np.concatenate((np.zeros((1, size)), np.eye(size), -np.eye(size)))
-
-    def objective(u: FloatArray) -> tuple[float, FloatArray]:
-        value = log_posterior(u + steps)
-        return -float(value[0]), -(value[1 : size + 1] - value[size + 1 :]) / (2.0 * STEP)
-
     here = np.clip(start, bounds[:, 0], bounds[:, 1])
+    at = _expansion(log_posterior, here, STEP)
     for _ in range(ROUNDS):
-        low = np.maximum(bounds[:, 0], here - FARTHEST)
-        high = np.minimum(bounds[:, 1], here + FARTHEST)
-        found = minimize(
-            objective,
-            here.copy(),
-            jac=True,
-            bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
-            method="L-BFGS-B",
-            options={"maxiter": 60, "ftol": 1e-8, "gtol": 1e-3},
-        )
-        before, here = here, np.asarray(found.x, dtype=np.float64)
-        if np.abs(here - before).max() < 0.99 * FARTHEST:
+        step = _upwards(at, here, bounds)
+        if np.abs(step).max() < LAST_STEP:
+            return np.clip(here + step, bounds[:, 0], bounds[:, 1])
+        for _ in range(SHORTENED):
+            there = np.clip(here + step, bounds[:, 0], bounds[:, 1])
+            ahead = _expansion(log_posterior, there, STEP)
+            if ahead.value > at.value:
+                break
+            step = 0.25 * step
+        else:
             break
+        here, at = there, ahead
     return here
+
+
+@dataclass(frozen=True, slots=True)
+class _Expansion:
+    """The second-order expansion of a log posterior: value, slope (d,) and curvature (d, d)."""
+
+    value: float
+    slope: FloatArray
+    curvature: FloatArray
+
+
+def _expansion(log_posterior: LogPosterior, at: FloatArray, step: float) -> _Expansion:
+    """Return the expansion about a point (d,), by differences over `step`."""
+    size = at.size
+    first, second = np.triu_indices(size, 1)
+    unit = step * np.eye(size)
+    points = np.concatenate((np.zeros((1, size)), unit, -unit, unit[first] + unit[second]))
+    value = log_posterior(at + points)
+    plus, minus = value[1 : size + 1], value[size + 1 : 2 * size + 1]
+    H = np.diag(plus + minus - 2.0 * value[0])
+    # f(i + j) - f(i) - f(j) + f(0)
+    H[first, second] = value[2 * size + 1 :] - plus[first] - plus[second] + value[0]
+    H[second, first] = H[first, second]
+    return _Expansion(float(value[0]), (plus - minus) / (2.0 * step), H / step**2)
+
+
+def _upwards(at: _Expansion, here: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Return a step (d,) towards the maximum; zero along bounds that it would cross."""
+    out = (here <= bounds[:, 0]) & (at.slope < 0.0) | (here >= bounds[:, 1]) & (at.slope > 0.0)
+    free = np.flatnonzero(~out)
+    step = np.zeros_like(here)
+    if free.size:
+        curvature, axes = np.linalg.eigh(-at.curvature[np.ix_(free, free)])
+        along = axes.T @ at.slope[free] / np.maximum(np.abs(curvature), CURVATURE)
+        step[free] = axes @ along
+    return step * min(1.0, FARTHEST / max(float(np.abs(step).max()), 1e-300))
 
 
 def design(log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray) -> Design:
@@ -211,16 +246,6 @@ def _points(size: int) -> tuple[FloatArray, FloatArray]:
 
 def _axes(log_posterior: LogPosterior, mode: FloatArray) -> FloatArray:
     """Return axes (d, d) as columns, each a standard deviation of the posterior at its mode long."""
-    size, step = mode.size, 5.0 * STEP
-    pairs = [(i, j) for i in range(size) for j in range(i + 1, size)]
-    unit = step * np.eye(size)
-    points = [np.zeros(size), *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
-    value = log_posterior(mode + np.array(points))
-    plus, minus = value[1 : size + 1], value[size + 1 : 2 * size + 1]
-    H = np.diag(plus + minus - 2.0 * value[0])
-    for (i, j), both in zip(pairs, value[2 * size + 1 :], strict=True):
-        # f(i + j) - f(i) - f(j) + f(0)
-        H[i, j] = H[j, i] = both - plus[i] - plus[j] + value[0]
-    curvature, axes = np.linalg.eigh(-H / step**2)
+    curvature, axes = np.linalg.eigh(-_expansion(log_posterior, mode, 5.0 * STEP).curvature)
     scaled: FloatArray = axes / np.sqrt(np.maximum(curvature, CURVATURE))
     return scaled
