@@ -10,8 +10,10 @@ import gtsam
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray
+from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.keys import BeamKeys
+from handlaser_gtsam.noise import MOST_SIGMA
 
 
 def beam_drift(
@@ -40,8 +42,8 @@ def beam_drift(
         A sigma that is not positive, or range errors of one of the two only.
     """
     sigmas = (location_sigma, direction_sigma, *range_error_sigmas)
-    if not all(0.0 < sigma < np.inf for sigma in sigmas):
-        raise InputError(f"process noise {sigmas}", "positive standard deviations")
+    for sigma in sigmas:
+        require_number("process noise", sigma, 0.0, MOST_SIGMA, above=True)
     isotropic = gtsam.noiseModel.Isotropic.Sigma
     factors: list[gtsam.NonlinearFactor] = [
         gtsam.BetweenFactorPoint3(

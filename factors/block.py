@@ -14,8 +14,11 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
+from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys
+from handlaser_gtsam.noise import MOST_SIGMA
+from handlaser_gtsam.recording import LARGEST
 from handlaser_gtsam.weighting import Whitening
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
@@ -93,20 +96,26 @@ class RangeBlock:
                     f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
                 )
         self.plane, self.pose, self.whitening = plane, pose, whitening
-        self.distance = frozen(distance)
-        self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
+        self.distance = _numbers(distance, "readings")
+        self.world_R_hand = _numbers(world_R_hand, "rotations of the hand")
+        self.world_t_hand = _numbers(world_t_hand, "positions of the hand")
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
-        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() < np.inf):
+        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() <= LARGEST):
             raise InputError(
                 f"readings {np.array2string(self.distance, threshold=5)}",
-                "one or more positive, finite ranges in metres",
+                f"one or more positive ranges in metres, at most {LARGEST:.0f}",
             )
         if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
             raise InputError(
                 f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings"
             )
+        if not (
+            np.abs(self.world_t_hand).max() <= LARGEST and np.abs(self.world_R_hand).max() < 2.0
+        ):
+            expected = f"rotation matrices, and positions in metres of at most {LARGEST:.0f}"
+            raise InputError("a hand pose that is none", expected)
         self.beam_of = frozen_indices(np.zeros(rows) if beam_of is None else beam_of)
         if len(self.beams) > 1 and whitening is None:
             raise ValueError("several beams without a whitening; expected one")
@@ -182,6 +191,13 @@ class RangeBlock:
         return R, np.broadcast_to(pose.translation(), (rows, 3))
 
 
+def _numbers(values: ArrayLike, what: str) -> FloatArray:
+    try:
+        return frozen(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{what} that are no array of numbers ({error})", "numbers") from error
+
+
 def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:
     """Return the number of terms under `key`, and (k1, k2); raises SolverError for three or more."""
     k = np.zeros(2)
@@ -202,7 +218,6 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
         noise_model = noise
     else:
-        if not (np.isfinite(noise) and noise > 0.0):
-            raise InputError(f"range sigma {noise:g}", "a positive standard deviation in metres")
+        require_number("range sigma", noise, 0.0, MOST_SIGMA, above=True, what=" m")
         noise_model = gtsam.noiseModel.Isotropic.Sigma(rows, noise)
     return gtsam.CustomFactor(noise_model, block.keys(), block)

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"errors", "arrays", "_version", "losses"},
+    {"text", "errors", "arrays", "_version", "checks", "losses"},
     {"parameters", "recording", "noise", "keys", "ordering"},
     {"model", "sensor"},
     {"weighting", "joint"},

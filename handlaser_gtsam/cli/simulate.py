@@ -67,6 +67,7 @@ def simulate(
     from ..files.rig_toml import write_rig
     from ..noise import Noise
     from ..simulate import simulate as run
+    from ..text import printable
 
     there = [name for name in FILES if (folder / name).exists()]
     if there and not force:
@@ -92,7 +93,8 @@ def simulate(
     write_rig(folder / FILES[1], noise, sensor)
     write_truth(folder / FILES[2], truth, recording)
     if not quiet:
-        print(f"wrote {', '.join(FILES)} to {folder}: {planes} planes, {stations} stations each")
+        place = printable(str(folder))
+        print(f"wrote {', '.join(FILES)} to {place}: {planes} planes, {stations} stations each")
 
 
 def _errors(
