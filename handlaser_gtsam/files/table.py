@@ -24,7 +24,11 @@ BLANK = " \t"
 UNIT = "\x1f"
 """Stands between cells once quotes are taken away; as a control character it is in no cell."""
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-QUOTED = re.compile(r'[ \t]*"((?:[^"]|"")*)"[ \t]*')
+QUOTED = {
+    separator: re.compile(f'[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*')
+    for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
+}
+"""A cell in quotes, with blanks around it that are no separators."""
 NANOMETRE_DECIMALS = 9
 """A length that is cut behind so many decimals is wrong by less than a nanometre."""
 
@@ -185,7 +189,7 @@ def _split(lines: _Lines, index: int) -> str:
         return line.replace(separator, UNIT)
     cells, at = [], 0
     while at <= len(line):
-        quoted = QUOTED.match(line, at)
+        quoted = QUOTED[separator].match(line, at)
         if quoted is not None and line[quoted.end() : quoted.end() + 1] in ("", separator):
             cells.append(quoted[1].replace('""', '"'))
             at = quoted.end() + 1
