@@ -88,7 +88,9 @@ def calibrate(
     max_incidence_deg: Annotated[
         float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
+    ] = None,
     cross_check: Annotated[
         bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
     ] = False,

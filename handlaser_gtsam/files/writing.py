@@ -70,12 +70,11 @@ def _target(path: Path) -> tuple[Path, int]:
     """Return the file behind all links, and the mode that it is to have."""
     try:
         target = Path(os.path.realpath(path))
-        target.parent.stat()
-        mode = target.lstat().st_mode if os.path.lexists(target) else None
+        mode = target.lstat().st_mode
+    except FileNotFoundError:
+        return _new(path, target)
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise _refusal(path, error) from error
-    if mode is None:
-        return target, NEW_MODE & ~_umask()
     if stat.S_ISLNK(mode):
         raise InputError("links that lead in a circle", "a name for a file", path)
     if not stat.S_ISREG(mode):
@@ -83,6 +82,15 @@ def _target(path: Path) -> tuple[Path, int]:
     if not os.access(target, os.W_OK):
         raise InputError("a write-protected file there", "a new name or a writable file", path)
     return target, stat.S_IMODE(mode)
+
+
+def _new(path: Path, target: Path) -> tuple[Path, int]:
+    """Return the target and mode of a new file, if its folder exists."""
+    try:
+        target.parent.stat()
+    except OSError as error:
+        raise _refusal(path, error) from error
+    return target, NEW_MODE & ~_umask()
 
 
 def _refusal(path: Path, error: OSError | ValueError) -> InputError:
