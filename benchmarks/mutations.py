@@ -502,6 +502,8 @@ VALUES = (
     ),
 )
 TOKEN = re.compile(r'-?\d+\.?\d*(?:e[+-]?\d+)?|"[^"\n]*"|true|false|null')
+SCALAR = re.compile(rf"(?<=[:=] )(?:{TOKEN.pattern})")
+"""A token that is the whole value of a field: the others stand in lists, of which covariances have many."""
 FIELD = re.compile(r'"[a-z_0-9]+":|^[a-z_]+(?= =)|\[[a-z]+\]$', re.MULTILINE)
 
 
@@ -509,7 +511,7 @@ def mutated_text(text: str, rng: random.Random) -> bytes:
     """Return TOML or JSON after one to three mishaps: values, fields twice or gone, nesting, bytes."""
     for _ in range(rng.choice((1, 1, 2, 3))):
         kind = rng.randrange(8)
-        token = rng.choice(list(TOKEN.finditer(text)) or [None])
+        token = rng.choice(list(rng.choice((TOKEN, SCALAR)).finditer(text)) or [None])
         name = rng.choice(list(FIELD.finditer(text)) or [None])
         if kind <= 2 and token is not None:
             text = text[: token.start()] + rng.choice(VALUES) + text[token.end() :]

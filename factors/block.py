@@ -96,9 +96,9 @@ class RangeBlock:
                     f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
                 )
         self.plane, self.pose, self.whitening = plane, pose, whitening
-        self.distance = _numbers(distance, "readings")
-        self.world_R_hand = _numbers(world_R_hand, "rotations of the hand")
-        self.world_t_hand = _numbers(world_t_hand, "positions of the hand")
+        self.distance = numbers(distance, "readings")
+        self.world_R_hand = numbers(world_R_hand, "rotations of the hand")
+        self.world_t_hand = numbers(world_t_hand, "positions of the hand")
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
@@ -191,7 +191,8 @@ class RangeBlock:
         return R, np.broadcast_to(pose.translation(), (rows, 3))
 
 
-def _numbers(values: ArrayLike, what: str) -> FloatArray:
+def numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Return numbers as an array; raises InputError for what is none."""
     try:
         return frozen(values)
     except (TypeError, ValueError, OverflowError) as error:

@@ -269,7 +269,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
 def _float_array(values: ArrayLike, name: str) -> FloatArray:
     try:
         return frozen(values)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
 
 

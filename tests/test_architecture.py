@@ -11,7 +11,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 # A module may import what stands on its own floor or below.
 FLOORS = [
     {"text", "errors", "arrays", "_version", "checks", "losses"},
-    {"parameters", "recording", "noise", "keys", "ordering"},
+    {"parameters", "recording", "noise", "keys", "ordering", "values"},
     {"model", "sensor"},
     {"weighting", "joint"},
     {"factors"},

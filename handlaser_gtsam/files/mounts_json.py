@@ -12,7 +12,9 @@ from ..errors import InputError
 from ..mounts import Mounts
 from ..recording import first_repeated
 from ..text import shown
+from .writing import path_of
 
+# Whole numbers are bounded ints rather than literals: to a literal 1, True and 1.0 are the same.
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
@@ -30,7 +32,7 @@ class _Beam(_Model):
     location_m: Vector
     direction: Vector
     range_error: _RangeError
-    range_error_terms: Literal[0, 1, 2]
+    range_error_terms: Annotated[int, Field(ge=0, le=2)]
 
 
 class _Fit(_Model):
@@ -40,7 +42,7 @@ class _Fit(_Model):
 
 class _File(_Model):
     format: Literal["handlaser-calibration"]
-    version: Literal[1]
+    version: Annotated[int, Field(ge=1, le=1)]
     status: str
     beams: list[_Beam]
     beam_covariance: list[list[float]] | None
@@ -55,7 +57,7 @@ def read_mounts(path: Path | str) -> Mounts:
     InputError
         No such file, no calibration that converged, or numbers that cannot be.
     """
-    path = Path(path)
+    path = path_of(path)
     try:
         text = path.read_bytes().decode("utf-8")
         file = _File.model_validate(json.loads(text, object_pairs_hook=_once_each))

@@ -20,7 +20,7 @@ from ..recording import LARGEST, Recording, first_repeated
 from ..text import A_NAME, name_fault
 from .table import Table as _Table
 from .table import read_table
-from .writing import write_text
+from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX = "range_"
@@ -37,7 +37,7 @@ def read_recording(path: Path | str) -> Recording:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
-    table = read_table(Path(path))
+    table = read_table(path_of(path))
     beams = _check_header(table)
     if _used(table.frame.columns[-1]):
         table.refuse_cut()
@@ -75,7 +75,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     names = (*POSE, *(PREFIX + beam for beam in recording.beam_names))
     for index, name in enumerate(names):
         columns[name] = pl.Series(numbers[:, index]).fill_nan(None)
-    write_text(Path(path), pl.DataFrame(columns).write_csv())
+    write_text(path_of(path), pl.DataFrame(columns).write_csv())
 
 
 def _check_header(table: _Table) -> list[str]:

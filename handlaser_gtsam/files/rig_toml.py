@@ -25,7 +25,7 @@ from ..limits import Limits
 from ..noise import Noise
 from ..sensor import Sensor
 from ..text import shown
-from .writing import write_text
+from .writing import path_of, write_text
 
 
 class _Table(BaseModel):
@@ -77,7 +77,7 @@ def read_rig(path: Path | str) -> Rig:
     InputError
         No TOML, an unknown table or field, or a value that cannot be.
     """
-    path = Path(path)
+    path = path_of(path)
     try:
         text = path.read_bytes().decode("utf-8").removeprefix("\ufeff").replace("\r\n", "\n")
         rig = _Rig.model_validate(tomllib.loads(text))
@@ -159,7 +159,7 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
     if math.isfinite(sensor.range_max):
         least, most = sensor.range_min * 1e3, sensor.range_max * 1e3
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
-    write_text(Path(path), "\n".join(lines) + "\n")
+    write_text(path_of(path), "\n".join(lines) + "\n")
 
 
 @overload

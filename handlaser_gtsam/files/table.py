@@ -136,9 +136,8 @@ def _text(path: Path) -> str:
     """Return the text of a file, whose lines end with a line feed."""
     try:
         data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"no readable file ({why})", "a recording", path) from error
+    except OSError as error:
+        raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
     try:

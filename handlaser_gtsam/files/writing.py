@@ -10,11 +10,19 @@ import tempfile
 from pathlib import Path
 
 from ..errors import InputError
+from ..text import shown
 
 BESIDE = ".handlaser-"
 """Beginning of the names of files that are not whole yet."""
 NEW_MODE = 0o666
 """Of a new file, before the process's mask, as `open` has it."""
+
+
+def path_of(path: Path | str) -> Path:
+    """Return a path; refuse what is none, and a null character in it."""
+    if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
+        raise InputError(f"{shown(path)} as a path", "the name of a file, as text or a Path")
+    return Path(path)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -62,7 +70,7 @@ def same_file(first: Path, second: Path) -> bool:
     """Tell whether two paths lead to one file, by links or by other names."""
     try:
         return first.samefile(second)
-    except (OSError, ValueError):  # one of them is no file, and is refused when it is used
+    except OSError:  # one of them is no file, and is refused when it is used
         return False
 
 
@@ -73,7 +81,7 @@ def _target(path: Path) -> tuple[Path, int]:
         mode = target.lstat().st_mode
     except FileNotFoundError:
         return _new(path, target)
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+    except OSError as error:
         raise _refusal(path, error) from error
     if stat.S_ISLNK(mode):
         raise InputError("links that lead in a circle", "a name for a file", path)
@@ -93,9 +101,10 @@ def _new(path: Path, target: Path) -> tuple[Path, int]:
     return target, NEW_MODE & ~_umask()
 
 
-def _refusal(path: Path, error: OSError | ValueError) -> InputError:
-    why = getattr(error, "strerror", None) or str(error)
-    return InputError(f"no way to write ({why})", "a writable file in a folder that exists", path)
+def _refusal(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"no way to write ({error.strerror})", "a writable file in a folder that exists", path
+    )
 
 
 def _umask() -> int:

@@ -23,6 +23,7 @@ from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from ..graph import CalibrationGraph
+from ..values import require_values
 from .work import Alone, Point, Together, Work
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
@@ -179,7 +180,7 @@ def optimize(
     GrazingBeamError
         A beam grazes its plane at the start already.
     InputError
-        An empty graph, or a variable without a start.
+        An empty graph, a variable without a start, or numbers beyond sense.
     """
     kinds, wanted = (type(graph), type(values)), (gtsam.NonlinearFactorGraph, gtsam.Values)
     if not all(issubclass(kind, one) for kind, one in zip(kinds, wanted, strict=True)):
@@ -192,6 +193,7 @@ def optimize(
     if missing:
         name = gtsam.DefaultKeyFormatter(missing[0])
         raise InputError(f"no start of {name}", "one for every variable of the graph")
+    require_values(values)
     search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
     status, message = search.finished()
     point = search.point
