@@ -3,7 +3,7 @@
     python -m benchmarks.fuzz
     python -m benchmarks.fuzz --recordings 50000 --rigs 5000 --results 5000 --first-seed 0
 
-Every file follows from its seed (`benchmarks.mutations`), is read by the package, and judged by readers
+Every file follows from its seed (`benchmarks.mutated_*`), is read by the package, and judged by readers
 that share nothing with it (`benchmarks.plain_readers`): it must be refused in one line of printable
 text, or be read as it plainly stands, with one station for every line. Files that are only written in
 an unusual way must be read. Of a recording whose end was lost, what is read must be what was written.
@@ -26,14 +26,8 @@ from rich.progress import track
 import handlaser_gtsam as hl
 
 from .judged_readers import Outcome, WrongError, judge_recording, judge_result, judge_rig
-from .mutations import (
-    cut_recording,
-    harmless_recording,
-    mutated_recording,
-    mutated_text,
-    result_text,
-    rig_text,
-)
+from .mutated_fields import mutated_text, result_text, rig_text
+from .mutated_tables import cut_recording, harmless_recording, mutated_recording
 from .plain_readers import plain_recording
 
 NANOMETRE = 1e-9

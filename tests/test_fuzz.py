@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import mutations
+from benchmarks import mutated_fields, mutated_tables
 from benchmarks.judged_readers import WrongError, judge_recording, judge_result, judge_rig
 from benchmarks.plain_readers import UnclearError, plain_recording
 
@@ -24,12 +24,12 @@ ROWS = [
     ["B", "s3", "0.1", "0.2", "0.5", "0", "0", "0.6", "0.8", "", "0.025", ""],
 ]
 GOOD = "\n".join(",".join(row) for row in [HEADER, *ROWS]).encode() + b"\n"
-RIG = mutations.rig_text(random.Random(0))
-RESULT = mutations.result_text(random.Random(0))
+RIG = mutated_fields.rig_text(random.Random(0))
+RESULT = mutated_fields.result_text(random.Random(0))
 NASTY = "\"',;\t\r\n\0\x1b\x85\u2028\u202e\ufeff\xa0\u0661-+.eE_xnaif0123456789"
 
 texts = st.text(st.sampled_from(NASTY) | st.characters(), max_size=6)
-values = st.sampled_from([*mutations.NUMBERS, *mutations.TEXTS]) | texts
+values = st.sampled_from([*mutated_tables.NUMBERS, *mutated_tables.TEXTS]) | texts
 seeds = st.integers(0, 2**32)
 
 
@@ -57,18 +57,18 @@ def test_cells_put_into_a_recording(path, changes):
 @FIXED
 @given(seeds)
 def test_mishaps_of_recordings(path, seed):
-    judge_recording(path, mutations.mutated_recording(random.Random(seed)))
+    judge_recording(path, mutated_tables.mutated_recording(random.Random(seed)))
 
 
 @FIXED
 @given(seeds)
 def test_recordings_that_are_only_written_in_an_unusual_way_are_read(path, seed):
-    data = mutations.harmless_recording(random.Random(seed))
+    data = mutated_tables.harmless_recording(random.Random(seed))
     assert judge_recording(path, data) == "read"
 
 
 @FIXED
-@given(st.sampled_from(mutations.TOKEN.findall(RIG)), values | st.floats().map(repr))
+@given(st.sampled_from(mutated_fields.TOKEN.findall(RIG)), values | st.floats().map(repr))
 def test_values_put_into_a_rig(path, old, new):
     judge_rig(path, RIG.replace(old, new, 1).encode("utf-8", "surrogatepass"))
 
@@ -77,7 +77,7 @@ def test_values_put_into_a_rig(path, old, new):
 @given(seeds)
 def test_mishaps_of_rigs(path, seed):
     rng = random.Random(seed)
-    judge_rig(path, mutations.mutated_text(mutations.rig_text(rng), rng))
+    judge_rig(path, mutated_fields.mutated_text(mutated_fields.rig_text(rng), rng))
 
 
 def paths_of(record, here=()):
@@ -109,7 +109,7 @@ def test_values_put_into_a_result(path, place, value):
 @given(seeds)
 def test_mishaps_of_results(path, seed):
     rng = random.Random(seed)
-    judge_result(path, mutations.mutated_text(mutations.result_text(rng), rng))
+    judge_result(path, mutated_fields.mutated_text(mutated_fields.result_text(rng), rng))
 
 
 def test_good_files_are_read(path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from benchmarks.mutations import result_text
+from benchmarks.mutated_fields import result_text
 
 TEXT = result_text(random.Random(3))
 
