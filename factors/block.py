@@ -105,7 +105,7 @@ class RangeBlock:
         if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() <= LARGEST):
             raise InputError(
                 f"readings {np.array2string(self.distance, threshold=5)}",
-                f"one or more positive ranges in metres, at most {LARGEST:.0f}",
+                f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
             )
         if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
             raise InputError(

@@ -1,5 +1,7 @@
 """Recordings as files: what is read, and one clear refusal for every fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
@@ -372,3 +374,32 @@ def test_line_ends_of_an_old_mac_are_read(tmp_path):
     text = (GRIPPER / "recording.csv").read_text()
     (tmp_path / "mac.csv").write_bytes(text.replace("\n", "\r").encode())
     assert len(read_recording(tmp_path / "mac.csv").plane_labels) == 44
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        'a"b',
+        '"a"',
+        '"',
+        '""',
+        "a,b",
+        "a;b;;;;;;;;;;;;;;;;",
+        "#",
+        "'",
+        "\u00e4 \u58c1",
+        "range_1",
+        "plane",
+    ],
+)
+def test_any_name_that_can_be_printed_is_written_and_read_back(tmp_path, name):
+    recording, _ = simulated()
+    labels = tuple(label.replace("A", name) for label in recording.plane_labels)
+    named = replace(recording.renamed("2", name), plane_labels=labels, station_names=())
+    stations = (name, *named.station_names[1:])
+    named = replace(named, station_names=stations)
+    write_recording(tmp_path / "named.csv", named)
+    back = read_recording(tmp_path / "named.csv")
+    assert back.beam_names == named.beam_names
+    assert back.plane_labels == named.plane_labels
+    assert back.station_names == named.station_names

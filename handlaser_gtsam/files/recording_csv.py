@@ -37,7 +37,7 @@ def read_recording(path: Path | str) -> Recording:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
-    table = read_table(path_of(path))
+    table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
     if _used(table.frame.columns[-1]):
         table.refuse_cut()

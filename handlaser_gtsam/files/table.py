@@ -7,6 +7,7 @@ swallow what follows it.
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,8 +106,8 @@ class _Lines:
         return InputError(found, expected, self.path, self.numbers[index])
 
 
-def read_table(path: Path) -> Table:
-    """Read a table from a file.
+def read_table(path: Path, known: Collection[str] = ()) -> Table:
+    """Read a table from a file; columns of the `known` names tell its separator.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def read_table(path: Path) -> Table:
         No readable file, bytes that are no UTF-8, control characters, a stray quote, a row that has not
         as many cells as the header, or a header whose names cannot be printed or stand twice.
     """
-    lines = _lines(_text(path), path)
+    lines = _lines(_text(path), path, known)
     if len(lines.text) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells = [_split(lines, index) for index in range(len(lines.text))]
@@ -168,17 +169,27 @@ def _refuse_control(text: str, path: Path) -> None:
         raise InputError("a carriage return within a line", expected, path, line)
 
 
-def _lines(text: str, path: Path) -> _Lines:
+def _lines(text: str, path: Path, known: Collection[str]) -> _Lines:
     """Return the lines with anything but blanks and separators: the header, then the rows."""
     lines = text.split("\n")
     header = next((line for line in lines if line.strip()), "")
-    separator = max(SEPARATORS, key=re.sub('"[^"]*"', "", header).count)
+    separator = _separator(header, set(known))
     blank = BLANK + separator
     kept = [index for index, line in enumerate(lines) if line.strip(blank)]
     if not kept:
         raise InputError("an empty file", "a header and one row a station", path)
     ended = kept[-1] < len(lines) - 1
     return _Lines(path, [lines[i] for i in kept], [i + 1 for i in kept], separator, ended)
+
+
+def _separator(header: str, known: set[str]) -> str:
+    """Return the separator under which a header has most known names, then most names."""
+
+    def names(separator: str) -> tuple[int, int]:
+        cells = [cell.strip(f'{BLANK}"') for cell in header.split(separator)]
+        return len(known & set(cells)), len(cells)
+
+    return max(SEPARATORS, key=names)
 
 
 def _split(lines: _Lines, index: int) -> str:
