@@ -219,6 +219,6 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
         noise_model = noise
     else:
-        require_number("range sigma", noise, 0.0, MOST_SIGMA, above=True, what=" m")
+        require_number("range sigma", noise, 0.0, MOST_SIGMA, above=True, unit="m")
         noise_model = gtsam.noiseModel.Isotropic.Sigma(rows, noise)
     return gtsam.CustomFactor(noise_model, block.keys(), block)

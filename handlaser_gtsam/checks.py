@@ -16,18 +16,23 @@ from .text import A_NAME, name_fault, shown
 
 
 def require_number(
-    name: str, value: object, least: float, most: float, *, above: bool = False, what: str = ""
+    name: str,
+    value: object,
+    least: float,
+    most: float,
+    *,
+    above: bool = False,
+    unit: str = "",
+    remedy: str = "",
 ) -> None:
-    """Refuse what is no number from `least` to `most`, or is `least` itself where it must be `above`.
-
-    `what` is added to what is expected.
-    """
+    """Refuse what is no number from `least` to `most`, or is `least` where it must be `above`."""
     number = _number(value)
     if number is not None and least <= number <= most and not (above and number == least):
         return
+    unit = f" {unit}" if unit else ""
     span = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
-    found = f"{number:g}" if number is not None else shown(value)
-    raise InputError(f"{name} {found}", f"a number, {span}{what}")
+    found = f"{number:g}{unit}" if number is not None else shown(value)
+    raise InputError(f"{name} {found}", f"a number, {span}{unit}{remedy}")
 
 
 def require_count(name: str, value: object, least: int, most: int) -> None:

@@ -154,4 +154,4 @@ def _check_numbers(mounts: Mounts) -> None:
     if wrong.any():
         raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
     require_covariance("a covariance of the beams", mounts.covariance, MOST_SIGMA, ROUNDING)
-    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, MOST_SIGMA, what=" m")
+    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, MOST_SIGMA, unit="m")

@@ -56,8 +56,8 @@ class Noise:
 
     def __post_init__(self) -> None:
         if self.range_sigma is not None:
-            remedy = " m; leave it out if unknown"
-            require_number("range sigma", self.range_sigma, LEAST_SIGMA, MOST_SIGMA, what=remedy)
+            bounds, remedy = (LEAST_SIGMA, MOST_SIGMA), "; leave it out if unknown"
+            require_number("range sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
         for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)
             if value is not None:

@@ -177,7 +177,7 @@ def _beam(calibration: Calibration, name: str) -> Beam:
 
 def _spot(beam: Beam, reading: float) -> tuple[FloatArray, FloatArray, float]:
     """Return the spot (3,), its derivative (3, 8) by the ambient coordinates, and g'(d)."""
-    require_number("a reading of", reading, 0.0, LARGEST, above=True, what=" m")
+    require_number("a reading of", reading, 0.0, LARGEST, above=True, unit="m")
     k1, k2 = beam.range_error
     g = reading * (1.0 + k1 + k2 * reading)
     J = np.hstack(

@@ -39,7 +39,7 @@ class Sensor:
     def __post_init__(self) -> None:
         for name in ("range_min", "range_max"):
             if getattr(self, name) != math.inf:  # which says that there is no limit
-                require_number(name, getattr(self, name), -LARGEST, LARGEST, what=" m")
+                require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
         for name in ("max_incidence", "linearity"):
             require_number(name, getattr(self, name), -LARGEST, LARGEST)
         if not 0.0 <= self.range_min < self.range_max:

@@ -11,7 +11,7 @@ GOOD = np.diag([1e-6] * 3 + [1e-9] * 3)
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"range_sigma": 0.0}, "range sigma 0;"),
+        ({"range_sigma": 0.0}, "range sigma 0 m"),
         ({"incidence_sigma": -1.0}, "incidence_sigma -1"),
         ({"pose_rotation_sigma": float("nan")}, "pose_rotation_sigma nan"),
         ({"pose_covariance": np.eye(5)}, r"shape \(5, 5\)"),
