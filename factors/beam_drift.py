@@ -14,8 +14,10 @@ import gtsam
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray
+from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.keys import BeamKeys
+from handlaser_gtsam.noise import MOST_SIGMA
 
 LEAST = 1e-12
 """Of 1 + c: directions that are opposite have no shortest way from one to the other."""
@@ -48,8 +50,8 @@ def beam_drift(
         both have in common, or a location or direction that they have in common.
     """
     sigmas = (location_sigma, direction_sigma, *range_error_sigmas)
-    if not all(0.0 < sigma < np.inf for sigma in sigmas):
-        raise InputError(f"process noise {sigmas}", "positive standard deviations")
+    for sigma in sigmas:
+        require_number("process noise", sigma, 0.0, MOST_SIGMA, above=True)
     shared = {before.location, before.direction} & {now.location, now.direction}
     if shared:
         names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in sorted(shared))

@@ -14,8 +14,11 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
+from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys, integer_key
+from handlaser_gtsam.noise import MOST_SIGMA
+from handlaser_gtsam.recording import LARGEST
 from handlaser_gtsam.weighting import Whitening
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
@@ -95,20 +98,26 @@ class RangeBlock:
         self.plane = integer_key(plane, "plane")
         self.pose = None if pose is None else integer_key(pose, "hand pose")
         self.whitening = whitening
-        self.distance = frozen(distance)
-        self.world_R_hand, self.world_t_hand = frozen(world_R_hand), frozen(world_t_hand)
+        self.distance = numbers(distance, "readings")
+        self.world_R_hand = numbers(world_R_hand, "rotations of the hand")
+        self.world_t_hand = numbers(world_t_hand, "positions of the hand")
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
-        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() < np.inf):
+        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() <= LARGEST):
             raise InputError(
                 f"readings {np.array2string(self.distance, threshold=5)}",
-                "one or more positive, finite ranges in metres",
+                f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
             )
         if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
             raise InputError(
                 f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings"
             )
+        if not (
+            np.abs(self.world_t_hand).max() <= LARGEST and np.abs(self.world_R_hand).max() < 2.0
+        ):
+            expected = f"rotation matrices, and positions in metres of at most {LARGEST:.0f}"
+            raise InputError("a hand pose that is none", expected)
         self.beam_of = frozen_indices(np.zeros(rows) if beam_of is None else beam_of)
         if len(self.beams) > 1 and whitening is None:
             raise ValueError("several beams without a whitening; expected one")
@@ -184,6 +193,14 @@ class RangeBlock:
         return R, np.broadcast_to(pose.translation(), (rows, 3))
 
 
+def numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Return numbers as an array; raises InputError for what is none."""
+    try:
+        return frozen(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{what} that are no array of numbers ({error})", "numbers") from error
+
+
 def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:
     """Return the number of terms under `key`, and (k1, k2); raises SolverError for three or more."""
     k = np.zeros(2)
@@ -212,7 +229,7 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
     return gtsam.CustomFactor(_noise_model(noise, len(block.distance)), keys, block)
 
 
-def _noise_model(noise: object, rows: int) -> gtsam.noiseModel.Base:
+def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
     """Return a noise model for so many readings; raises InputError where `noise` is none."""
     if isinstance(noise, gtsam.noiseModel.Base):
         if noise.dim() != rows:
@@ -223,10 +240,8 @@ def _noise_model(noise: object, rows: int) -> gtsam.noiseModel.Base:
                 "an estimator with mEstimator.Base.ReweightScheme.Scalar, or one factor a reading",
             )
         return noise
-    if isinstance(noise, bool) or not isinstance(noise, (int, float, np.number)):
-        raise InputError(f"{noise!r} as noise", "a sigma in metres, or a noise model of GTSAM")
-    if not (np.isfinite(noise) and noise > 0.0):
-        raise InputError(f"range sigma {noise:g}", "a positive standard deviation in metres")
+    remedy = ", or a noise model of GTSAM"
+    require_number("range sigma", noise, 0.0, MOST_SIGMA, above=True, unit="m", remedy=remedy)
     return gtsam.noiseModel.Isotropic.Sigma(rows, float(noise))
 
 

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.errors import InputError
 
+LEAST, MOST = 1e-30, 1e12
+"""Of sigmas and means: inverse squares of others overflow."""
+
 
 def range_error_prior(
     key: int, sigmas: Sequence[float] | ArrayLike, mean: Sequence[float] | ArrayLike | None = None
@@ -33,13 +36,18 @@ def range_error_prior(
     InputError
         Sigmas that are not positive, or shapes that differ.
     """
-    sigma = np.array(sigmas, dtype=np.float64).ravel()
-    centre = np.zeros(sigma.size) if mean is None else np.array(mean, dtype=np.float64).ravel()
+    try:
+        sigma = np.array(sigmas, dtype=np.float64).ravel()
+        centre = np.zeros(sigma.size) if mean is None else np.array(mean, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError) as error:
+        found = f"sigmas or a mean that are no arrays of numbers ({error})"
+        raise InputError(found, "numbers") from error
     if sigma.size not in (1, 2) or centre.size != sigma.size:
         raise InputError(
             f"{sigma.size} sigmas and {centre.size} means of a range error", "one or two of each"
         )
-    if not ((sigma > 0.0) & np.isfinite(sigma) & np.isfinite(centre)).all():
-        raise InputError(f"range-error sigmas {sigma.tolist()}", "positive numbers")
+    if not ((sigma >= LEAST) & (sigma <= MOST) & (np.abs(centre) <= MOST)).all():
+        found = f"range-error sigmas {sigma.tolist()} about {centre.tolist()}"
+        raise InputError(found, f"positive sigmas, {LEAST:g} to {MOST:g}, about smaller numbers")
     model = gtsam.noiseModel.Diagonal.Sigmas(sigma)
     return gtsam.PriorFactorVector(key, centre, model)

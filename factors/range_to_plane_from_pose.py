@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.keys import BeamKeys
 
-from .block import Noise, RangeBlock, range_factor
+from .block import Noise, RangeBlock, numbers, range_factor
 
 
 def range_to_plane_from_pose(
@@ -40,6 +40,6 @@ def range_to_plane_from_pose(
     InputError
         Readings that are not positive, or noise of the wrong dimension.
     """
-    d = np.atleast_1d(np.asarray(ranges, dtype=np.float64))
+    d = np.atleast_1d(numbers(ranges, "readings"))
     R = np.broadcast_to(np.eye(3), (len(d), 3, 3))
     return range_factor(RangeBlock(beam, plane, d, R, np.zeros((len(d), 3)), pose), noise)

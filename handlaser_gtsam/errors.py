@@ -6,6 +6,8 @@ what was expected and what to do.
 
 from pathlib import Path
 
+from .text import printable
+
 
 class HandlaserError(Exception):
     """Root of all errors raised on purpose by this package."""
@@ -24,6 +26,10 @@ class InputError(HandlaserError):
         Line of the file, counted from 1 (the header is line 1).
     column : str, optional
         Name of the column or field.
+
+    Notes
+    -----
+    The message is one line of printable text, whatever file names and cells it repeats.
     """
 
     def __init__(
@@ -40,7 +46,8 @@ class InputError(HandlaserError):
         place += [f"line {line}"] if line is not None else []
         place += [f"column {column}"] if column is not None else []
         where = ", ".join(place)
-        super().__init__(f"{where}: found {found}; expected {expected}".removeprefix(": "))
+        message = f"{where}: found {found}; expected {expected}".removeprefix(": ")
+        super().__init__(printable(message))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Let the error come back from another process."""

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .calibration import Calibration
-from .errors import InputError
+from .checks import require_number
+from .noise import MOST_SIGMA
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]
 WORDS: dict[Quantity, str] = {
@@ -36,8 +37,8 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("rms", "location_sigma", "direction_sigma"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"limit {name} {value:g}", "a positive number")
+            if value is not None:
+                require_number(f"limit {name}", value, 0.0, MOST_SIGMA, above=True)
 
 
 @dataclass(frozen=True, slots=True)

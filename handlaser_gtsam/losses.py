@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from .arrays import FloatArray
+from .checks import require_word
 
 LossName = Literal["gaussian", "huber", "cauchy", "tukey"]
 
@@ -28,6 +29,9 @@ class Loss:
     """A loss function by name, with its tuning constant."""
 
     name: LossName = "gaussian"
+
+    def __post_init__(self) -> None:
+        require_word("loss", self.name, TUNING)
 
     @property
     def tuning(self) -> float:

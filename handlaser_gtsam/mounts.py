@@ -3,10 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, frozen
 from .calibration import Calibration
+from .checks import require_count, require_covariance, require_names, require_number
 from .errors import InputError
+from .noise import LEAST_SIGMA, MOST_SIGMA, Noise
+from .recording import LARGEST, first_repeated
+from .text import shown
+
+UNIT = 1e-6
+"""What the length of a direction may differ from 1 by."""
+ROUNDING = 1e-6
+"""Asymmetry and negative eigenvalues of a computed covariance, as a part of its variances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +38,12 @@ class Mounts:
         Standard deviation of a reading behind it [m].
     pose_covariance : (6, 6) or None
         What hand poses err by behind it (rx, ry, rz, x, y, z); None for exact poses.
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, names that cannot be printed or repeat, numbers beyond sense, directions
+        that are no unit vectors, or a covariance that is none.
     """
 
     names: tuple[str, ...]
@@ -41,12 +57,17 @@ class Mounts:
 
     def __post_init__(self) -> None:
         for name in ("locations", "directions", "range_errors", "covariance"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+            object.__setattr__(self, name, _array(getattr(self, name), name))
         count = len(self.names)
         shapes = [(count, 3), (count, 3), (count, 2), (8 * count, 8 * count)]
         arrays = (self.locations, self.directions, self.range_errors, self.covariance)
         if [a.shape for a in arrays] != shapes or len(self.terms) != count:
             raise InputError(f"arrays of shapes {[a.shape for a in arrays]}", f"{shapes}")
+        _check_names(self)
+        _check_numbers(self)
+        if self.pose_covariance is not None:
+            checked = Noise(pose_covariance=self.pose_covariance).pose_covariance
+            object.__setattr__(self, "pose_covariance", checked)
 
     @classmethod
     def of(cls, calibration: Calibration) -> "Mounts":
@@ -86,7 +107,7 @@ class Mounts:
         """
         for name in names:
             if name not in self.names:
-                raise InputError(f"beam {name!r}", f"one of {', '.join(self.names)}")
+                raise InputError(f"beam {shown(name)}", f"one of {', '.join(self.names)}")
         at = [self.names.index(name) for name in names]
         rows = np.concatenate([np.arange(8 * i, 8 * i + 8) for i in at])
         return Mounts(
@@ -99,3 +120,38 @@ class Mounts:
             self.range_sigma,
             self.pose_covariance,
         )
+
+
+def _array(values: ArrayLike, name: str) -> FloatArray:
+    try:
+        return frozen(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
+
+
+def _check_names(mounts: Mounts) -> None:
+    require_names("the name of a beam", mounts.names)
+    twice = first_repeated(mounts.names)
+    if twice is not None:
+        raise InputError(f"beam {mounts.names[twice]!r} twice", "every beam name once")
+    for name, terms in zip(mounts.names, mounts.terms, strict=True):
+        require_count(f"range-error terms of beam {name}", terms, 0, 2)
+
+
+def _check_numbers(mounts: Mounts) -> None:
+    for name, values, unit in (
+        ("location", mounts.locations, " m"),
+        ("range error", mounts.range_errors, ""),
+    ):
+        wrong = ~(np.abs(values) <= LARGEST)
+        if wrong.any():
+            found = f"a {name} of {values[wrong][0]:g}{unit}"
+            raise InputError(found, f"finite numbers, at most {LARGEST:g}")
+    v = mounts.directions
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other
+        length = np.linalg.norm(v, axis=1)
+    wrong = ~(np.abs(length - 1.0) <= UNIT)
+    if wrong.any():
+        raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
+    require_covariance("a covariance of the beams", mounts.covariance, MOST_SIGMA, ROUNDING)
+    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, MOST_SIGMA, unit="m")

@@ -4,12 +4,16 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray, frozen
+from .checks import require_covariance, require_number
 from .errors import InputError
 
 LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
 """No sensor is better or worse [m]; beyond, squares overflow."""
+ROUNDING = 1e-9
+"""Asymmetry and negative eigenvalues of a stated covariance, as a part of its variances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,20 +55,16 @@ class Noise:
     pose_rotation_prior: float = math.radians(0.02)
 
     def __post_init__(self) -> None:
-        sigma = self.range_sigma
-        if sigma is not None and not LEAST_SIGMA <= sigma <= MOST_SIGMA:
-            raise InputError(
-                f"range sigma {sigma:g} m",
-                f"{LEAST_SIGMA:g} to {MOST_SIGMA:g} m; leave it out if unknown",
-            )
-        for name in ("pose_translation_sigma", "pose_rotation_sigma", "incidence_sigma"):
+        if self.range_sigma is not None:
+            bounds, remedy = (LEAST_SIGMA, MOST_SIGMA), "; leave it out if unknown"
+            require_number("range sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
+        for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)
-            if value is not None and not 0.0 <= value <= MOST_SIGMA:
-                raise InputError(f"{name} {value:g}", f"zero to {MOST_SIGMA:g}")
+            if value is not None:
+                require_number(name, value, 0.0, MOST_SIGMA)
+        require_number("incidence_sigma", self.incidence_sigma, 0.0, MOST_SIGMA)
         for name in ("pose_translation_prior", "pose_rotation_prior"):
-            value = getattr(self, name)
-            if not LEAST_SIGMA <= value <= MOST_SIGMA:
-                raise InputError(f"{name} {value:g}", f"{LEAST_SIGMA:g} to {MOST_SIGMA:g}")
+            require_number(name, getattr(self, name), LEAST_SIGMA, MOST_SIGMA)
         if self.pose_covariance is not None:
             if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
@@ -128,20 +128,14 @@ class Noise:
         return replace(self, pose_covariance=S[stations])
 
 
-def _checked(covariance: FloatArray) -> FloatArray:
-    matrix = frozen(covariance)
-    if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not np.isfinite(matrix).all():
-        raise InputError(
-            f"a pose covariance of shape {matrix.shape}",
-            "finite numbers, (6, 6) or (stations, 6, 6)",
-        )
-    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 0.0))
-    unit = scale[..., :, None] * scale[..., None, :]
-    asymmetry = np.abs(matrix - np.swapaxes(matrix, -1, -2))
-    relative = np.divide(matrix, unit, out=np.zeros_like(matrix), where=unit > 0.0)
-    least = float(np.linalg.eigvalsh(0.5 * (relative + np.swapaxes(relative, -1, -2))).min())
-    if (asymmetry > 1e-9 * unit).any() or least < -1e-9 or (np.abs(matrix) > 0)[unit == 0].any():
-        raise InputError("a pose covariance that is none", "a symmetric, positive matrix")
-    if math.sqrt(float(np.abs(matrix).max())) > MOST_SIGMA:
-        raise InputError("a pose covariance beyond all robots", "rad^2 and m^2")
+def _checked(covariance: ArrayLike) -> FloatArray:
+    try:
+        matrix = frozen(covariance)
+    except (TypeError, ValueError, OverflowError) as error:
+        found = f"a pose covariance that is no array of numbers ({error})"
+        raise InputError(found, "numbers, (6, 6) or (stations, 6, 6)") from error
+    if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
+        found = f"a pose covariance of shape {matrix.shape}"
+        raise InputError(found, "shape (6, 6) or (stations, 6, 6)")
+    require_covariance("a pose covariance", matrix, MOST_SIGMA, ROUNDING)
     return matrix

@@ -1,12 +1,13 @@
 """How to calibrate: one frozen set of options, with defaults that work."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from .arrays import IntArray
+from .checks import require_bool, require_kind, require_word
 from .diagnosis.observability import ObservabilityOptions
 from .errors import InputError
-from .losses import LossName
+from .losses import TUNING, LossName
 from .noise import Noise
 from .sensor import Sensor
 from .solvers.levenberg import LevenbergOptions
@@ -51,6 +52,11 @@ class CalibrationOptions:
         of the range errors' scales.
     solver : LevenbergOptions
     observability : ObservabilityOptions
+
+    Raises
+    ------
+    InputError
+        A word that is no option, or a value of another type.
     """
 
     range_error: RangeError = "auto"
@@ -62,6 +68,17 @@ class CalibrationOptions:
     sensor: Sensor = field(default_factory=Sensor)
     solver: LevenbergOptions = field(default_factory=LevenbergOptions)
     observability: ObservabilityOptions = field(default_factory=ObservabilityOptions)
+
+    def __post_init__(self) -> None:
+        require_word("range_error", self.range_error, RANGE_ERROR_TERMS)
+        require_word("outliers", self.outliers, get_args(Outliers))
+        require_word("loss", self.loss, TUNING)
+        require_word("poses", self.poses, get_args(Poses))
+        require_bool("range_sigma_by_beam", self.range_sigma_by_beam)
+        require_bool("estimate_noise", self.estimate_noise)
+        require_kind("sensor", self.sensor, Sensor)
+        require_kind("solver", self.solver, LevenbergOptions)
+        require_kind("observability", self.observability, ObservabilityOptions)
 
     @property
     def terms(self) -> int:

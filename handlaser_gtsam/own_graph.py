@@ -15,12 +15,14 @@ from scipy.stats import chi2 as chi2_distribution
 
 from .arrays import FloatArray
 from .calibration import Beam, Calibration, Determined, Plane, StartReport, Status
+from .checks import require_names
 from .diagnosis.correlations import strong_correlations
 from .diagnosis.observability import ObservabilityOptions
 from .errors import InputError
 from .joint import JointCovariance
 from .keys import BeamKeys
 from .own_fit import fit_of_graph, key_name
+from .values import require_values
 
 METHOD = "graph"
 OPTIMAL = 0.1
@@ -57,11 +59,15 @@ def read_graph(
     Raises
     ------
     InputError
-        A key without a value of the right type, a beam without range factors or under two names, values
-        without some of the graph's variables or that are no numbers, or constrained noise models.
+        A key without a value of the right type, a beam without range factors or under two names, names
+        that cannot be printed, values without some of the graph's variables or that are no numbers or
+        beyond sense, or constrained noise models.
     """
     if not isinstance(values, gtsam.Values):
         raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
+    require_names("the name of a beam", beams)
+    require_names("the name of a plane", planes)
+    require_values(values)
     wanted = _wanted(graph, values, beams, planes)
     linear = graph.linearize(values)
     unknowns = linear.gradientAtZero().vector().size

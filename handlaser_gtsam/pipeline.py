@@ -6,6 +6,7 @@ import numpy as np
 
 from .assemble import assemble
 from .calibration import Calibration
+from .checks import require_kind
 from .noise import Noise
 from .options import CalibrationOptions
 from .ordering import sorted_readings
@@ -41,9 +42,13 @@ def calibrate(
     InputError
         The sensor's limits leave a beam or a plane without readings; errors of the poses are to be
         counted but not stated; pose covariances of another number of stations; a range sigma by beam
-        of a beam with few readings.
+        of a beam with few readings; arguments of other types.
     """
-    noise, options = noise or Noise(), options or CalibrationOptions()
+    noise = Noise() if noise is None else noise
+    options = CalibrationOptions() if options is None else options
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    require_kind("options", options, CalibrationOptions)
     options.require_consistent(noise)
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
     # 1. An order that only the content decides, and every plane in a frame amid its stations.

@@ -15,8 +15,9 @@ import numpy as np
 
 from .arrays import FloatArray
 from .calibration import Beam, Calibration
+from .checks import require_number
 from .errors import InputError
-from .recording import Recording
+from .recording import LARGEST, Recording
 
 LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
@@ -176,8 +177,7 @@ def _beam(calibration: Calibration, name: str) -> Beam:
 
 def _spot(beam: Beam, reading: float) -> tuple[FloatArray, FloatArray, float]:
     """Return the spot (3,), its derivative (3, 8) by the ambient coordinates, and g'(d)."""
-    if not (np.isfinite(reading) and reading > 0.0):
-        raise InputError(f"a reading of {reading:g} m", "a positive range")
+    require_number("a reading of", reading, 0.0, LARGEST, above=True, unit="m")
     k1, k2 = beam.range_error
     g = reading * (1.0 + k1 + k2 * reading)
     J = np.hstack(

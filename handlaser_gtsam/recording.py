@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray, frozen, frozen_indices
+from .checks import require_names
 from .errors import InputError
 
 ROTATION_TOLERANCE = 1e-6
@@ -128,7 +129,7 @@ class Recording:
     ------
     InputError
         Wrong shapes, numbers that are not finite, matrices that are no rotations, ranges that are
-        not positive, repeated names, a plane or a beam without any reading.
+        not positive, names that cannot be printed or repeat, a plane or a beam without any reading.
     """
 
     world_R_hand: FloatArray
@@ -150,6 +151,7 @@ class Recording:
         stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
         names = tuple(self.station_names) or tuple(str(j + 1) for j in range(stations))
         store(self, "station_names", names)
+        _check_texts(self)
         planes = dict.fromkeys(self.plane_labels)
         number = {label: p for p, label in enumerate(planes)}
         store(self, "plane_names", tuple(planes))
@@ -267,7 +269,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
 def _float_array(values: ArrayLike, name: str) -> FloatArray:
     try:
         return frozen(values)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
 
 
@@ -299,8 +301,9 @@ def _check_numbers(recording: Recording) -> None:
     if bad.size:
         found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
         raise InputError(found, f"metres, at most {LARGEST:.0f}")
-    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0))
+    bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
+    error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
     if bad.size:
         raise InputError(
             f"world_R_hand that is no rotation at station {name[bad[0]]} "
@@ -315,6 +318,13 @@ def _check_numbers(recording: Recording) -> None:
             f"at station {name[rows[0]]}",
             f"a positive range in metres up to {LARGEST:.0f}, or NaN for no reading",
         )
+
+
+def _check_texts(recording: Recording) -> None:
+    require_names("the name of a station", recording.station_names)
+    require_names("the label of a plane", recording.plane_labels)
+    require_names("the name of a beam", recording.beam_names)
+    require_names("the name of a column", recording.ignored_columns)
 
 
 def _check_names(recording: Recording) -> None:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from . import model
 from .arrays import FloatArray
+from .checks import require_count, require_number
 from .errors import InputError
 from .parameters import Parameters
 from .sensor import Sensor
@@ -26,6 +27,8 @@ from .simulate import Errors, Stations
 
 LARGEST_RANGE_ERROR = 1e3
 """Of k1 [1] and k2 [1/m]: no sensor errs so."""
+MOST_READINGS = 10_000_000
+"""Of a scene: more do not fit into the memory of most computers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +43,12 @@ class Layout:
 
     def __post_init__(self) -> None:
         for name in ("beams", "planes", "stations"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{getattr(self, name)} {name}", "at least 1")
+            require_count(name, getattr(self, name), 1, MOST_READINGS)
+        readings = self.beams * self.planes * self.stations
+        if readings > MOST_READINGS:
+            raise InputError(f"a scene of {readings} readings", f"at most {MOST_READINGS}")
         for name in ("k1", "k2"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and abs(value) <= LARGEST_RANGE_ERROR):
-                raise InputError(
-                    f"{name} {value:g}",
-                    f"a number between -{LARGEST_RANGE_ERROR:g} and its positive",
-                )
+            require_number(name, getattr(self, name), -LARGEST_RANGE_ERROR, LARGEST_RANGE_ERROR)
 
 
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]

@@ -7,9 +7,10 @@ import numpy as np
 
 from . import model
 from .arrays import IntArray
+from .checks import require_number
 from .errors import InputError
 from .parameters import Parameters
-from .recording import Readings, Recording
+from .recording import LARGEST, Readings, Recording
 
 LEAST_LINEARITY, MOST_LINEARITY = 1e-6, 0.3
 """No sensor is more or less linear."""
@@ -36,6 +37,11 @@ class Sensor:
     linearity: float = 0.01
 
     def __post_init__(self) -> None:
+        for name in ("range_min", "range_max"):
+            if getattr(self, name) != math.inf:  # which says that there is no limit
+                require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
+        for name in ("max_incidence", "linearity"):
+            require_number(name, getattr(self, name), -LARGEST, LARGEST)
         if not 0.0 <= self.range_min < self.range_max:
             found = f"sensor range {self.range_min:g} to {self.range_max:g} m"
             raise InputError(found, "0 <= least < largest")

@@ -4,7 +4,6 @@ A scene says where beams, planes and stations are; noise is added to the reading
 hand poses behind the recorded ones. The recorded poses stay the commanded ones, as on a real robot.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from . import model
 from .arrays import FloatArray, IntArray
+from .checks import require_number
 from .errors import InputError
-from .noise import Noise
+from .noise import MOST_SIGMA, Noise
 from .parameters import Parameters
 from .recording import Recording
 from .sensor import Sensor
@@ -44,7 +44,7 @@ class Errors:
     Raises
     ------
     InputError
-        A standard deviation that is negative or not finite.
+        A standard deviation that is negative or beyond sense.
     """
 
     range_sigma: float = 3e-5
@@ -54,9 +54,7 @@ class Errors:
 
     def __post_init__(self) -> None:
         for name in ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"{name} {value:g}", "zero or a positive number")
+            require_number(name, getattr(self, name), 0.0, MOST_SIGMA)
 
     def stated(self) -> Noise:
         """Return the noise that a rig file states of these errors: a covariance if not all axes err."""

@@ -10,8 +10,8 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"errors", "arrays", "_version", "losses"},
-    {"parameters", "recording", "noise", "keys", "ordering"},
+    {"text", "errors", "arrays", "_version", "checks", "losses"},
+    {"parameters", "recording", "noise", "keys", "ordering", "values"},
     {"model", "sensor"},
     {"weighting", "joint"},
     {"factors"},

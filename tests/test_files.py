@@ -74,6 +74,20 @@ def test_written_rigs_read_back(tmp_path):
         ("[sensor]\nmax_incidence_deg = 0\n", "max_incidence"),
         ("[limits]\nrms_mm = 0\n", "limit rms"),
         ("noise = 3\n", "noise = 3"),
+        ("[noise]\nrange_sigma_mm = true\n", "noise.range_sigma_mm = True"),
+        ("[noise]\nrange_sigma_mm = 1e300\n", "range sigma 1e+297"),
+        ("[noise]\npose_translation_prior_mm = 0\n", "pose_translation_prior 0"),
+        ("[noise]\npose_translation_sigma_mm = -0.1\n", "pose_translation_sigma -0.0001"),
+        (f"[noise]\npose_covariance = {[[1.0] * 5] * 5}\n", "5 rows of [5]"),
+        (f"[noise]\npose_covariance = {[[1e308] * 6] * 6}\n", "the entry 1e+308"),
+        (f"[noise]\npose_covariance = {[[1, 2] * 3] * 6}\n", "not symmetric"),
+        ("[sensor]\nrange_mm = [0, 1e300]\n", "range_max 1e+297"),
+        ("[limits]\nrms_mm = inf\n", "limits.rms_mm = inf"),
+        ("[limits]\nrms_mm = 1e300\n", "limit rms 1e+297"),
+        ('[noise]\n"\\u001b[31m" = 1\n', "noise.\\x1b[31m"),
+        (f"[noise]\n{'x' * 5000} = 1\n", "5006 characters"),
+        (f"[noise]\nrange_sigma_mm = '{'x' * 5000}'\n", "5000 characters"),
+        ("[noise]\nrange_sigma_mm = 1\nrange_sigma_mm = 2\n", "no TOML"),
     ],
 )
 def test_faults_of_a_rig_are_one_line(tmp_path, text, words):
@@ -83,7 +97,13 @@ def test_faults_of_a_rig_are_one_line(tmp_path, text, words):
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
     assert "expected" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_a_rig_of_other_bytes_is_refused_with_their_place(tmp_path):
+    (tmp_path / "rig.toml").write_bytes(b"[noise]\n# \xb5m\n")
+    with pytest.raises(hl.InputError, match="0xb5, which is not UTF-8, at offset 10"):
+        read_rig(tmp_path / "rig.toml")
 
 
 def test_the_result_holds_what_the_calibration_does(tmp_path):

@@ -1,5 +1,7 @@
 """Recordings as files: what is read, and one clear refusal for every fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
@@ -151,15 +153,65 @@ FAULTS = {
         "no reading at all",
     ),
     "too many fields": ([HEADER, ROWS[0], ROWS[1] + ",1,2", ROWS[2]], 3, None, "13 fields"),
-    "too few fields": ([HEADER, ROWS[0], "A,s2,0.1", ROWS[2]], 3, "y", "an empty cell"),
+    "too few fields": ([HEADER, ROWS[0], "A,s2,0.1", ROWS[2]], 3, None, "3 fields"),
+    "one field less": ([HEADER, ROWS[0], ROWS[1][:-1], ROWS[2]], 3, None, "10 fields"),
     "line break in quotes": (
         [HEADER, ROWS[0], '"B', 'b",s2,0,0,0,0,0,0,1,0.1,0.1'],
         3,
         None,
-        "a line break inside quotes",
+        "a stray quote",
     ),
-    "control character": ([HEADER, ROWS[0].replace("s1", "s\x07")], 2, "station", "x07"),
-    "endless label": ([HEADER, ROWS[0].replace("A", "A" * 201, 1)], 2, "plane", "200 characters"),
+    "stray quote in a label": (
+        [HEADER, *ROWS[:2], ROWS[2].replace("B", '"B')],
+        4,
+        None,
+        "a stray quote",
+    ),
+    "stray quote in the header": (
+        [HEADER + ',"note', *(row + "," for row in ROWS)],
+        1,
+        None,
+        "a stray quote in '\"note'",
+    ),
+    "stray quote in a note": (
+        [HEADER + ",note", ROWS[0] + ',"ok', ROWS[1] + ",", ROWS[2] + ',ok"'],
+        2,
+        None,
+        "a stray quote",
+    ),
+    "quotes in a cell": ([HEADER, ROWS[0].replace("s1", '5" plate')], 2, None, "a stray quote"),
+    "control character": ([HEADER, ROWS[0].replace("s1", "s\x07")], 2, None, "'\\x07'"),
+    "null character": ([HEADER, *ROWS[:2], ROWS[2].replace("0.6", "0.6\0")], 4, None, "'\\x00'"),
+    "terminal escape": ([HEADER, ROWS[0].replace("s1", "\x1b[31ms")], 2, None, "'\\x1b'"),
+    "right to left": ([HEADER, ROWS[0].replace("s1", "\u202e1s")], 2, "station", "'\\u202e1s'"),
+    "no-break space": ([HEADER, ROWS[0].replace("s1", "s1\xa0")], 2, "station", "'s1\\xa0'"),
+    "second byte-order mark": ([HEADER, "\ufeff" + ROWS[0]], 2, "plane", "'\\ufeffA'"),
+    "name of an ignored column": (
+        [HEADER + ",\u2066note", *(row + "," for row in ROWS)],
+        1,
+        None,
+        "'\\u2066note'",
+    ),
+    "endless name": (
+        [HEADER.replace("range_2", "range_" + "2" * 201), *ROWS],
+        1,
+        None,
+        "207 characters",
+    ),
+    "beam without a name": (
+        [HEADER.replace("range_2", "range_"), *ROWS],
+        1,
+        "range_",
+        "an empty name of a beam",
+    ),
+    "carriage return in a line": ([HEADER, ROWS[0] + "\r" + ROWS[1]], 2, None, "a carriage return"),
+    "quaternion that overflows": (
+        [HEADER, ROWS[0].replace("0,0,0,1", "1e308,0,0,1e308"), *ROWS[1:]],
+        2,
+        "qx, qy, qz, qw",
+        "length inf",
+    ),
+    "endless label": ([HEADER, ROWS[0].replace("A", "A" * 201, 1)], 2, "plane", "201 characters"),
     "position in another galaxy": (
         [HEADER, ROWS[0].replace("0.3", "1e300"), *ROWS[1:]],
         2,
@@ -167,7 +219,7 @@ FAULTS = {
         "'1e300'",
     ),
     "range beyond reason": ([HEADER, ROWS[0].replace("0.021", "1e307")], 2, "range_2", "1e307"),
-    "open quote": ([HEADER, ROWS[0], '"A,s2,0,0'], None, None, "a table separated by"),
+    "open quote": ([HEADER, ROWS[0], '"A,s2,0,0'], 3, None, "a stray quote"),
     "header only": ([HEADER], None, None, "no station"),
 }
 
@@ -179,6 +231,84 @@ def test_every_fault_is_placed(tmp_path, fault):
     assert (error.line, error.column) == (line, column)
     assert words in str(error)
     assert error.expected
+
+
+def without_end(tmp_path, *lines):
+    path = tmp_path / "recording.csv"
+    path.write_bytes("\n".join(lines).encode())
+    return path
+
+
+def test_quotes_around_whole_cells_are_taken_away(tmp_path):
+    note = ['"moved, slowly"', '"a ""b"""', ""]
+    rows = [f'"{row[0]}"{row[1:]},{text}' for row, text in zip(ROWS, note, strict=True)]
+    recording = read_recording(written(tmp_path, HEADER + ',"note, if any"', *rows))
+    assert recording.plane_labels == ("A", "A", "B")
+    assert recording.ranges[0].tolist() == [0.02, 0.021]
+    assert recording.ignored_columns == ("note, if any",)
+
+
+def test_rows_of_separators_are_blank(tmp_path):
+    path = written(tmp_path, HEADER, ROWS[0], "," * 10, *ROWS[1:], ",,,", " \t")
+    assert read_recording(path).station_names == ("s1", "s2", "s3")
+
+
+def test_a_column_without_a_name_is_called_by_its_number(tmp_path):
+    path = written(tmp_path, "," + HEADER, *(f"{j},{row}" for j, row in enumerate(ROWS)))
+    assert read_recording(path).ignored_columns == ("(column 1 without a name)",)
+
+
+@pytest.mark.parametrize("cut", range(1, len(ROWS[2])))
+def test_a_file_that_is_cut_is_refused_wherever_its_end_is_lost(tmp_path, cut):
+    text = "\n".join([HEADER, *ROWS])[:-cut]
+    error = refusal(without_end(tmp_path, text))
+    assert error.line == text.count("\n") + 1
+    assert "cut" in str(error) or "longer one" in str(error)
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        pytest.param("0.025", id="as many decimals as the others"),
+        pytest.param('"0.02"', id="quotes that are closed"),
+        pytest.param("0.025123456", id="decimals below a nanometre"),
+        pytest.param("2.5e-02", id="exponent"),
+    ],
+)
+def test_a_last_line_without_an_end_is_read_if_its_last_cell_is_whole(tmp_path, last):
+    row = ROWS[2].replace("0.025", last)
+    recording = read_recording(without_end(tmp_path, HEADER, *ROWS[:2], row))
+    assert recording.ranges[2, 1] == float(last.strip('"'))
+
+
+@pytest.mark.parametrize("last", ["0.02", "1", "", "2.5e-0", "2.5e"])
+def test_a_last_cell_that_may_be_cut_is_refused(tmp_path, last):
+    row = ROWS[2].replace("0.025", last)
+    error = refusal(without_end(tmp_path, HEADER, *ROWS[:2], row))
+    assert (error.line, error.column) == (4, "range_2")
+    assert "a last line without a line end" in str(error)
+
+
+def test_what_nobody_reads_may_be_cut(tmp_path):
+    rows = [row + ",note" for row in ROWS]
+    assert len(read_recording(without_end(tmp_path, HEADER + ",note", *rows)).plane_labels) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("0.03", "0.03_1"),
+        ("0.03", "0x1p-5"),
+        ("0.03", "\u0660.03"),
+        ("0.03", "1,030"),
+        ("0.03", "1e999"),
+        ("0.03", "- 0.03"),
+    ],
+)
+def test_what_is_no_plain_number_is_refused(tmp_path, old, new):
+    rows = [row.replace(",", ";").replace(old, new) for row in ROWS]
+    error = refusal(written(tmp_path, HEADER.replace(",", ";"), *rows))
+    assert (error.line, error.column) == (3, "range_1")
 
 
 @pytest.mark.parametrize("content", [b"", b"\n\n", b"\xef\xbb\xbf", b"  \n"])
@@ -193,7 +323,7 @@ def test_bytes_that_are_no_text(tmp_path):
     path.write_bytes("\n".join([HEADER, ROWS[0], ROWS[1].replace("A", "\xc4")]).encode("latin-1"))
     error = refusal(path)
     assert error.line == 3
-    assert "UTF-8" in str(error)
+    assert f"0xc4, which is not UTF-8, at offset {len(HEADER) + len(ROWS[0]) + 2}" in str(error)
 
 
 @pytest.mark.parametrize("name", ["missing.csv", "."])
@@ -244,3 +374,32 @@ def test_line_ends_of_an_old_mac_are_read(tmp_path):
     text = (GRIPPER / "recording.csv").read_text()
     (tmp_path / "mac.csv").write_bytes(text.replace("\n", "\r").encode())
     assert len(read_recording(tmp_path / "mac.csv").plane_labels) == 44
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        'a"b',
+        '"a"',
+        '"',
+        '""',
+        "a,b",
+        "a;b;;;;;;;;;;;;;;;;",
+        "#",
+        "'",
+        "\u00e4 \u58c1",
+        "range_1",
+        "plane",
+    ],
+)
+def test_any_name_that_can_be_printed_is_written_and_read_back(tmp_path, name):
+    recording, _ = simulated()
+    labels = tuple(label.replace("A", name) for label in recording.plane_labels)
+    named = replace(recording.renamed("2", name), plane_labels=labels, station_names=())
+    stations = (name, *named.station_names[1:])
+    named = replace(named, station_names=stations)
+    write_recording(tmp_path / "named.csv", named)
+    back = read_recording(tmp_path / "named.csv")
+    assert back.beam_names == named.beam_names
+    assert back.plane_labels == named.plane_labels
+    assert back.station_names == named.station_names

@@ -49,6 +49,9 @@ def main() -> None:
     """Run the command line; errors made on purpose end in one line and an exit code."""
     if sys.stdout is None:  # closed by the caller
         sys.stdout = io.StringIO()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what its encoding cannot say is shown as escapes
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
         sys.stdout.flush()

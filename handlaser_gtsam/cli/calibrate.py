@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from .incremental import PlaneByPlane
 
 UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
-MM = 1e-3
 DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
 
@@ -89,7 +88,9 @@ def calibrate(
     max_incidence_deg: Annotated[
         float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
+    ] = None,
     cross_check: Annotated[
         bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
     ] = False,
@@ -118,15 +119,18 @@ def calibrate(
     from ..errors import InputError
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
-    from ..files.writing import write_text
+    from ..files.writing import require_writable, same_file, write_text
     from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
     from ..results.verdict import verdict
-    from .settings import settings_of
+    from .settings import reading_of, settings_of
 
-    for source in (recording, rig):
-        if out is not None and source is not None and out.resolve() == source.resolve():
-            raise InputError("the input itself as --out", "another file to write to", out)
+    if out is not None:
+        for source in (recording, rig):
+            if source is not None and same_file(out, source):
+                raise InputError("the input itself as --out", "another file to write to", out)
+        require_writable(out)
+    reading = reading_of(at_range_mm)
     numbers = (
         range_sigma_mm,
         pose_translation_sigma_mm,
@@ -152,7 +156,6 @@ def calibrate(
         result, table = fed.result, fed.recording
     else:
         result = run(table, settings.noise, options)
-    reading = None if at_range_mm is None else at_range_mm * MM
     text = calibration_text(result, reading)
     if out is not None:
         write_text(out, text)
@@ -175,13 +178,14 @@ def _show(
     *,
     verbose: bool,
 ) -> None:
+    from ..text import printable
     from .lines import WIDTH, wrapped
     from .screen import screen_lines
     from .tables import TableConsole, calibration_tables, cross_check_line
 
     check, out, fed = beside
     closing = [] if check is None else wrapped(cross_check_line(check), 2)
-    closing += [] if out is None else [f"wrote {out}"]
+    closing += [] if out is None else [f"wrote {printable(str(out))}"]
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
     if verbose:

@@ -4,7 +4,9 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+from ..checks import require_number
 from ..files.rig_toml import Rig, read_rig
+from ..recording import LARGEST
 
 MM = 1e-3
 
@@ -34,3 +36,11 @@ def settings_of(
     if max_incidence_deg is not None:
         sensor = replace(sensor, max_incidence=math.radians(max_incidence_deg))
     return replace(known, noise=noise, sensor=sensor)
+
+
+def reading_of(at_range_mm: float | None) -> float | None:
+    """Return the reading of the option --at-range-mm in metres; refuse one beyond sense."""
+    if at_range_mm is None:
+        return None
+    require_number("--at-range-mm", at_range_mm, -LARGEST / MM, LARGEST / MM)
+    return at_range_mm * MM

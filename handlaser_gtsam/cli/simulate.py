@@ -66,6 +66,7 @@ def simulate(
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
     from ..simulate import simulate as run
+    from ..text import printable
 
     there = [name for name in FILES if (folder / name).exists()]
     if there and not force:
@@ -88,7 +89,8 @@ def simulate(
     write_rig(folder / FILES[1], errors.stated(), sensor)
     write_truth(folder / FILES[2], truth, recording)
     if not quiet:
-        print(f"wrote {', '.join(FILES)} to {folder}: {planes} planes, {stations} stations each")
+        place = printable(str(folder))
+        print(f"wrote {', '.join(FILES)} to {place}: {planes} planes, {stations} stations each")
 
 
 def _errors(

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from .. import model
 from ..arrays import FloatArray
 from ..calibration import Calibration
+from ..checks import require_count
 from ..errors import GrazingBeamError, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.solution import solve
@@ -25,6 +26,8 @@ from ..recording import Readings, Recording
 from ..simulate import read_back
 from ..weighting import Variances
 
+MOST_DRAWS = 10_000_000
+"""More do not fit into memory."""
 TERMS: dict[int, RangeError] = {0: "none", 1: "k1", 2: "k1k2"}
 
 
@@ -76,6 +79,7 @@ def bootstrap(
     """
     if calibration.covariance is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    require_count("count of draws", count, 2, MOST_DRAWS)
     readings, at = _used(calibration, recording)
     variances = calibration.variances
     if variances is None:

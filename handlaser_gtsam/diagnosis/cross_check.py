@@ -6,6 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..calibration import Calibration
+from ..checks import require_kind
 from ..errors import InputError
 from ..recording import Recording
 from ..solvers.reference import ReferenceNoise, solve_reference
@@ -47,6 +48,8 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     InputError
         The calibration did not converge, or its loss is robust: SciPy solves least squares.
     """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("recording", recording, Recording)
     if calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     if calibration.fit.loss != "gaussian":

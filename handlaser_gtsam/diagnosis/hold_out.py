@@ -21,6 +21,7 @@ from scipy.stats import f as f_distribution
 
 from .. import model
 from ..arrays import FloatArray, IntArray
+from ..checks import require_kind
 from ..joint import beam_lift
 from ..mounts import Mounts
 from ..noise import Noise
@@ -115,7 +116,11 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     GrazingBeamError
         A beam grazes the plane that its readings would have.
     """
-    noise = (noise or Noise()).reordered(np.arange(len(recording.plane_labels)))
+    noise = Noise() if noise is None else noise
+    require_kind("mounts", mounts, Mounts)
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    noise = noise.reordered(np.arange(len(recording.plane_labels)))
     mounts = mounts.arranged(recording.beam_names)
     readings = recording.readings()
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))

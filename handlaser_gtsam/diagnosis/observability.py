@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..checks import require_number
 from ..parameters import Parameters, RangeErrorPrior, Terms, per_beam
-from ..recording import Readings
+from ..recording import LARGEST, Readings
 from ..solvers.reduction import (
     NormalEquations,
     normal_equations,
@@ -43,6 +44,10 @@ class ObservabilityOptions:
 
     most_sigma: float = 0.1
     least_information: float = 1e-13
+
+    def __post_init__(self) -> None:
+        require_number("most_sigma", self.most_sigma, 0.0, LARGEST, above=True)
+        require_number("least_information", self.least_information, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

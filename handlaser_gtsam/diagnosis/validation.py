@@ -12,6 +12,7 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..calibration import Calibration
+from ..checks import require_count
 from ..errors import InputError, SolverError
 from ..mounts import Mounts
 from ..noise import Noise
@@ -26,6 +27,8 @@ TRAINING = 0.7
 """Part of the stations of every plane that a split calibrates with."""
 LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
+MOST_SPLITS = 10_000
+"""More tell nothing new: their spread is known to a hundredth."""
 
 Step = Callable[[str], None]
 
@@ -109,10 +112,14 @@ def validate(
 
     Raises
     ------
+    InputError
+        No sensible number of splits, or what `calibrate` refuses.
     SolverError
         The whole recording gives no calibration.
     """
-    noise, options = noise or Noise(), options or CalibrationOptions()
+    noise = Noise() if noise is None else noise
+    options = CalibrationOptions() if options is None else options
+    require_count("splits", splits, 0, MOST_SPLITS)
     step = step or (lambda _: None)
     step("everything")
     whole = calibrate(recording, noise, options)

@@ -12,7 +12,7 @@ from ..parameters import Parameters
 from ..propagation import spot
 from ..recording import Recording
 from ..results.systematic import SystematicError
-from .writing import write_text
+from .writing import path_of, write_text
 
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
 
@@ -126,7 +126,7 @@ def write_calibration(
     The error of the laser spots is told at `reading` [m], or at the median; not at all for a graph that
     does not tell its readings.
     """
-    write_text(Path(path), calibration_text(calibration, reading))
+    write_text(path_of(path), calibration_text(calibration, reading))
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:
@@ -143,7 +143,7 @@ def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> No
             for p, name in enumerate(recording.plane_names)
         ],
     }
-    write_text(Path(path), _text(record))
+    write_text(path_of(path), _text(record))
 
 
 def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> dict[str, Json]:

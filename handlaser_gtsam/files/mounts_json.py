@@ -2,22 +2,24 @@
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..mounts import Mounts
-from ..noise import Noise
+from ..recording import first_repeated
+from ..text import shown
+from .writing import path_of
 
-SYMMETRIC = 1e-6
-UNIT = 1e-6
+# Whole numbers are bounded ints rather than literals: to a literal 1, True and 1.0 are the same.
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class _RangeError(_Model):
@@ -27,10 +29,10 @@ class _RangeError(_Model):
 
 class _Beam(_Model):
     name: str
-    location_m: tuple[float, float, float]
-    direction: tuple[float, float, float]
+    location_m: Vector
+    direction: Vector
     range_error: _RangeError
-    range_error_terms: Literal[0, 1, 2]
+    range_error_terms: Annotated[int, Field(ge=0, le=2)]
 
 
 class _Fit(_Model):
@@ -40,7 +42,7 @@ class _Fit(_Model):
 
 class _File(_Model):
     format: Literal["handlaser-calibration"]
-    version: Literal[1]
+    version: Annotated[int, Field(ge=1, le=1)]
     status: str
     beams: list[_Beam]
     beam_covariance: list[list[float]] | None
@@ -55,55 +57,70 @@ def read_mounts(path: Path | str) -> Mounts:
     InputError
         No such file, no calibration that converged, or numbers that cannot be.
     """
-    path = Path(path)
+    path = path_of(path)
     try:
-        file = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        text = path.read_bytes().decode("utf-8")
+        file = _File.model_validate(json.loads(text, object_pairs_hook=_once_each))
     except OSError as error:
         found = f"no readable file ({error.strerror})"
         raise InputError(found, "a calibration, JSON", path) from error
     except ValidationError as error:
-        fault = error.errors()[0]
-        field = ".".join(str(part) for part in fault["loc"]) or "the file"
-        raise InputError(f"{field}: {fault['msg']}", "a calibration of handlaser", path) from error
-    except (ValueError, RecursionError) as error:
-        found = f"no JSON ({str(error).splitlines()[0][:120]})"
+        raise _first_fault(error, path) from error
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        found = f"the byte 0x{byte:02x}, which is not UTF-8, at offset {error.start}"
+        raise InputError(found, "a calibration, JSON", path) from error
+    except (InputError, ValueError, RecursionError) as error:
+        found = error.found if isinstance(error, InputError) else f"no JSON ({_reason(error)})"
         raise InputError(found, "a calibration, JSON", path) from error
     if file.status != "converged" or file.beam_covariance is None:
-        raise InputError(f"a calibration that is {file.status}", "a converged one", path)
+        found = f"a calibration that is {shown(file.status)[1:-1]}"
+        raise InputError(found, "a converged one, with its covariance", path)
     try:
-        return _mounts(file)
+        return _mounts(file, file.beam_covariance)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
 
-def _mounts(file: _File) -> Mounts:
+def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return the fields of an object; refuse one that stands twice: only the last would count."""
+    twice = first_repeated([name for name, _ in pairs])
+    if twice is not None:
+        raise InputError(f"the field {shown(pairs[twice][0])} twice", "every field once")
+    return dict(pairs)
+
+
+def _reason(error: Exception) -> str:
+    return str(error).splitlines()[0][:120]
+
+
+def _first_fault(error: ValidationError, path: Path) -> InputError:
+    fault = error.errors()[0]
+    field = ".".join(str(part) for part in fault["loc"]) or "the file"
+    found = f"{field} = {shown(fault['input'])}: {fault['msg']}"
+    return InputError(found, "a calibration of handlaser", path)
+
+
+def _mounts(file: _File, rows: list[list[float]]) -> Mounts:
     count = len(file.beams)
-    rows = file.beam_covariance or []
-    if count == 0 or [len(row) for row in rows] != [8 * count] * (8 * count):
-        raise InputError(f"{count} beams and {len(rows)} rows of covariance", "8 rows a beam")
-    covariance = np.array(rows)
-    v = np.array([beam.direction for beam in file.beams])
-    if np.abs(np.linalg.norm(v, axis=1) - 1.0).max() > UNIT:
-        raise InputError("a direction that is no unit vector", "length 1")
-    if np.abs(covariance - covariance.T).max() > SYMMETRIC * np.abs(covariance).max():
-        raise InputError("a covariance that is not symmetric", "a symmetric one")
-    if not file.fit.range_sigma_m > 0.0:
-        raise InputError(f"range_sigma_m {file.fit.range_sigma_m:g}", "a positive number")
+    if count == 0:
+        raise InputError("no beams", "one or more")
+    covariance = _matrix(rows, 8 * count, f"{count} beams", "8 rows a beam, of as many numbers")
+    pose = file.fit.pose_covariance
     return Mounts(
         tuple(beam.name for beam in file.beams),
         np.array([beam.location_m for beam in file.beams]),
-        v,
+        np.array([beam.direction for beam in file.beams]),
         np.array([(b.range_error.k1, b.range_error.k2_per_m) for b in file.beams]),
         tuple(beam.range_error_terms for beam in file.beams),
         covariance,
         file.fit.range_sigma_m,
-        _pose_covariance(file.fit.pose_covariance),
+        None if pose is None else _matrix(pose, 6, "fit.pose_covariance", "6 rows of 6 numbers"),
     )
 
 
-def _pose_covariance(rows: list[list[float]] | None) -> FloatArray | None:
-    if rows is None:
-        return None
-    if [len(row) for row in rows] != [6] * 6:
-        raise InputError("a pose covariance of another shape", "6 rows of 6 numbers")
-    return Noise(pose_covariance=np.array(rows)).pose_covariance  # which refuses what is none
+def _matrix(rows: list[list[float]], size: int, owner: str, expected: str) -> FloatArray:
+    """Return rows as a square matrix of `size`; refuse any other shape."""
+    if [len(row) for row in rows] != [size] * size:
+        raise InputError(f"{owner} and {len(rows)} rows of covariance", expected)
+    return np.array(rows, dtype=np.float64)

@@ -2,13 +2,11 @@
 
 Columns: `plane` (label), optional `station` (unique label), `x, y, z, qx, qy, qz, qw` (world_T_hand,
 metres), then `range_NAME` for every beam (metres; empty = no reading). The separator is a comma, a
-semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`.
+semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`. How lines
+become rows stands in `table`.
 """
 
-import csv
-import io
 import re
-from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -16,43 +14,19 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray
 from ..errors import InputError
 from ..recording import LARGEST, Recording, first_repeated
-from .writing import write_text
+from ..text import A_NAME, name_fault
+from .table import Table as _Table
+from .table import read_table
+from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX = "range_"
 QUATERNION_TOLERANCE = 1e-3
-LONGEST_LABEL = 200
 MISSPELT = 0.75
 """A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The rows of a file as stripped text, null where a cell is empty, and the line of each row."""
-
-    frame: pl.DataFrame
-    path: Path
-    header_line: int
-    lines: IntArray
-
-    def refuse(
-        self, wrong: BoolArray, column: str, expected: str, found: str | None = None
-    ) -> None:
-        """Raise for the first row that is `wrong`; without `found` the cell is quoted."""
-        rows = np.flatnonzero(wrong)
-        if rows.size:
-            row = int(rows[0])
-            if found is None:
-                cell = self.frame[column][row]
-                found = "an empty cell" if cell is None else repr(cell)
-            raise InputError(found, expected, self.path, int(self.lines[row]), column)
-
-    def fault(self, found: str, expected: str, column: str) -> InputError:
-        """Return the error for a fault of the header."""
-        return InputError(found, expected, self.path, self.header_line, column)
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -63,8 +37,10 @@ def read_recording(path: Path | str) -> Recording:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
-    table = _read_table(Path(path))
+    table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
+    if _used(table.frame.columns[-1]):
+        table.refuse_cut()
     planes = _labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
@@ -77,7 +53,6 @@ def read_recording(path: Path | str) -> Recording:
     quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
     ranges = np.column_stack([_ranges(table, PREFIX + beam) for beam in beams])
     _refuse_unread(table, ranges, planes, beams)
-    used = {"plane", "station", *POSE, *(PREFIX + beam for beam in beams)}
     return Recording(
         _rotations(table, quaternion),
         position,
@@ -85,7 +60,7 @@ def read_recording(path: Path | str) -> Recording:
         planes,
         tuple(beams),
         stations,
-        tuple(name for name in table.frame.columns if name not in used),
+        tuple(name for name in table.frame.columns if not _used(name)),
     )
 
 
@@ -100,83 +75,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     names = (*POSE, *(PREFIX + beam for beam in recording.beam_names))
     for index, name in enumerate(names):
         columns[name] = pl.Series(numbers[:, index]).fill_nan(None)
-    write_text(Path(path), pl.DataFrame(columns).write_csv())
-
-
-def _read_table(path: Path) -> _Table:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\n" not in data:
-        data = data.replace(b"\r", b"\n")  # line ends of an old Mac
-    if not data.strip():
-        raise InputError("an empty file", "a header and one row a station", path)
-    header_line = data[: len(data) - len(data.lstrip())].count(b"\n") + 1
-    data = data.lstrip()
-    header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
-    separator = max(",;\t", key=header.count)
-    try:
-        names = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
-    except csv.Error as error:
-        raise InputError(
-            f"a header that is no row ({error})", "names", path, header_line
-        ) from error
-    try:
-        frame = pl.read_csv(data, separator=separator, infer_schema=False, has_header=True)
-    except pl.exceptions.PolarsError as error:
-        raise _unreadable(data, separator, path, header_line, error) from error
-    twice = first_repeated(names)
-    if twice is not None:
-        found = "the same name twice"
-        raise InputError(found, "every column once", path, header_line, names[twice])
-    if len(names) != frame.width:
-        raise InputError("a line break in the header", "one line of names", path, header_line)
-    text = pl.all().str.strip_chars()
-    frame = frame.select(pl.when(text != "").then(text))
-    frame = frame.rename(dict(zip(frame.columns, names, strict=True)))
-    if b'"' in data:
-        _refuse_line_breaks(frame, path, header_line)
-    filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy()
-    rows = np.flatnonzero(filled)
-    if not rows.size:
-        raise InputError("a header but no station", "one row a station", path)
-    return _Table(frame[rows], path, header_line, rows + header_line + 1)
-
-
-def _unreadable(
-    data: bytes, separator: str, path: Path, header_line: int, error: Exception
-) -> InputError:
-    """Find the line that polars could not take."""
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as fault:
-        line = data.count(b"\n", 0, fault.start) + header_line
-        return InputError("bytes that are not UTF-8", "a file saved as UTF-8", path, line)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    try:
-        width = len(next(reader, []))
-        for row in reader:
-            if len(row) > width:
-                line = reader.line_num + header_line - 1
-                return InputError(f"{len(row)} fields", f"{width}, as in the header", path, line)
-    except csv.Error as fault:
-        line = reader.line_num + header_line - 1
-        return InputError(f"a row that cannot be read ({fault})", "plain cells", path, line)
-    found = str(error).splitlines()[0]
-    return InputError(found, "a table separated by commas, semicolons or tabs", path)
-
-
-def _refuse_line_breaks(frame: pl.DataFrame, path: Path, header_line: int) -> None:
-    """Refuse cells of several lines: rows would no longer be lines."""
-    broken = pl.any_horizontal(pl.all().str.contains("\n", literal=True).fill_null(value=False))
-    rows = np.flatnonzero(frame.select(broken).to_series().to_numpy())
-    if rows.size:
-        line = int(rows[0]) + header_line + 1
-        raise InputError("a line break inside quotes", "one line a station", path, line)
+    write_text(path_of(path), pl.DataFrame(columns).write_csv())
 
 
 def _check_header(table: _Table) -> list[str]:
@@ -194,7 +93,11 @@ def _check_header(table: _Table) -> list[str]:
         if alike and not column.startswith(PREFIX):
             expected = f"'{PREFIX}{number or 'NAME'}' for a beam, or a name less like it"
             raise table.fault(f"column {column!r}", expected, column)
-    beams = [c.removeprefix(PREFIX) for c in columns if c.startswith(PREFIX) and c != PREFIX]
+    beams = [column.removeprefix(PREFIX) for column in columns if column.startswith(PREFIX)]
+    for beam in beams:
+        fault = name_fault(beam).rstrip(",")
+        if fault:
+            raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
         found = f"no column of ranges among {_short(columns)}"
         raise table.fault(found, "range_NAME for every beam, in metres", "range_NAME")
@@ -204,12 +107,15 @@ def _check_header(table: _Table) -> list[str]:
 def _labels(table: _Table, name: str) -> tuple[str, ...]:
     column = table.frame[name]
     table.refuse(column.is_null().to_numpy(), name, f"the label of the {name}")
-    long = (column.str.len_chars() > LONGEST_LABEL).to_numpy()
-    found = f"a label of more than {LONGEST_LABEL} characters"
-    table.refuse(long, name, f"a short label of the {name}", found)
-    control = column.str.contains(r"[[:cntrl:]]").to_numpy()
-    table.refuse(control, name, f"a label of the {name} that can be printed")
+    faults = [name_fault(label) for label in column]
+    wrong = np.array([bool(fault) for fault in faults])
+    table.refuse(wrong, name, A_NAME, faults[int(wrong.argmax())].rstrip(","))
     return tuple(column.to_list())
+
+
+def _used(column: str) -> bool:
+    """Tell whether a column is read; the others are ignored, and named."""
+    return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
 
 
 def _numbers(table: _Table, name: str, *, empty: bool = False) -> FloatArray:
@@ -234,7 +140,8 @@ def _ranges(table: _Table, name: str) -> FloatArray:
 
 
 def _rotations(table: _Table, quaternion: FloatArray) -> FloatArray:
-    length = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other
+        length = np.linalg.norm(quaternion, axis=1)
     wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
     off = length[wrong.argmax()]
     table.refuse(

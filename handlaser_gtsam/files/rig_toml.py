@@ -14,6 +14,7 @@ import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -23,7 +24,8 @@ from ..errors import InputError
 from ..limits import Limits
 from ..noise import Noise
 from ..sensor import Sensor
-from .writing import write_text
+from ..text import shown
+from .writing import path_of, write_text
 
 
 class _Table(BaseModel):
@@ -75,15 +77,19 @@ def read_rig(path: Path | str) -> Rig:
     InputError
         No TOML, an unknown table or field, or a value that cannot be.
     """
-    path = Path(path)
+    path = path_of(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = path.read_bytes().decode("utf-8").removeprefix("\ufeff").replace("\r\n", "\n")
         rig = _Rig.model_validate(tomllib.loads(text))
     except OSError as error:
         raise InputError(f"no readable file ({error.strerror})", "a rig file", path) from error
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        found = f"the byte 0x{byte:02x}, which is not UTF-8, at offset {error.start}"
+        raise InputError(found, "a rig file in TOML", path) from error
     except ValidationError as error:
         raise _first_fault(error, path) from error
-    except (ValueError, RecursionError) as error:  # ValueError: TOML, Unicode, and endless integers
+    except (ValueError, RecursionError) as error:  # ValueError: TOML, and endless integers
         what = str(error).split(";")[0].splitlines()[0][:120]
         raise InputError(f"no TOML ({what})", "a rig file in TOML", path) from error
     try:
@@ -106,10 +112,10 @@ def _to_si(rig: _Rig) -> Rig:
             _scaled(rig.noise.range_sigma_mm, mm),
             _scaled(rig.noise.pose_translation_sigma_mm, mm),
             _scaled(rig.noise.pose_rotation_sigma_deg, deg),
-            (rig.noise.incidence_sigma_mm or 0.0) * mm,
+            _scaled(rig.noise.incidence_sigma_mm, mm, given[0].incidence_sigma),
             _matrix(rig.noise.pose_covariance),
-            _scaled(rig.noise.pose_translation_prior_mm, mm) or given[0].pose_translation_prior,
-            _scaled(rig.noise.pose_rotation_prior_deg, deg) or given[0].pose_rotation_prior,
+            _scaled(rig.noise.pose_translation_prior_mm, mm, given[0].pose_translation_prior),
+            _scaled(rig.noise.pose_rotation_prior_deg, deg, given[0].pose_rotation_prior),
         ),
         Sensor(
             span[0] * mm,
@@ -134,7 +140,7 @@ def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
             f"noise.pose_covariance of {len(rows)} rows of {sorted({len(row) for row in rows})}",
             "6 rows of 6 numbers",
         )
-    return np.array(rows)
+    return np.array(rows, dtype=np.float64)
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
@@ -153,11 +159,16 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
     if math.isfinite(sensor.range_max):
         least, most = sensor.range_min * 1e3, sensor.range_max * 1e3
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
-    write_text(Path(path), "\n".join(lines) + "\n")
+    write_text(path_of(path), "\n".join(lines) + "\n")
 
 
-def _scaled(value: float | None, unit: float) -> float | None:
-    return None if value is None else value * unit
+@overload
+def _scaled(value: float | None, unit: float, otherwise: float) -> float: ...
+@overload
+def _scaled(value: float | None, unit: float, otherwise: None = None) -> float | None: ...
+def _scaled(value: float | None, unit: float, otherwise: float | None = None) -> float | None:
+    """Return a value in SI units, or what stands for one that is not given."""
+    return otherwise if value is None else value * unit
 
 
 def _first_fault(error: ValidationError, path: Path) -> InputError:
@@ -167,5 +178,5 @@ def _first_fault(error: ValidationError, path: Path) -> InputError:
         tables: dict[str, type[_Table]] = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
         table: type[_Table] = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
         names = ", ".join(table.model_fields)
-        return InputError(f"the unknown field {field}", f"one of {names}", path)
-    return InputError(f"{field} = {fault['input']!r}", fault["msg"], path)
+        return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
+    return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)

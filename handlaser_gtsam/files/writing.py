@@ -1,10 +1,28 @@
-"""Files appear whole or not at all: written beside, then renamed."""
+"""Files appear whole or not at all: written beside, then renamed.
+
+A symbolic link keeps pointing where it points, and the file behind it is replaced: who links a result
+to another place wants it there. A file that is replaced hands its mode on to the new one.
+"""
 
 import os
+import stat
 import tempfile
 from pathlib import Path
 
 from ..errors import InputError
+from ..text import shown
+
+BESIDE = ".handlaser-"
+"""Beginning of the names of files that are not whole yet."""
+NEW_MODE = 0o666
+"""Of a new file, before the process's mask, as `open` has it."""
+
+
+def path_of(path: Path | str) -> Path:
+    """Return a path; refuse what is none, and a null character in it."""
+    if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
+        raise InputError(f"{shown(path)} as a path", "the name of a file, as text or a Path")
+    return Path(path)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -13,23 +31,80 @@ def write_text(path: Path, text: str) -> None:
     Raises
     ------
     InputError
-        The folder is missing or not writable, or the target is no regular file (a folder, a device).
+        What `require_writable` refuses, or no space left.
     """
-    path = Path(path).resolve()  # a link keeps pointing at what is written
-    if path.exists() and not path.is_file():
-        raise InputError("no regular file there", "a new name or a file to replace", path)
+    target, mode = _target(path)
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
         try:
             with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
                 file.write(text)
-            Path(name).chmod(0o666 & ~_umask())
-            Path(name).replace(path)
+            Path(name).chmod(mode)
+            Path(name).replace(target)
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise InputError(f"no way to write ({error.strerror})", "a writable file", path) from error
+        raise _refusal(path, error) from error
+
+
+def require_writable(path: Path) -> None:
+    """Refuse a path to which `write_text` could not write; nothing is changed.
+
+    Raises
+    ------
+    InputError
+        The folder is missing or not writable, links lead in a circle, or the target is write-protected
+        or no regular file (a folder, a device).
+    """
+    target, _ = _target(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
+        os.close(handle)
+        Path(name).unlink()
+    except OSError as error:
+        raise _refusal(path, error) from error
+
+
+def same_file(first: Path, second: Path) -> bool:
+    """Tell whether two paths lead to one file, by links or by other names."""
+    try:
+        return first.samefile(second)
+    except OSError:  # one of them is no file, and is refused when it is used
+        return False
+
+
+def _target(path: Path) -> tuple[Path, int]:
+    """Return the file behind all links, and the mode that it is to have."""
+    try:
+        target = Path(os.path.realpath(path))
+        mode = target.lstat().st_mode
+    except FileNotFoundError:
+        return _new(path, target)
+    except OSError as error:
+        raise _refusal(path, error) from error
+    if stat.S_ISLNK(mode):
+        raise InputError("links that lead in a circle", "a name for a file", path)
+    if not stat.S_ISREG(mode):
+        raise InputError("no regular file there", "a new name or a file to replace", path)
+    if not os.access(target, os.W_OK):
+        raise InputError("a write-protected file there", "a new name or a writable file", path)
+    return target, stat.S_IMODE(mode)
+
+
+def _new(path: Path, target: Path) -> tuple[Path, int]:
+    """Return the target and mode of a new file, if its folder exists."""
+    try:
+        target.parent.stat()
+    except OSError as error:
+        raise _refusal(path, error) from error
+    return target, NEW_MODE & ~_umask()
+
+
+def _refusal(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"no way to write ({error.strerror})", "a writable file in a folder that exists", path
+    )
 
 
 def _umask() -> int:

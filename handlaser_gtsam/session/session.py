@@ -12,6 +12,7 @@ from threading import RLock
 import numpy as np
 
 from ..calibration import Calibration
+from ..checks import require_kind
 from ..diagnosis.drift import Moved
 from ..errors import GrazingBeamError, InputError
 from ..mounts import Mounts
@@ -58,9 +59,13 @@ class Session:
         options: CalibrationOptions | None = None,
         incremental: IncrementalOptions | None = None,
     ) -> None:
-        for given, kind in ((noise, Noise), (options, CalibrationOptions)):
-            if given is not None and not isinstance(given, kind):
-                raise InputError(f"{type(given).__name__} {given!r}", f"hl.{kind.__name__}(...)")
+        for name, given, kind in (
+            ("noise", noise, Noise),
+            ("options", options, CalibrationOptions),
+            ("incremental", incremental, IncrementalOptions),
+        ):
+            if given is not None:
+                require_kind(name, given, kind)
         self.noise, self.options = noise or Noise(), options or CalibrationOptions()
         self.incremental = incremental or IncrementalOptions()
         refuse(self.noise, self.options)

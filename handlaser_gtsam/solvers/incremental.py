@@ -22,6 +22,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..arrays import FloatArray
+from ..checks import require_count, require_number
 from ..factors import RangeBlock, gathered, range_factor
 from ..joint import beam_lift
 from ..keys import BeamKeys, plane_key
@@ -53,6 +54,10 @@ class IncrementalOptions:
 
     relinearize: float = 2e-4
     compare_every: int = 50
+
+    def __post_init__(self) -> None:
+        require_number("relinearize", self.relinearize, 0.0, 1.0, above=True)
+        require_count("compare_every", self.compare_every, 0, 10**9)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,12 +19,16 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
+from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from ..graph import CalibrationGraph
+from ..values import require_values
 from .work import Alone, Point, Together, Work
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
+LARGEST_DAMPING = 1e100
+"""Products with an information matrix must not overflow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,13 @@ class LevenbergOptions:
     first_damping: float = 1e-4
     damping_factor: float = 10.0
     most_damping: float = 1e10
+
+    def __post_init__(self) -> None:
+        require_count("max_iterations", self.max_iterations, 0, 10**9)
+        for name in ("step_tolerance", "least_damping", "first_damping"):
+            require_number(name, getattr(self, name), 0.0, LARGEST_DAMPING)
+        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_DAMPING, above=True)
+        require_number("most_damping", self.most_damping, 0.0, LARGEST_DAMPING, above=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +180,7 @@ def optimize(
     GrazingBeamError
         A beam grazes its plane at the start already.
     InputError
-        An empty graph, or a variable without a start.
+        An empty graph, a variable without a start, or numbers beyond sense.
     """
     kinds, wanted = (type(graph), type(values)), (gtsam.NonlinearFactorGraph, gtsam.Values)
     if not all(issubclass(kind, one) for kind, one in zip(kinds, wanted, strict=True)):
@@ -182,6 +193,7 @@ def optimize(
     if missing:
         name = gtsam.DefaultKeyFormatter(missing[0])
         raise InputError(f"no start of {name}", "one for every variable of the graph")
+    require_values(values)
     search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
     status, message = search.finished()
     point = search.point

@@ -1,0 +1,109 @@
+"""Checks of arguments that several modules share: numbers, words, types, names and covariances.
+
+Each raises InputError, and says what was found and what was expected. A bool is no number here: where a
+number belongs, True is a slip.
+"""
+
+import math
+from collections.abc import Iterable
+from numbers import Integral, Real
+
+import numpy as np
+
+from .arrays import FloatArray
+from .errors import InputError
+from .text import A_NAME, name_fault, shown
+
+
+def require_number(
+    name: str,
+    value: object,
+    least: float,
+    most: float,
+    *,
+    above: bool = False,
+    unit: str = "",
+    remedy: str = "",
+) -> None:
+    """Refuse what is no number from `least` to `most`, or is `least` where it must be `above`."""
+    number = _number(value)
+    if number is not None and least <= number <= most and not (above and number == least):
+        return
+    unit = f" {unit}" if unit else ""
+    span = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
+    found = f"{number:g}{unit}" if number is not None else shown(value)
+    raise InputError(f"{name} {found}", f"a number, {span}{unit}{remedy}")
+
+
+def require_count(name: str, value: object, least: int, most: int) -> None:
+    """Refuse what is no whole number from `least` to `most`."""
+    whole = isinstance(value, Integral) and not isinstance(value, (bool, np.bool_))
+    if not (whole and least <= int(value) <= most):  # type: ignore[call-overload]
+        raise InputError(f"{name} {shown(value)}", f"a whole number, {least} to {most}")
+
+
+def require_word(name: str, value: object, words: Iterable[str]) -> None:
+    """Refuse what is none of `words`."""
+    listed = tuple(words)
+    if not (isinstance(value, str) and value in listed):
+        raise InputError(f"{name} {shown(value)}", f"one of {', '.join(map(repr, listed))}")
+
+
+def require_bool(name: str, value: object) -> None:
+    """Refuse what is neither True nor False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} {shown(value)}", "True or False")
+
+
+def require_kind(name: str, value: object, kind: type) -> None:
+    """Refuse what is no instance of `kind`."""
+    if not isinstance(value, kind):
+        found = f"{shown(value)} of type {type(value).__name__} as {name}"
+        raise InputError(found, f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)")
+
+
+def require_names(kind: str, names: Iterable[object]) -> None:
+    """Refuse names that are no text, empty, too long, not printable, or blank at the ends."""
+    for name in names:
+        fault = name_fault(name)
+        if fault:
+            raise InputError(f"{fault} as {kind}".replace(", as", " as"), A_NAME)
+
+
+def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: float) -> None:
+    """Refuse matrices (..., n, n) that are not finite, symmetric and positive semidefinite.
+
+    Symmetry and eigenvalues are judged on correlations, so that units do not matter, to `tolerance`.
+    Standard deviations above `most` are refused as well: products of larger numbers overflow.
+    """
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} with numbers that are not finite", "finite numbers")
+    if (np.abs(matrix) > most**2).any():
+        found = f"{name} with the entry {float(np.abs(matrix).max()):g}"
+        raise InputError(found, f"variances in SI units, at most {most**2:g}")
+    variance = np.einsum("...ii->...i", matrix)
+    if (variance < 0.0).any():
+        found = f"{name} with the variance {float(variance.min()):g}"
+        raise InputError(found, "variances that are zero or positive")
+    scale = np.sqrt(variance)
+    unit = scale[..., :, None] * scale[..., None, :]
+    transposed = np.swapaxes(matrix, -1, -2)
+    if (np.abs(matrix - transposed) > tolerance * unit).any():
+        raise InputError(f"{name} that is not symmetric", "a symmetric matrix")
+    beyond = bool((np.abs(matrix) > (1.0 + tolerance) * unit).any())  # a correlation above 1
+    if not beyond:
+        correlation = np.divide(matrix, unit, out=np.zeros_like(matrix), where=unit > 0.0)
+        beyond = float(np.linalg.eigvalsh(correlation).min()) < -tolerance
+    if beyond:
+        expected = "a positive semidefinite matrix: correlations that go together"
+        raise InputError(f"{name} that is not positive semidefinite", expected)
+
+
+def _number(value: object) -> float | None:
+    """Return a real number as a float, infinite where it is too large; None for anything else."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf

@@ -1,0 +1,259 @@
+"""Tables of text: a header and one row a line, taken apart without any guess.
+
+Every line that is not blank becomes one row, and every row has exactly the cells of the header: no
+parser stands between the two that could join, drop or pad them. A cell in quotes begins and ends with
+its quotes on one line, and quotes inside are doubled; any other quote is refused, since it would
+swallow what follows it.
+"""
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from ..arrays import BoolArray, IntArray
+from ..errors import InputError
+from ..recording import first_repeated
+from ..text import LONGEST_NAME, name_fault, shown
+
+SEPARATORS = ",;\t"
+BLANK = " \t"
+"""Blanks that are ignored around cells; others, such as a no-break space, belong to the cell."""
+UNIT = "\x1f"
+"""Stands between cells once quotes are taken away; as a control character it is in no cell."""
+CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+QUOTED = {
+    separator: re.compile(f'[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*')
+    for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
+}
+"""A cell in quotes, with blanks around it that are no separators."""
+NANOMETRE_DECIMALS = 9
+"""A length that is cut behind so many decimals is wrong by less than a nanometre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The rows of a file as text without blanks around it, null where a cell is empty.
+
+    Attributes
+    ----------
+    frame : polars.DataFrame
+        Of strings; its columns have the names of the header.
+    path : Path
+    header_line : int
+    lines : (M,)
+        The line of every row in the file, from 1.
+    open_ended : bool
+        Whether nothing, neither a line end nor a closing quote, follows the last cell.
+    """
+
+    frame: pl.DataFrame
+    path: Path
+    header_line: int
+    lines: IntArray
+    open_ended: bool
+
+    def refuse(
+        self, wrong: BoolArray, column: str, expected: str, found: str | None = None
+    ) -> None:
+        """Raise for the first row that is `wrong`; without `found` the cell is quoted."""
+        rows = np.flatnonzero(wrong)
+        if rows.size:
+            row = int(rows[0])
+            if found is None:
+                cell = self.frame[column][row]
+                found = "an empty cell" if cell is None else shown(cell)
+            raise InputError(found, expected, self.path, int(self.lines[row]), column)
+
+    def fault(self, found: str, expected: str, column: str) -> InputError:
+        """Return the error for a fault of the header."""
+        return InputError(found, expected, self.path, self.header_line, column)
+
+    def refuse_cut(self) -> None:
+        """Refuse a last line without a line end, unless its last cell shows that it is whole.
+
+        A file whose end is lost looks the same, and its last number may lack digits.
+        """
+        name = self.frame.columns[-1]
+        column = self.frame[name]
+        if not self.open_ended or _whole(column[-1], column[:-1]):
+            return
+        cell = "an empty cell" if column[-1] is None else shown(column[-1])
+        raise InputError(
+            f"a last line without a line end: {cell} may be what is left of a longer one",
+            "a line end; add one if the line is whole",
+            self.path,
+            int(self.lines[-1]),
+            name,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """The lines of a file that are not blank, without their ends, and where they stand."""
+
+    path: Path
+    text: list[str]
+    numbers: list[int]
+    separator: str
+    ended: bool
+    """Whether the last line of the file has a line end."""
+
+    def fault(self, index: int, found: str, expected: str) -> InputError:
+        return InputError(found, expected, self.path, self.numbers[index])
+
+
+def read_table(path: Path, known: Collection[str] = ()) -> Table:
+    """Read a table from a file; columns of the `known` names tell its separator.
+
+    Raises
+    ------
+    InputError
+        No readable file, bytes that are no UTF-8, control characters, a stray quote, a row that has not
+        as many cells as the header, or a header whose names cannot be printed or stand twice.
+    """
+    lines = _lines(_text(path), path, known)
+    if len(lines.text) < 2:
+        raise InputError("a header but no station", "one row a station", path)
+    cells = [_split(lines, index) for index in range(len(lines.text))]
+    width = cells[0].count(UNIT) + 1
+    for index, row in enumerate(cells):
+        if row.count(UNIT) + 1 != width:
+            raise _wrong_width(lines, index, row.count(UNIT) + 1, width)
+    names = _names(lines, cells[0].split(UNIT))
+    split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
+    frame = split.struct.rename_fields(names).struct.unnest()
+    stripped = pl.all().str.strip_chars(BLANK)
+    frame = frame.select(pl.when(stripped != "").then(stripped))
+    numbers = np.array(lines.numbers[1:], dtype=np.intp)
+    open_ended = not lines.ended and not lines.text[-1].rstrip(BLANK).endswith('"')
+    return Table(frame, path, lines.numbers[0], numbers, open_ended)
+
+
+def _text(path: Path) -> str:
+    """Return the text of a file, whose lines end with a line feed."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as fault:
+        line = data.count(b"\n", 0, fault.start) + 1
+        if b"\n" not in data:
+            line = data.count(b"\r", 0, fault.start) + 1
+        found = f"the byte 0x{data[fault.start]:02x}, which is not UTF-8, at offset {fault.start}"
+        raise InputError(found, "a file saved as UTF-8", path, line) from fault
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n")
+    if "\n" not in text:
+        text = text.replace("\r", "\n")  # line ends of an old Mac
+    _refuse_control(text, path)
+    return text
+
+
+def _refuse_control(text: str, path: Path) -> None:
+    """Refuse control characters, and a carriage return that ends no line."""
+    wrong = CONTROL.search(text)
+    stray = text.find("\r")
+    if wrong is not None and not 0 <= stray < wrong.start():
+        line = text.count("\n", 0, wrong.start()) + 1
+        raise InputError(f"the control character {shown(wrong[0])}", "text", path, line)
+    if stray >= 0:
+        expected = "line ends of one kind: LF or CR LF, or CR throughout"
+        line = text.count("\n", 0, stray) + 1
+        raise InputError("a carriage return within a line", expected, path, line)
+
+
+def _lines(text: str, path: Path, known: Collection[str]) -> _Lines:
+    """Return the lines with anything but blanks and separators: the header, then the rows."""
+    lines = text.split("\n")
+    header = next((line for line in lines if line.strip()), "")
+    separator = _separator(header, set(known))
+    blank = BLANK + separator
+    kept = [index for index, line in enumerate(lines) if line.strip(blank)]
+    if not kept:
+        raise InputError("an empty file", "a header and one row a station", path)
+    ended = kept[-1] < len(lines) - 1
+    return _Lines(path, [lines[i] for i in kept], [i + 1 for i in kept], separator, ended)
+
+
+def _separator(header: str, known: set[str]) -> str:
+    """Return the separator under which a header has most known names, then most names."""
+
+    def names(separator: str) -> tuple[int, int]:
+        cells = [cell.strip(f'{BLANK}"') for cell in header.split(separator)]
+        return len(known & set(cells)), len(cells)
+
+    return max(SEPARATORS, key=names)
+
+
+def _split(lines: _Lines, index: int) -> str:
+    """Return a line with `UNIT` between its cells and without the quotes around them."""
+    line, separator = lines.text[index], lines.separator
+    if '"' not in line:
+        return line.replace(separator, UNIT)
+    cells, at = [], 0
+    while at <= len(line):
+        quoted = QUOTED[separator].match(line, at)
+        if quoted is not None and line[quoted.end() : quoted.end() + 1] in ("", separator):
+            cells.append(quoted[1].replace('""', '"'))
+            at = quoted.end() + 1
+            continue
+        end = line.find(separator, at)
+        end = len(line) if end < 0 else end
+        if '"' in line[at:end]:
+            found = f"a stray quote in {shown(line[at:end].strip(BLANK))}"
+            expected = (
+                "no quotes, or quotes around a whole cell on one line with those inside doubled"
+            )
+            raise lines.fault(index, found, expected)
+        cells.append(line[at:end])
+        at = end + 1
+    return UNIT.join(cells)
+
+
+def _wrong_width(lines: _Lines, index: int, cells: int, width: int) -> InputError:
+    found = f"{cells} fields"
+    if index == len(lines.text) - 1 and not lines.ended and cells < width:
+        found += " in a last line that is cut"
+    return lines.fault(index, found, f"{width}, as in the header")
+
+
+def _names(lines: _Lines, header: list[str]) -> list[str]:
+    """Return the names of the columns; one without a name is called by its number."""
+    names = [cell.strip(BLANK) for cell in header]
+    names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
+    for name in names:
+        fault = name_fault(name)
+        if fault:
+            expected = f"printable names of at most {LONGEST_NAME} characters in the header"
+            raise lines.fault(0, fault.rstrip(","), expected)
+    twice = first_repeated(names)
+    if twice is not None:
+        found, expected = "the same name twice", "every column once"
+        raise InputError(found, expected, lines.path, lines.numbers[0], names[twice])
+    return names
+
+
+def _whole(cell: str | None, others: pl.Series) -> bool:
+    """Tell whether a number has all its digits, as far as the numbers above it in its column show.
+
+    It has as many decimals as any of them, or so many that further ones do not matter, or an exponent.
+    """
+    if cell is None:
+        return False
+    if re.fullmatch(r"[+-]?[\d.]+[eE][+-]?\d\d+", cell):
+        return True
+    number = re.fullmatch(r"[+-]?(\d+)\.(\d+)", cell)
+    if number is None or others.str.contains("[eE]").any():
+        return False
+    decimals = len(number[2])
+    if number[1] == "0" and decimals >= NANOMETRE_DECIMALS:
+        return True
+    most = others.str.extract(r"\.(\d+)$").str.len_chars().max()
+    return isinstance(most, int) and decimals >= most
