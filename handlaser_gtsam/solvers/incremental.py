@@ -56,7 +56,7 @@ class IncrementalOptions:
     compare_every: int = 50
 
     def __post_init__(self) -> None:
-        require_number("relinearize", self.relinearize, 0.0, 1.0, above=True)
+        require_number("relinearize", self.relinearize, 0.0, 1e6, above=True)
         require_count("compare_every", self.compare_every, 0, 10**9)
 
 
