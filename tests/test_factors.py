@@ -153,7 +153,7 @@ def test_noise_that_does_not_fit_is_refused(noise):
 
 @pytest.mark.parametrize("noise", [None, "1e-3", True, [1e-3, 1e-3]])
 def test_noise_of_another_type_is_refused(noise):
-    with pytest.raises(InputError, match="a number, above 0.*or a noise model of GTSAM"):
+    with pytest.raises(InputError, match=r"a number, above 0.*or a noise model of GTSAM"):
         factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()] * 2, [0.1, 0.2], noise)
 
 
