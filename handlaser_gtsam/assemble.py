@@ -48,6 +48,7 @@ from .ordering import Order
 from .parameters import Parameters
 from .recording import Readings, Recording
 from .results.systematic import SystematicError, systematic_errors
+from .results.warning import CalibrationWarning
 from .selection import Selection
 from .weighting import Variances, whitening
 
@@ -97,11 +98,11 @@ def assemble(
         status,
         _message(status, solution, determined, wrong),
         _ways(recording, used, fit, solution, wrong)
-        + ((wrong,) if wrong else ())
+        + (() if wrong is None else (wrong,))
         + _label_warnings(recording, order, names, why)
         + doubts(used, solution.best, fit, noise, solution.variances)
         + few_readings(solution.redundancy, fit)
-        + tuple(one.warning for one in systematic if one.warning),
+        + _systematic_warnings(systematic),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -161,14 +162,17 @@ def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, .
 
 def _label_warnings(
     recording: Recording, order: Order, names: Names, why: Reasons
-) -> tuple[str, ...]:
+) -> tuple[CalibrationWarning, ...]:
     planes = names.sorted_planes()
     found = sorted(
         (int(order.stations[station]), plane) for station, plane in why.other_plane.items()
     )
     return tuple(
-        f"station {recording.station_names[station]} is labelled plane "
-        f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label"
+        CalibrationWarning(
+            "wrong-label",
+            f"station {recording.station_names[station]} is labelled plane "
+            f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label",
+        )
         for station, plane in found
     )
 
@@ -280,31 +284,49 @@ def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
 
 
 def _ways(
-    recording: Recording, used: Readings, fit: Fit, solution: Solution, wrong: str
-) -> tuple[str, ...]:
+    recording: Recording,
+    used: Readings,
+    fit: Fit,
+    solution: Solution,
+    wrong: CalibrationWarning | None,
+) -> tuple[CalibrationWarning, ...]:
     """Say how else the file could be read, where it does not fit."""
-    if not (wrong or suspicious(used, fit)):
+    if wrong is None and not suspicious(used, fit):
         return ()
-    return better_ways(recording, max(solution.problem.terms))
+    ways = better_ways(recording, max(solution.problem.terms))
+    return tuple(CalibrationWarning("file-mistake", words) for words in ways)
 
 
-def _status(solution: Solution, determined: Determined, wrong: str) -> Status:
+def _systematic_warnings(found: tuple[SystematicError, ...]) -> tuple[CalibrationWarning, ...]:
+    return tuple(
+        CalibrationWarning(f"systematic-{one.code}", one.warning) for one in found if one.warning
+    )
+
+
+def _status(solution: Solution, determined: Determined, wrong: CalibrationWarning | None) -> Status:
     if solution.result.status == "interrupted":
         return "not_converged"
     if determined.undetermined:
         return "unobservable"
-    if wrong:
+    if wrong is not None:
         return "not_converged"
     return "converged" if solution.result.status == "converged" else "not_converged"
 
 
-def _message(status: Status, solution: Solution, determined: Determined, wrong: str) -> str:
+def _message(
+    status: Status,
+    solution: Solution,
+    determined: Determined,
+    wrong: CalibrationWarning | None,
+) -> str:
     if status == "unobservable":
         return (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    return wrong if wrong and status == "not_converged" else solution.result.message
+    if wrong is not None and status == "not_converged":
+        return wrong.message
+    return solution.result.message
 
 
 def _estimates(

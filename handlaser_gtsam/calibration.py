@@ -18,7 +18,9 @@ from .joint import JointCovariance
 from .losses import LossName
 from .noise import Noise
 from .parameters import Parameters, RangeErrorPrior
+from .recording import Recording
 from .results.systematic import SystematicError
+from .results.warning import CalibrationWarning
 from .sensor import Rejected
 from .weighting import Variances
 
@@ -295,7 +297,7 @@ class Calibration:
         one of many solutions and have no covariance; `not_converged` when the solver gave up.
     message : str
         The same in words.
-    warnings : tuple of str
+    warnings : tuple of CalibrationWarning
         Signs that the result should not be believed, the gravest first.
     beams, planes : mappings by name, in the order of the recording
     fit : Fit
@@ -324,11 +326,14 @@ class Calibration:
         The scales that were integrated over.
     systematic : tuple of SystematicError
         What the recording says of errors that the model leaves out.
+    recording : Recording or None
+        What was solved: repeated stations are merged, and readings that are codes taken out. None
+        where it is not known.
     """
 
     status: Status
     message: str
-    warnings: tuple[str, ...]
+    warnings: tuple[CalibrationWarning, ...]
     beams: Mapping[str, Beam]
     planes: Mapping[str, Plane]
     fit: Fit
@@ -345,6 +350,7 @@ class Calibration:
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()
+    recording: Recording | None = None
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""

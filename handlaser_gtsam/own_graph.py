@@ -20,6 +20,7 @@ from .errors import InputError
 from .joint import JointCovariance
 from .keys import BeamKeys
 from .own_fit import fit_of_graph, key_name
+from .results.warning import CalibrationWarning
 
 METHOD = "graph"
 OPTIMAL = 0.1
@@ -75,8 +76,9 @@ def read_graph(
     joint = None if found is None else _joint(found[0], wanted, values, beams, planes)
     told = joint if status == "converged" else None
     tail = float(chi2_distribution.sf(fit.chi2, fit.dof)) if fit.dof > 0 else 1.0
-    doubt = (
-        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
+    doubt = CalibrationWarning(
+        "sigmas-too-small",
+        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise",
     )
     return Calibration(
         status,

@@ -35,6 +35,8 @@ class Readings:
         Hand pose of the reading's station [m], world frame.
     beams, planes : int
         Number of beams B and planes P.
+    samples : (N,), optional
+        How many independent readings each is worth, where it is a mean of several; else one.
     """
 
     station: IntArray
@@ -45,6 +47,7 @@ class Readings:
     world_t_hand: FloatArray
     beams: int
     planes: int
+    samples: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -81,6 +84,7 @@ class Readings:
             np.tile(self.world_t_hand, (count, 1)),
             self.beams * count,
             self.planes * count,
+            None if self.samples is None else np.tile(self.samples, count),
         )
 
     def plane_means(self, values: FloatArray) -> FloatArray:
@@ -101,6 +105,7 @@ class Readings:
             self.world_t_hand[rows],
             self.beams,
             self.planes,
+            None if self.samples is None else self.samples[rows],
         )
 
 
@@ -123,6 +128,8 @@ class Recording:
         Unique labels; "1", "2", ... by default.
     ignored_columns : strings
         Columns of the file that were not used.
+    samples : (M, B), optional
+        How many independent readings each range is worth, where it is a mean of several; else one.
 
     Raises
     ------
@@ -138,6 +145,7 @@ class Recording:
     beam_names: tuple[str, ...]
     station_names: tuple[str, ...] = ()
     ignored_columns: tuple[str, ...] = ()
+    samples: FloatArray | None = None
     plane_names: tuple[str, ...] = field(init=False)
     plane_of_station: IntArray = field(init=False)
 
@@ -145,6 +153,8 @@ class Recording:
         store = object.__setattr__
         for name in ("world_R_hand", "world_t_hand", "ranges"):
             store(self, name, _float_array(getattr(self, name), name))
+        if self.samples is not None:
+            store(self, "samples", _float_array(self.samples, "samples"))
         store(self, "plane_labels", tuple(self.plane_labels))
         store(self, "beam_names", tuple(self.beam_names))
         stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
@@ -173,6 +183,7 @@ class Recording:
             frozen(self.world_t_hand[station]),
             len(self.beam_names),
             len(self.plane_names),
+            None if self.samples is None else frozen(self.samples[station, beam]),
         )
 
     def plane(self, name: str) -> "Recording":
@@ -218,6 +229,7 @@ class Recording:
             tuple(self.plane_labels[j] for j in rows),
             tuple(self.beam_names[i] for i in beams),
             tuple(self.station_names[j] for j in rows),
+            samples=None if self.samples is None else self.samples[np.ix_(rows, beams)],
         )
 
     def without(self, left_out: ArrayLike) -> "Recording":
@@ -231,7 +243,8 @@ class Recording:
         ranges = np.where(np.asarray(left_out, dtype=bool), np.nan, self.ranges)
         beams = np.flatnonzero(~np.isnan(ranges).all(axis=0))
         names = tuple(self.beam_names[i] for i in beams)
-        return replace(self, ranges=ranges[:, beams], beam_names=names)
+        samples = None if self.samples is None else self.samples[:, beams]
+        return replace(self, ranges=ranges[:, beams], beam_names=names, samples=samples)
 
     def renamed(self, old: str, new: str) -> "Recording":
         """Return the same with another name for a beam."""
@@ -249,11 +262,17 @@ def join(recordings: Sequence[Recording]) -> Recording:
         A station name that stands in two of them.
     """
     beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
-    ranges = []
+    ranges, samples = [], []
     for one in recordings:
+        columns = [beams.index(name) for name in one.beam_names]
         wide = np.full((len(one.ranges), len(beams)), np.nan)
-        wide[:, [beams.index(name) for name in one.beam_names]] = one.ranges
+        wide[:, columns] = one.ranges
         ranges.append(wide)
+        worth = np.ones(wide.shape)
+        if one.samples is not None:
+            worth[:, columns] = one.samples
+        samples.append(worth)
+    averaged = any(one.samples is not None for one in recordings)
     return Recording(
         np.concatenate([one.world_R_hand for one in recordings]),
         np.concatenate([one.world_t_hand for one in recordings]),
@@ -261,6 +280,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
         tuple(label for one in recordings for label in one.plane_labels),
         beams,
         tuple(name for one in recordings for name in one.station_names),
+        samples=np.concatenate(samples) if averaged else None,
     )
 
 
@@ -285,6 +305,9 @@ def _check_shapes(recording: Recording) -> None:
         found = getattr(recording, name).shape
         if found != shape:
             raise InputError(f"{name} of shape {found}", f"shape {shape}")
+    samples = recording.samples
+    if samples is not None and samples.shape != (stations, beams):
+        raise InputError(f"samples of shape {samples.shape}", f"shape {(stations, beams)}")
     if len(recording.station_names) != stations:
         raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
 
@@ -299,6 +322,9 @@ def _check_numbers(recording: Recording) -> None:
     if bad.size:
         found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
         raise InputError(found, f"metres, at most {LARGEST:.0f}")
+    samples = recording.samples
+    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST)).all():
+        raise InputError("samples that are not one or more", "1 for a reading that is no mean")
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0))
     if bad.size:

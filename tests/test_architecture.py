@@ -10,7 +10,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"errors", "arrays", "_version", "losses"},
+    {"errors", "arrays", "_version", "losses", "results.warning"},
     {"parameters", "recording", "noise", "keys", "ordering"},
     {"model", "sensor"},
     {"weighting", "joint"},
@@ -23,6 +23,7 @@ FLOORS = [
     {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons", "diagnosis.elsewhere"},
     {"options", "covariance"},
     {"estimation"},
+    {"screening"},
     {"results.alternatives"},
     {"results.systematic"},
     {"calibration"},

@@ -215,7 +215,7 @@ def _finish(
     if cross is not None and aloud:
         print(cross_check_line(cross), file=sys.stderr)
     for warning in result.warnings if aloud else ():
-        if warning != result.message:
+        if warning.message != result.message:
             print(f"WARNING: {warning}", file=sys.stderr)
     if result.status != "converged":
         print(f"handlaser: {result.message}", file=sys.stderr)

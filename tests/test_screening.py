@@ -1,0 +1,195 @@
+"""Readings that are not what they seem are found before anything is solved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import simulated
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.screening.codes import without_codes
+from handlaser_gtsam.screening.columns import RepeatedColumnError, refuse_repeated_columns
+from handlaser_gtsam.screening.stations import merged_stations, pose_groups
+
+SIGMA = 3e-5
+NOISE = hl.Noise(SIGMA, 1e-4, 1e-4)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulated("paper", Layout(3, 4, 11), range_sigma=SIGMA)[0]
+
+
+@pytest.fixture(scope="module")
+def calibration(recording):
+    return hl.calibrate(recording, NOISE)
+
+
+def repeated(recording, rows, jitter=0.0, noise=0.0, seed=0):
+    """The stations `rows`, each with its own jitter of pose and readings, and noise of the readings."""
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec(jitter * rng.standard_normal((len(rows), 3))).as_matrix()
+    t, d = recording.world_t_hand[rows], recording.ranges[rows]
+    return hl.Recording(
+        recording.world_R_hand[rows] @ turn,
+        t + jitter * rng.standard_normal(t.shape),
+        d + (jitter + noise) * rng.standard_normal(d.shape),
+        tuple(recording.plane_labels[j] for j in rows),
+        recording.beam_names,
+    )
+
+
+def codes(found):
+    return [one.code for one in found.warnings]
+
+
+def doubled(recording, column):
+    ranges = recording.ranges.copy()
+    ranges[:, 2] = column(ranges[:, 0])
+    return replace(recording, ranges=ranges)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-7])
+@pytest.mark.parametrize("order", ["pasted", "held"])
+def test_repeated_stations_count_once(recording, calibration, order, jitter):
+    """Standard deviations are those of the stations themselves; a tenth of one is what jitter moves."""
+    number = np.arange(len(recording.plane_labels))
+    rows = np.tile(number, 2) if order == "pasted" else np.repeat(number, 10)
+    found = hl.calibrate(repeated(recording, rows, jitter), NOISE)
+    assert codes(found) == ["repeated-stations"]
+    assert f"{len(rows) - len(number)} of {len(rows)} stations" in str(found.warnings[0])
+    assert found.fit.readings == calibration.fit.readings
+    for name, beam in calibration.beams.items():
+        other = found.beams[name]
+        assert other.sigma == pytest.approx(beam.sigma, rel=1e-3)
+        apart = np.abs(other.location - beam.location)
+        assert (apart < 0.1 * beam.location_sigma).all()
+
+
+def test_samples_of_one_pose_are_averaged_and_weigh_as_many(recording):
+    """The mean of five has the variance of a fifth, which the exact robot shows undiluted."""
+    rows = np.repeat(np.arange(len(recording.plane_labels)), 5)
+    many = repeated(recording, rows, noise=SIGMA)
+    merged = merged_stations(many, SIGMA)
+    assert [one.code for one in merged.warnings] == ["repeated-poses"]
+    first = np.arange(0, len(rows), 5)
+    assert np.isnan(np.delete(merged.recording.ranges, first, axis=0)).all()
+    mean = many.ranges.reshape(-1, 5, many.ranges.shape[1]).mean(axis=1)
+    assert merged.recording.ranges[first] == pytest.approx(mean, abs=1e-12)
+    assert merged.recording.samples[first] == pytest.approx(5.0)
+    exact = hl.Noise(SIGMA, 0.0, 0.0)
+    once = hl.calibrate(replace(merged.recording, samples=None), exact)
+    found = hl.calibrate(many, exact)
+    for name, beam in found.beams.items():  # range errors have a prior, which does not shrink
+        ratio = (beam.sigma / once.beams[name].sigma)[:6]
+        assert (ratio > 0.99 / np.sqrt(5.0)).all()
+        assert (ratio < 0.6).all()
+
+
+def test_scatter_below_the_sigma_leaves_what_the_samples_share(recording):
+    rows = np.repeat(np.arange(len(recording.plane_labels)), 8)
+    many = repeated(recording, rows, noise=0.5 * SIGMA)
+    worth = merged_stations(many, SIGMA).recording.samples[0, 0]
+    assert worth == pytest.approx(1.0 / (0.75 + 0.25 / 8.0), rel=0.05)
+
+
+def test_a_gross_error_among_samples_is_not_averaged(recording):
+    rows = np.repeat(np.arange(len(recording.plane_labels)), 5)
+    many = repeated(recording, rows, noise=SIGMA)
+    ranges = many.ranges.copy()
+    ranges[7, 1] += 0.01
+    left = merged_stations(replace(many, ranges=ranges), SIGMA).recording.ranges
+    assert left[7, 1] == ranges[7, 1]
+    assert left[5, 1] == pytest.approx(np.delete(ranges[5:10, 1], 2).mean())
+
+
+def test_poses_before_different_planes_and_poses_that_move_stay_apart(recording):
+    labels = tuple(str(j) for j in range(len(recording.plane_labels)))
+    twice = repeated(recording, np.tile(np.arange(len(labels)), 2))
+    apart = replace(twice, plane_labels=(*labels, *(f"again {one}" for one in labels)))
+    assert len(np.unique(pose_groups(apart))) == 2 * len(labels)
+    creeping = repeated(recording, np.zeros(20, dtype=int))
+    t = creeping.world_t_hand + 5e-7 * np.arange(20)[:, None]
+    assert len(np.unique(pose_groups(replace(creeping, world_t_hand=t)))) == 20
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        lambda d: d,
+        lambda d: d + 1e-7 * np.sin(1e6 * d),
+        lambda d: np.round(d, 5),
+        lambda d: 1e3 * d,
+        lambda d: np.round(d / 0.0254, 6),
+        lambda d: np.where(np.arange(len(d)) == 3, 0.02, d),
+    ],
+    ids=["equal", "jitter", "rounded", "millimetres", "inches", "but one"],
+)
+def test_a_column_twice_is_refused(recording, column):
+    with pytest.raises(
+        RepeatedColumnError, match="beams 1 and 3 .* one channel logged twice"
+    ) as found:
+        hl.calibrate(doubled(recording, column))
+    assert found.value.code == "column-twice"
+    assert found.value.beams == ("1", "3")
+
+
+def test_parallel_beams_side_by_side_are_two_beams(recording):
+    """20 mm apart, on a hand that tilts by a degree: readings differ by a fraction of a millimetre."""
+    rng = np.random.default_rng(1)
+    tilt = np.radians(rng.uniform(-1.0, 1.0, len(recording.plane_labels)))
+    column = doubled(
+        recording, lambda d: d + 0.02 * np.tan(tilt) + SIGMA * rng.standard_normal(len(d))
+    )
+    refuse_repeated_columns(column, SIGMA)
+    parallel = doubled(recording, lambda d: d + np.sqrt(2.0) * SIGMA * rng.standard_normal(len(d)))
+    refuse_repeated_columns(parallel, SIGMA)
+
+
+@pytest.mark.parametrize("value", [0.999, 8.191, 65.535, 65535.0])
+@pytest.mark.parametrize("count", [3, 10])
+def test_codes_for_no_reading_are_taken_out(recording, calibration, value, count):
+    ranges = recording.ranges.copy()
+    cells = np.random.default_rng(count).choice(ranges.size, count, replace=False)
+    ranges.ravel()[cells] = value
+    found = hl.calibrate(replace(recording, ranges=ranges), NOISE)
+    assert codes(found) == ["reading-code"]
+    assert f"{count} readings of {value:.10g} m" in str(found.warnings[0])
+    assert found.fit.readings == calibration.fit.readings - count
+    assert not found.fit.rejected
+
+
+def test_readings_at_the_limit_of_the_sensor_are_taken_out(recording):
+    limit = np.sort(recording.ranges.ravel())[-20]
+    left, found = without_codes(replace(recording, ranges=np.minimum(recording.ranges, limit)))
+    assert [one.code for one in found] == ["reading-code"]
+    assert np.isnan(left.ranges).sum() == 20
+
+
+@pytest.mark.parametrize("step", [1e-6, 1e-5, 1e-4, 1e-3])
+def test_readings_of_a_coarse_sensor_are_no_codes(step):
+    for seed in range(5):
+        clean, _ = simulated("paper", Layout(3, 4, 30), SIGMA, seed)
+        coarse = replace(clean, ranges=np.maximum(step * np.round(clean.ranges / step), step))
+        assert without_codes(coarse) == (coarse, ())
+
+
+def test_a_session_screens_what_it_is_given(recording):
+    rows = np.repeat(np.arange(len(recording.plane_labels)), 3)
+    many = repeated(recording, rows, 1e-7)
+    session = hl.Session(NOISE)
+    session.add(many)
+    found = session.calibration()
+    assert "repeated-stations" in codes(found)
+    assert found.fit.readings == hl.calibrate(recording, NOISE).fit.readings
+    with pytest.raises(RepeatedColumnError):
+        session.add(doubled(recording, lambda d: d))
+
+
+def test_the_second_solver_reads_what_was_solved(recording):
+    rows = np.repeat(np.arange(len(recording.plane_labels)), 4)
+    many = repeated(recording, rows, noise=SIGMA)
+    found = hl.calibrate(many, NOISE)
+    assert hl.cross_check(found, many).largest < 0.01
