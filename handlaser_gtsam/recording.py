@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray, frozen, frozen_indices
 from .errors import InputError
+from .results.warning import CalibrationWarning
 
 ROTATION_TOLERANCE = 1e-6
 QUARTILES = 1.349
@@ -130,12 +131,17 @@ class Recording:
         Columns of the file that were not used.
     samples : (M, B), optional
         How many independent readings each range is worth, where it is a mean of several; else one.
+    warnings : tuple of CalibrationWarning
+        What was noticed when it was read from a file; `calibrate` hands it on.
+    range_min : float
+        Ranges below are refused [m]: zero, or negative for sensors that read the distance from a
+        reference amid their range.
 
     Raises
     ------
     InputError
         Wrong shapes, numbers that are not finite, matrices that are no rotations, ranges that are
-        not positive, repeated names, a plane or a beam without any reading.
+        not positive where `range_min` is zero, repeated names, a plane or a beam without any reading.
     """
 
     world_R_hand: FloatArray
@@ -146,6 +152,8 @@ class Recording:
     station_names: tuple[str, ...] = ()
     ignored_columns: tuple[str, ...] = ()
     samples: FloatArray | None = None
+    warnings: tuple[CalibrationWarning, ...] = ()
+    range_min: float = 0.0
     plane_names: tuple[str, ...] = field(init=False)
     plane_of_station: IntArray = field(init=False)
 
@@ -230,6 +238,7 @@ class Recording:
             tuple(self.beam_names[i] for i in beams),
             tuple(self.station_names[j] for j in rows),
             samples=None if self.samples is None else self.samples[np.ix_(rows, beams)],
+            range_min=self.range_min,
         )
 
     def without(self, left_out: ArrayLike) -> "Recording":
@@ -281,6 +290,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
         beams,
         tuple(name for one in recordings for name in one.station_names),
         samples=np.concatenate(samples) if averaged else None,
+        range_min=min(one.range_min for one in recordings),
     )
 
 
@@ -314,6 +324,8 @@ def _check_shapes(recording: Recording) -> None:
 
 def _check_numbers(recording: Recording) -> None:
     name = recording.station_names
+    if not -LARGEST <= recording.range_min <= 0.0:
+        raise InputError(f"range_min {recording.range_min:g}", f"-{LARGEST:.0f} to 0 m")
     R, t, d = recording.world_R_hand, recording.world_t_hand, recording.ranges
     bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
     if bad.size:
@@ -334,12 +346,17 @@ def _check_numbers(recording: Recording) -> None:
             f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
         )
     with np.errstate(invalid="ignore"):
-        rows, columns = np.nonzero(~np.isnan(d) & ~((d > 0.0) & (d <= LARGEST)))
+        positive = (d > 0.0) if recording.range_min == 0.0 else (d >= recording.range_min)
+        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST)))
     if rows.size:
+        least = "a positive range"
+        if recording.range_min < 0.0:
+            least = f"a range from {recording.range_min:g}"
         raise InputError(
             f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
             f"at station {name[rows[0]]}",
-            f"a positive range in metres up to {LARGEST:.0f}, or NaN for no reading",
+            f"{least} in metres up to {LARGEST:.0f}, or NaN for no reading; negative readings need the "
+            "sensor's range_min",
         )
 
 

@@ -128,9 +128,7 @@ def test_poses_before_different_planes_and_poses_that_move_stay_apart(recording)
     ids=["equal", "jitter", "rounded", "millimetres", "inches", "but one"],
 )
 def test_a_column_twice_is_refused(recording, column):
-    with pytest.raises(
-        RepeatedColumnError, match="beams 1 and 3 .* one channel logged twice"
-    ) as found:
+    with pytest.raises(RepeatedColumnError, match="one channel logged twice") as found:
         hl.calibrate(doubled(recording, column))
     assert found.value.code == "column-twice"
     assert found.value.beams == ("1", "3")
@@ -193,3 +191,46 @@ def test_the_second_solver_reads_what_was_solved(recording):
     many = repeated(recording, rows, noise=SIGMA)
     found = hl.calibrate(many, NOISE)
     assert hl.cross_check(found, many).largest < 0.01
+
+
+def written(folder, recording, cells):
+    """The file of a recording with other text in some cells of ranges: {(station, beam): text}."""
+    path = folder / "recording.csv"
+    hl.write_recording(path, recording)
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    for (station, beam), text in cells.items():
+        rows[station + 1][rows[0].index(f"range_{recording.beam_names[beam]}")] = text
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("word", ["nan", "NaN", "inf", "-Infinity", "OVERFLOW", "n/a"])
+def test_words_for_no_reading_are_counted(tmp_path, recording, word):
+    read = hl.read_recording(written(tmp_path, recording, {(2, 0): word, (5, 1): word}))
+    assert np.isnan(read.ranges[[2, 5], [0, 1]]).all()
+    assert np.isnan(read.ranges).sum() == 2
+    assert codes(read) == ["reading-code"]
+    assert f"2 readings of '{word}' of beams 1, 2" in str(read.warnings[0])
+    assert hl.calibrate(read, NOISE).warnings == read.warnings
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "4294967295"])
+def test_impossible_numbers_are_codes_where_they_pile_up_or_the_range_says_so(
+    tmp_path, recording, text
+):
+    pile = {(j, j % 4): text for j in range(3)}
+    read = hl.read_recording(written(tmp_path, recording, pile))
+    assert np.isnan(read.ranges).sum() == 3
+    assert f"3 readings of '{text}'" in str(read.warnings[0])
+    single = written(tmp_path, recording, {(4, 1): text})
+    with pytest.raises(hl.InputError, match="range_mm in the rig file"):
+        hl.read_recording(single)
+    read = hl.read_recording(single, hl.Sensor(0.0, 0.03))
+    assert np.isnan(read.ranges).sum() == 1
+    assert f"one reading of '{text}' of beam 2" in str(read.warnings[0])
+
+
+@pytest.mark.parametrize("text", ["twelve", "nanometre", "1e400", "0.01.2"])
+def test_other_words_are_refused(tmp_path, recording, text):
+    with pytest.raises(hl.InputError, match=text):
+        hl.read_recording(written(tmp_path, recording, {(4, 1): text}), hl.Sensor(0.0, 0.03))

@@ -134,7 +134,7 @@ def calibrate(
         incidence_sigma_mm,
     )
     settings = settings_of(rig, numbers, range_mm, max_incidence_deg)
-    table = read_recording(recording)
+    table = read_recording(recording, settings.sensor)
     options = CalibrationOptions(
         range_error.value,
         outliers.value,

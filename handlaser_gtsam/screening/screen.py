@@ -1,6 +1,6 @@
 """What is found in a recording before anything is solved, and what is left to be solved."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..recording import Recording
 from ..results.warning import CalibrationWarning
@@ -46,4 +46,4 @@ def screened(recording: Recording, sigma: float | None) -> Screened:
     merged = merged_stations(recording, sigma)
     left, codes = without_codes(merged.recording)
     refuse_repeated_columns(left, sigma)
-    return Screened(left, (*merged.warnings, *codes))
+    return Screened(replace(left, warnings=()), (*recording.warnings, *merged.warnings, *codes))
