@@ -16,8 +16,8 @@ planes, nine to fourteen stations each, a hand that moves little or much. Then o
     one-plane      one plane of 20 to 40 stations
     other-beam     two columns are exchanged at 2 to 20 % of the stations
     sag, lag, cubic, beam-on-plane
-                   systematic errors of `robot_cell`, of 0.5 to 20 standard deviations, or 0.5 to 30 % of
-                   the way between the neighbouring stations
+                   systematic errors of `robot_cell`, of 0.5 to 20 standard deviations, or 0.5 to 30 %
+                   of the way between the neighbouring stations
 """
 
 from collections.abc import Callable

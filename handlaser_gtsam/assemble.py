@@ -47,10 +47,11 @@ from .noise import Noise
 from .ordering import Order
 from .parameters import Parameters
 from .recording import Readings, Recording
+from .results.dependence import INDEPENDENT, dependence
 from .results.systematic import SystematicError, systematic_errors
 from .results.warning import CalibrationWarning
 from .selection import Selection
-from .weighting import Variances, whitening
+from .weighting import Variances, Whitening, whitening
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -87,13 +88,20 @@ def assemble(
     determined = _determined(names, local, solution, fit)
     wrong = misfit(recording, used, solution.best, fit)
     status = _status(solution, determined, wrong)
+    systematic: tuple[SystematicError, ...] = ()
+    together = INDEPENDENT
+    if status == "converged" and solution.problem.loss == GAUSSIAN:
+        how, prior = _whitened(local, solution, fit)
+        systematic = _systematic(recording, local, solution, order, names, fit)
+        position = order.stations[local.station]
+        known = fit.range_sigma_given
+        together = dependence(solution.parameters, local, how, prior, position, known=known)
     joint = None
     if _trusted(status, solution, fit):
         joint = _covariance(solution, fit, origins).arranged(names.beams, names.planes)
+        joint = joint.grown(together.growth, together.plane_growth)
     beams, planes = _estimates(names, solution, origins, joint)
-    systematic: tuple[SystematicError, ...] = ()
-    if status == "converged" and solution.problem.loss == GAUSSIAN:
-        systematic = _systematic(recording, local, solution, order, names, fit)
+    mixture = _mixture(solution, names, joint)
     return Calibration(
         status,
         _message(status, solution, determined, wrong),
@@ -102,6 +110,7 @@ def assemble(
         + _label_warnings(recording, order, names, why)
         + doubts(used, solution.best, fit, noise, solution.variances)
         + few_readings(solution.redundancy, fit)
+        + (() if together.warning is None else (together.warning,))
         + _systematic_warnings(systematic),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
@@ -115,7 +124,7 @@ def assemble(
         joint if solution.observability.full else None,
         () if joint is None or not solution.observability.full else strong_correlations(joint),
         _scales(solution),
-        _mixture(solution, names, joint),
+        None if mixture is None else mixture.grown(together.growth),
         _at_scales(solution, names, origins, fit, joint),
         None if solution.posterior is None else solution.posterior.learned,
         systematic,
@@ -216,12 +225,7 @@ def _systematic(
     fit: Fit,
 ) -> tuple[SystematicError, ...]:
     """Return what the residuals say of errors that the model leaves out, beams as in the recording."""
-    how = solution.whitening
-    if how is None:
-        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
-        how = replace(whitening(solution.parameters, used, equal), sigma=fit.range_sigma)
-    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
-    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    how, prior = _whitened(used, solution, fit)
     found = systematic_errors(
         solution.parameters,
         used,
@@ -238,6 +242,17 @@ def _systematic(
     return tuple(
         replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
     )
+
+
+def _whitened(used: Readings, solution: Solution, fit: Fit) -> tuple[Whitening, FloatArray]:
+    """Return the whitening of the readings, and the sigmas (B, 2) of the prior of range errors."""
+    how = solution.whitening
+    if how is None:
+        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
+        how = replace(whitening(solution.parameters, used, equal), sigma=fit.range_sigma)
+    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
+    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    return how, prior
 
 
 def _scales(solution: Solution) -> RangeErrorScales | None:

@@ -229,6 +229,10 @@ class BeamMixture:
     sigmas: FloatArray
     members: IntArray
 
+    def grown(self, factor: float) -> "BeamMixture":
+        """Return the mixture spread out about the estimate."""
+        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
+
 
 @dataclass(frozen=True, slots=True)
 class ScaledSolution:

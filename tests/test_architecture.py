@@ -25,7 +25,7 @@ FLOORS = [
     {"estimation"},
     {"screening"},
     {"results.alternatives"},
-    {"results.systematic"},
+    {"results.systematic", "results.dependence"},
     {"calibration"},
     {"diagnosis.doubts", "diagnosis.hypotheses", "consensus"},
     {"diagnosis.mirror"},
