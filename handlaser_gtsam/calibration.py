@@ -145,8 +145,8 @@ class Fit:
     range_sigma_given : bool
     poses : str
         How errors of the hand poses counted: `exact`, `marginalised` or `estimated`.
-    median_reading : float
-        [m]
+    median_reading, typical_range : float
+        Median of the readings, and the natural unit of lengths [m]: the same unless some are negative.
     loss : str
         `gaussian`, or the robust loss of the estimate.
     farthest : float
@@ -169,6 +169,7 @@ class Fit:
     range_sigma_given: bool
     poses: Literal["exact", "marginalised", "estimated"]
     median_reading: float
+    typical_range: float
     loss: LossName
     farthest: float
     farthest_at: tuple[str, str]

@@ -64,6 +64,7 @@ def fit_of_graph(
         range_sigma_given=True,
         poses="estimated" if any(row.posed for row in rows) else "exact",
         median_reading=float("nan"),
+        typical_range=float("nan"),
         loss="gaussian",
         farthest=float(np.abs(e / sigma).max()),
         farthest_at=(rows[far].label, names[rows[far].beam]),

@@ -47,6 +47,9 @@ def calibrate(
     """
     noise, options = noise or Noise(), options or CalibrationOptions()
     options.require_consistent(noise)
+    if not options.sensor.range_stated:  # then the recording knows whether negative readings count
+        sensor = replace(options.sensor, range_min=recording.range_min)
+        options = replace(options, sensor=sensor)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
     found = screened(recording, noise.range_sigma)
     recording = found.recording

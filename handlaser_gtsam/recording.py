@@ -66,6 +66,14 @@ class Readings:
         """
         return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
 
+    def typical_range(self) -> float:
+        """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
+        return typical_range(self.distance)
+
+    def largest_range(self) -> float:
+        """Return the size of the largest reading [m]."""
+        return float(np.abs(self.distance).max())
+
     def spread(self) -> float:
         """Return the standard deviation of the readings [m] that their quartiles show."""
         low, high = np.quantile(self.distance, [0.25, 0.75])
@@ -378,6 +386,18 @@ def _check_names(recording: Recording) -> None:
             f"plane {recording.plane_names[plane]} without any reading",
             "at least one reading of every plane; leave its stations out",
         )
+
+
+def typical_range(distance: FloatArray) -> float:
+    """Return the median of readings (N,), the natural unit of lengths [m].
+
+    Readings of both signs count from a reference amid the sensor's range, at which nothing is short:
+    then it is half of what they span, but for the extreme twentieths.
+    """
+    if distance.size == 0 or distance.min() > 0.0:
+        return float(np.median(distance))
+    low, high = np.quantile(distance, [0.05, 0.95])
+    return float(0.5 * (high - low)) or float(np.abs(distance).max()) or 1.0
 
 
 def first_repeated(names: Sequence[str]) -> int | None:

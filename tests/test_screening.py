@@ -8,10 +8,11 @@ from helpers import simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.scenes import SCENES, Layout
 from handlaser_gtsam.screening.codes import without_codes
 from handlaser_gtsam.screening.columns import RepeatedColumnError, refuse_repeated_columns
 from handlaser_gtsam.screening.stations import merged_stations, pose_groups
+from handlaser_gtsam.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NOISE = hl.Noise(SIGMA, 1e-4, 1e-4)
@@ -234,3 +235,68 @@ def test_impossible_numbers_are_codes_where_they_pile_up_or_the_range_says_so(
 def test_other_words_are_refused(tmp_path, recording, text):
     with pytest.raises(hl.InputError, match=text):
         hl.read_recording(written(tmp_path, recording, {(4, 1): text}), hl.Sensor(0.0, 0.03))
+
+
+def about_a_reference(recording, reference, least):
+    """What a triangulation sensor reads: the distance from a reference amid its range."""
+    return replace(recording, ranges=recording.ranges - reference, range_min=least)
+
+
+@pytest.mark.parametrize("given", [True, False])
+@pytest.mark.parametrize("name", ["paper", "arm"])
+def test_readings_about_a_reference_give_the_same_beams(name, given):
+    """The location lies where the reading is zero, on the beam; without range errors all else is equal.
+
+    Noise that is estimated has a prior in the units of the readings, so that it differs by a little.
+    """
+    truth, stations = SCENES[name](Layout(3, 4, 12), np.random.default_rng(2))
+    truth = replace(truth, range_errors=np.zeros((3, 2)))
+    recording = simulate(truth, stations, Errors(SIGMA), np.random.default_rng(3))
+    reference = float(np.median(recording.ranges))
+    shifted = about_a_reference(recording, reference, -float(recording.ranges.max()))
+    assert (shifted.ranges < 0.0).mean() > 0.3
+    noise = hl.Noise(SIGMA, 0.0, 0.0) if given else hl.Noise()
+    none = hl.CalibrationOptions("none")
+    found, usual = hl.calibrate(shifted, noise, none), hl.calibrate(recording, noise, none)
+    assert (found.status, found.warnings) == ("converged", usual.warnings)
+    for name, beam in found.beams.items():
+        other = usual.beams[name]
+        right = other.location + reference * other.direction
+        apart = np.abs(beam.location - right) / beam.location_sigma
+        assert (apart < (1e-3 if given else 0.05)).all()
+        assert beam.direction_sigma == pytest.approx(other.direction_sigma, rel=0.01)
+
+
+def test_a_triangulation_sensor_with_range_errors_is_calibrated():
+    for seed in range(5):
+        recording, truth = simulated("paper", Layout(3, 5, 20), SIGMA, seed)
+        shifted = about_a_reference(recording, 0.015, -0.03)
+        k1, k2 = 0.01, 0.5
+        d = shifted.ranges.copy()
+        for _ in range(20):  # the reading d of a distance s solves s = d + k1 d + k2 d^2
+            d = shifted.ranges - k1 * d - k2 * d**2
+        found = hl.calibrate(replace(shifted, ranges=d), hl.Noise(SIGMA, 0.0, 0.0))
+        assert found.status == "converged"
+        for beam, r, v in zip(found.beams.values(), truth.locations, truth.directions, strict=True):
+            assert (np.abs(beam.location - r - 0.015 * v) < 5.0 * beam.location_sigma).all()
+            apart = np.abs(beam.range_error - [k1, k2])
+            assert (apart < 5.0 * beam.range_error_sigma).all()
+
+
+def test_negative_readings_pass_from_file_to_result_where_the_range_has_them(tmp_path):
+    recording, _ = simulated("paper", Layout(3, 5, 20), SIGMA)
+    shifted = about_a_reference(recording, 0.015, -0.03)
+    path = tmp_path / "recording.csv"
+    hl.write_recording(path, shifted)
+    with pytest.raises(hl.InputError, match="range_mm in the rig file"):
+        hl.read_recording(path)
+    sensor = hl.Sensor(-0.03, 0.03)
+    read = hl.read_recording(path, sensor)
+    assert (read.ranges == shifted.ranges).all()
+    assert not read.warnings
+    found = hl.calibrate(read, hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions(sensor=sensor))
+    assert found.status == "converged"
+    assert not found.fit.rejected
+    assert hl.spot(found, "1", -0.001) is not None
+    with pytest.raises(hl.InputError, match="sensor's range_min"):
+        replace(shifted, range_min=0.0)

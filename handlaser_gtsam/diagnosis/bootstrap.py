@@ -177,7 +177,7 @@ def _drawn(
     slope = 1.0 + x.k[:, 0] + 2.0 * x.k[:, 1] * d
     spread = np.hypot(sigma, variances.incidence_sigma * tangent / slope)
     d = d + spread * rng.standard_normal(len(d))
-    if (d <= 0.0).any():
+    if readings.distance.min() > 0.0 and (d <= 0.0).any():
         raise InputError("a drawn reading that is not positive", "ranges far above their sigma")
     return Readings(
         readings.station,

@@ -2,7 +2,8 @@ r"""Noise that is correlated in time: tested, and put into the standard deviatio
 
 Readings of one beam before one plane follow one another in the order of the file. If their noise is
 autoregressive, e_j = rho e_(j-1) + white, the weighted least-squares estimate x = K e has the
-covariance K C(rho) K' and not K K': n readings then tell no more about a mean than n (1 - rho) / (1 + rho)
+covariance K C(rho) K' and not K K':
+n readings then tell no more about a mean than n (1 - rho) / (1 + rho)
 independent ones do, and more or less about the rest, as the motion has it.
 
 Residuals P e are not the noise: the unknowns take their part of it, and make residuals of independent
@@ -109,8 +110,7 @@ def dependence(
         return INDEPENDENT
     rows = linear_rows(at, readings, how)
     projection = Projection(rows, prior)
-    inverse: FloatArray = np.linalg.inv(how.root)
-    back = replace(how, root=inverse)
+    back = replace(how, root=np.asarray(np.linalg.inv(how.root), dtype=np.float64))
     count = int(np.clip(NUMBERS // len(readings), LEAST_DRAWS, DRAWS))
     white = np.random.default_rng(SEED).standard_normal((len(readings), count))
 

@@ -293,7 +293,7 @@ class _Analysis:
         left = bound.perpendicular(rows.residual[:, None], pulled.reshape(-1, 1))
         square = float(left.squares[0])
         scale = how.sigma if dof is None else float(np.sqrt(square / dof))
-        unit = {"m": float(np.median(readings.distance)), "1": 1.0}
+        unit = {"m": readings.typical_range(), "1": 1.0}
         most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in self.codes.tolist()])
         self.determined &= self.left > (scale / most) ** 2
         self._test(self.products(left.heavy)[:, 0], square, scale)
