@@ -202,7 +202,7 @@ def require_positive(ranges: ArrayLike) -> None:
     InputError
     """
     d = np.atleast_1d(np.asarray(ranges, dtype=np.float64))
-    if not ((d > 0.0) & (d < np.inf)).all():
+    if d.size == 0 or not ((d > 0.0) & (d < np.inf)).all():
         raise InputError(
             f"readings {np.array2string(d, threshold=5)}",
             "one or more positive, finite ranges in metres",

@@ -32,8 +32,8 @@ from ..weighting import Whitening
 from .alternatives import WIDTH, Projection, linear_rows
 from .warning import CalibrationWarning
 
-FAR = 3.0
-"""Standard deviations above its mean from which the autocorrelation is no accident: one in 700."""
+FAR = 3.5
+"""Standard deviations above its mean from which the autocorrelation is no accident: one in 4000."""
 LEAST_PAIRS = 20
 """Fewer neighbours tell nothing of a correlation."""
 LEAST_GROWTH = 1.02
