@@ -108,7 +108,7 @@ def assemble(
         _ways(recording, used, fit, solution, wrong)
         + (() if wrong is None else (wrong,))
         + _label_warnings(recording, order, names, why)
-        + doubts(used, solution.best, fit, noise, solution.variances)
+        + doubts(used, solution.best, fit, noise, solution.variances, names.sorted_beams())
         + few_readings(solution.redundancy, fit)
         + (() if together.warning is None else (together.warning,))
         + _systematic_warnings(systematic),

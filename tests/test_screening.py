@@ -122,17 +122,25 @@ def test_poses_before_different_planes_and_poses_that_move_stay_apart(recording)
         lambda d: d,
         lambda d: d + 1e-7 * np.sin(1e6 * d),
         lambda d: np.round(d, 5),
+        lambda d: np.round(d, 4),
         lambda d: 1e3 * d,
         lambda d: np.round(d / 0.0254, 6),
         lambda d: np.where(np.arange(len(d)) == 3, 0.02, d),
     ],
-    ids=["equal", "jitter", "rounded", "millimetres", "inches", "but one"],
+    ids=["equal", "jitter", "rounded", "coarse", "millimetres", "inches", "but one"],
 )
 def test_a_column_twice_is_refused(recording, column):
     with pytest.raises(RepeatedColumnError, match="one channel logged twice") as found:
         hl.calibrate(doubled(recording, column))
     assert found.value.code == "column-twice"
     assert found.value.beams == ("1", "3")
+
+
+def test_a_column_twice_with_noise_of_its_own_is_warned_of(recording):
+    rng = np.random.default_rng(2)
+    column = doubled(recording, lambda d: d + SIGMA * rng.standard_normal(len(d)))
+    found = hl.calibrate(column, hl.Noise())
+    assert "column-twice" in codes(found)
 
 
 def test_parallel_beams_side_by_side_are_two_beams(recording):

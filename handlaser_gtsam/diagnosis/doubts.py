@@ -1,6 +1,7 @@
 """Signs that a result should not be believed, each in a sentence with what to look at."""
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -20,6 +21,8 @@ POOR_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit."""
 FAR_TOGETHER = 4.0
 """Residuals of one station that go together by so many standard deviations are no accident."""
+SAME_PLACE, SAME_WAY = 1e-3, 0.01
+"""Beams that lie nearer [m] and point more alike [rad] are one: no two sensors fit there."""
 FEW = 10
 """Readings beyond the unknowns from which a noise that is not given is known to a quarter or so."""
 FAR_READING = 4.0
@@ -105,6 +108,7 @@ def doubts(
     fit: Fit,
     noise: Noise,
     variances: Variances | None,
+    names: Sequence[str],
 ) -> tuple[CalibrationWarning, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
     found = []
@@ -125,6 +129,7 @@ def doubts(
     if far > FAR_BEAM:
         words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
         found.append(CalibrationWarning("far-beam", words))
+    found += _same_mounts(parameters, fit, names)
     found += _doubts_of_noise(fit, noise, variances)
     if fit.dof > 0 and fit.farthest > FAR_READING:
         station, beam = fit.farthest_at
@@ -136,6 +141,31 @@ def doubts(
             )
         )
     return tuple(found)
+
+
+def _same_mounts(
+    parameters: Parameters, fit: Fit, names: Sequence[str]
+) -> list[CalibrationWarning]:
+    """Warn of two beams in one place: a channel logged twice, with noise of its own."""
+    order = np.argsort(parameters.locations[:, 0], kind="stable")
+    found = []
+    for number, i in enumerate(order.tolist()):
+        for j in order[number + 1 :].tolist():
+            apart = parameters.locations[j] - parameters.locations[i]
+            if apart[0] > SAME_PLACE:
+                break
+            turned = parameters.directions[j] - parameters.directions[i]
+            near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
+            if near and np.linalg.norm(turned) < SAME_WAY:
+                found.append(
+                    CalibrationWarning(
+                        "column-twice",
+                        f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "
+                        "are one channel logged twice, the standard deviations are too small, and one "
+                        "of the two is not calibrated",
+                    )
+                )
+    return found
 
 
 def few_readings(redundancy: int, fit: Fit) -> tuple[CalibrationWarning, ...]:

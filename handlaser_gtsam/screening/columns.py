@@ -26,8 +26,8 @@ JITTER = 5e-7
 """So are those that agree to this [m]."""
 PART_OF_SIGMA = 0.4
 """The difference of two sensors has sqrt(2) sigma: within 0.4 sigma it stays once in four."""
-PART_OF_SPREAD = 5e-4
-"""Coarse rounding, or a generous sigma, makes no columns alike that differ by more of their spread."""
+PART_OF_SPREAD, ROUNDED_PART = 2e-3, 5e-3
+"""A generous sigma, or coarse rounding, makes no columns alike that differ by more of their spread."""
 FINEST, COARSEST = 7, 2
 """Decimals of metres to which a column may have been rounded."""
 SAME_UNIT = 0.01
@@ -104,8 +104,9 @@ def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) 
     off = np.abs(b - factor * a)
     limit = np.maximum(JITTER * abs(factor), RELATIVE * np.abs(b))
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
-        wide = max(_rounding(a), _rounding(b), PART_OF_SIGMA * (sigma or 0.0))
-        limit = np.maximum(limit, min(wide, PART_OF_SPREAD * float(np.ptp(a))))
+        spread = float(np.ptp(a))
+        limit = np.maximum(limit, min(max(_rounding(a), _rounding(b)), ROUNDED_PART * spread))
+        limit = np.maximum(limit, min(PART_OF_SIGMA * (sigma or 0.0), PART_OF_SPREAD * spread))
     return int((off <= limit).sum())
 
 
