@@ -104,10 +104,10 @@ class RangeBlock:
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
         rows = len(self.distance) if self.distance.ndim == 1 else 0
-        if rows == 0 or not (self.distance.min() > 0.0 and self.distance.max() <= LARGEST):
+        if rows == 0 or not (np.abs(self.distance) <= LARGEST).all():
             raise InputError(
                 f"readings {np.array2string(self.distance, threshold=5)}",
-                f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
+                f"one or more finite ranges in metres, at most {LARGEST:.0f}",
             )
         if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
             raise InputError(
@@ -211,6 +211,21 @@ def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]
         raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
     k[: vector.size] = vector
     return vector.size, k
+
+
+def require_positive(ranges: ArrayLike) -> None:
+    """Refuse readings of a user's factor that are not positive.
+
+    Raises
+    ------
+    InputError
+    """
+    d = np.atleast_1d(numbers(ranges, "readings"))
+    if d.size == 0 or not ((d > 0.0) & (d <= LARGEST)).all():
+        raise InputError(
+            f"readings {np.array2string(d, threshold=5)}",
+            f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
+        )
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.keys import BeamKeys
 
-from .block import Noise, RangeBlock, numbers, range_factor
+from .block import Noise, RangeBlock, numbers, range_factor, require_positive
 
 
 def range_to_plane_from_pose(
@@ -42,4 +42,5 @@ def range_to_plane_from_pose(
     """
     d = np.atleast_1d(numbers(ranges, "readings"))
     R = np.broadcast_to(np.eye(3), (len(d), 3, 3))
+    require_positive(d)
     return range_factor(RangeBlock(beam, plane, d, R, np.zeros((len(d), 3)), pose), noise)

@@ -148,7 +148,7 @@ class SharedEvaluation:
 
     def reach(self) -> float:
         """Return the largest coordinate of a known hand position plus the largest reading [m]."""
-        return float(np.abs(self._t).max() + self.distance.max())
+        return float(np.abs(self._t).max() + np.abs(self.distance).max())
 
     @contextmanager
     def handed_out(self, at: Evaluation) -> Iterator[None]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .pipeline import calibrate
     from .propagation import measured_plane, spot
     from .recording import Readings, Recording, join
+    from .results.warning import CalibrationWarning
     from .sensor import Sensor
     from .session import Session, Update
     from .solvers.incremental import IncrementalOptions
@@ -42,6 +43,7 @@ __all__ = [
     "Bootstrap",
     "Calibration",
     "CalibrationOptions",
+    "CalibrationWarning",
     "CrossCheck",
     "Fit",
     "GrazingBeamError",
@@ -91,6 +93,7 @@ _HOME = {
     "Bootstrap": "diagnosis.bootstrap",
     "Calibration": "calibration",
     "CalibrationOptions": "options",
+    "CalibrationWarning": "results.warning",
     "CrossCheck": "diagnosis.cross_check",
     "Fit": "calibration",
     "GrazingBeamError": "errors",

@@ -47,9 +47,11 @@ from .noise import Noise
 from .ordering import Order
 from .parameters import Parameters
 from .recording import Readings, Recording
+from .results.dependence import INDEPENDENT, dependence
 from .results.systematic import SystematicError, systematic_errors
+from .results.warning import CalibrationWarning
 from .selection import Selection
-from .weighting import Variances, whitening
+from .weighting import Variances, Whitening, whitening
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -86,22 +88,30 @@ def assemble(
     determined = _determined(names, local, solution, fit)
     wrong = misfit(recording, used, solution.best, fit)
     status = _status(solution, determined, wrong)
+    systematic: tuple[SystematicError, ...] = ()
+    together = INDEPENDENT
+    if status == "converged" and solution.problem.loss == GAUSSIAN:
+        how, prior = _whitened(local, solution, fit)
+        systematic = _systematic(recording, local, solution, order, names, fit)
+        position = order.stations[local.station]
+        known = fit.range_sigma_given
+        together = dependence(solution.parameters, local, how, prior, position, known=known)
     joint = None
     if _trusted(status, solution, fit):
         joint = _covariance(solution, fit, origins).arranged(names.beams, names.planes)
+        joint = joint.grown(together.growth, together.plane_growth)
     beams, planes = _estimates(names, solution, origins, joint)
-    systematic: tuple[SystematicError, ...] = ()
-    if status == "converged" and solution.problem.loss == GAUSSIAN:
-        systematic = _systematic(recording, local, solution, order, names, fit)
+    mixture = _mixture(solution, names, joint)
     return Calibration(
         status,
         _message(status, solution, determined, wrong),
         _ways(recording, used, fit, solution, wrong)
-        + ((wrong,) if wrong else ())
+        + (() if wrong is None else (wrong,))
         + _label_warnings(recording, order, names, why)
-        + doubts(used, solution.best, fit, noise, solution.variances)
+        + doubts(used, solution.best, fit, noise, solution.variances, names.sorted_beams())
         + few_readings(solution.redundancy, fit)
-        + tuple(one.warning for one in systematic if one.warning),
+        + (() if together.warning is None else (together.warning,))
+        + _systematic_warnings(systematic),
         MappingProxyType({beam.name: beam for beam in beams}),
         MappingProxyType({plane.name: plane for plane in planes}),
         fit,
@@ -114,7 +124,7 @@ def assemble(
         joint if solution.observability.full else None,
         () if joint is None or not solution.observability.full else strong_correlations(joint),
         _scales(solution),
-        _mixture(solution, names, joint),
+        None if mixture is None else mixture.grown(together.growth),
         _at_scales(solution, names, origins, fit, joint),
         None if solution.posterior is None else solution.posterior.learned,
         systematic,
@@ -161,14 +171,17 @@ def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, .
 
 def _label_warnings(
     recording: Recording, order: Order, names: Names, why: Reasons
-) -> tuple[str, ...]:
+) -> tuple[CalibrationWarning, ...]:
     planes = names.sorted_planes()
     found = sorted(
         (int(order.stations[station]), plane) for station, plane in why.other_plane.items()
     )
     return tuple(
-        f"station {recording.station_names[station]} is labelled plane "
-        f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label"
+        CalibrationWarning(
+            "wrong-label",
+            f"station {recording.station_names[station]} is labelled plane "
+            f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label",
+        )
         for station, plane in found
     )
 
@@ -212,12 +225,7 @@ def _systematic(
     fit: Fit,
 ) -> tuple[SystematicError, ...]:
     """Return what the residuals say of errors that the model leaves out, beams as in the recording."""
-    how = solution.whitening
-    if how is None:
-        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
-        how = replace(whitening(solution.parameters, used, equal), sigma=fit.range_sigma)
-    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
-    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    how, prior = _whitened(used, solution, fit)
     found = systematic_errors(
         solution.parameters,
         used,
@@ -234,6 +242,17 @@ def _systematic(
     return tuple(
         replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
     )
+
+
+def _whitened(used: Readings, solution: Solution, fit: Fit) -> tuple[Whitening, FloatArray]:
+    """Return the whitening of the readings, and the sigmas (B, 2) of the prior of range errors."""
+    how = solution.whitening
+    if how is None:
+        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
+        how = replace(whitening(solution.parameters, used, equal), sigma=fit.range_sigma)
+    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
+    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    return how, prior
 
 
 def _scales(solution: Solution) -> RangeErrorScales | None:
@@ -280,31 +299,49 @@ def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
 
 
 def _ways(
-    recording: Recording, used: Readings, fit: Fit, solution: Solution, wrong: str
-) -> tuple[str, ...]:
+    recording: Recording,
+    used: Readings,
+    fit: Fit,
+    solution: Solution,
+    wrong: CalibrationWarning | None,
+) -> tuple[CalibrationWarning, ...]:
     """Say how else the file could be read, where it does not fit."""
-    if not (wrong or suspicious(used, fit)):
+    if wrong is None and not suspicious(used, fit):
         return ()
-    return better_ways(recording, max(solution.problem.terms))
+    ways = better_ways(recording, max(solution.problem.terms))
+    return tuple(CalibrationWarning("file-mistake", words) for words in ways)
 
 
-def _status(solution: Solution, determined: Determined, wrong: str) -> Status:
+def _systematic_warnings(found: tuple[SystematicError, ...]) -> tuple[CalibrationWarning, ...]:
+    return tuple(
+        CalibrationWarning(f"systematic-{one.code}", one.warning) for one in found if one.warning
+    )
+
+
+def _status(solution: Solution, determined: Determined, wrong: CalibrationWarning | None) -> Status:
     if solution.result.status == "interrupted":
         return "not_converged"
     if determined.undetermined:
         return "unobservable"
-    if wrong:
+    if wrong is not None:
         return "not_converged"
     return "converged" if solution.result.status == "converged" else "not_converged"
 
 
-def _message(status: Status, solution: Solution, determined: Determined, wrong: str) -> str:
+def _message(
+    status: Status,
+    solution: Solution,
+    determined: Determined,
+    wrong: CalibrationWarning | None,
+) -> str:
     if status == "unobservable":
         return (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    return wrong if wrong and status == "not_converged" else solution.result.message
+    if wrong is not None and status == "not_converged":
+        return wrong.message
+    return solution.result.message
 
 
 def _estimates(

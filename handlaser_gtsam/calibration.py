@@ -18,7 +18,9 @@ from .joint import JointCovariance
 from .losses import LossName
 from .noise import Noise
 from .parameters import Parameters, RangeErrorPrior
+from .recording import Recording
 from .results.systematic import SystematicError
+from .results.warning import CalibrationWarning
 from .sensor import Rejected
 from .weighting import Variances
 
@@ -143,8 +145,8 @@ class Fit:
     range_sigma_given : bool
     poses : str
         How errors of the hand poses counted: `exact`, `marginalised` or `estimated`.
-    median_reading : float
-        [m]
+    median_reading, typical_range : float
+        Median of the readings, and the natural unit of lengths [m]: the same unless some are negative.
     loss : str
         `gaussian`, or the robust loss of the estimate.
     farthest : float
@@ -167,6 +169,7 @@ class Fit:
     range_sigma_given: bool
     poses: Literal["exact", "marginalised", "estimated"]
     median_reading: float
+    typical_range: float
     loss: LossName
     farthest: float
     farthest_at: tuple[str, str]
@@ -226,6 +229,10 @@ class BeamMixture:
     means: FloatArray
     sigmas: FloatArray
     members: IntArray
+
+    def grown(self, factor: float) -> "BeamMixture":
+        """Return the mixture spread out about the estimate."""
+        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +302,7 @@ class Calibration:
         one of many solutions and have no covariance; `not_converged` when the solver gave up.
     message : str
         The same in words.
-    warnings : tuple of str
+    warnings : tuple of CalibrationWarning
         Signs that the result should not be believed, the gravest first.
     beams, planes : mappings by name, in the order of the recording
     fit : Fit
@@ -324,11 +331,14 @@ class Calibration:
         The scales that were integrated over.
     systematic : tuple of SystematicError
         What the recording says of errors that the model leaves out.
+    recording : Recording or None
+        What was solved: repeated stations are merged, and readings that are codes taken out. None
+        where it is not known.
     """
 
     status: Status
     message: str
-    warnings: tuple[str, ...]
+    warnings: tuple[CalibrationWarning, ...]
     beams: Mapping[str, Beam]
     planes: Mapping[str, Plane]
     fit: Fit
@@ -345,6 +355,7 @@ class Calibration:
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()
+    recording: Recording | None = None
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""

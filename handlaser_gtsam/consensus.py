@@ -105,7 +105,7 @@ def _robust(
 
 
 def _least_scale(readings: Readings, range_sigma: float | None) -> float:
-    return max(range_sigma or 0.0, 1e-9 * float(readings.distance.max()))
+    return max(range_sigma or 0.0, 1e-9 * readings.largest_range())
 
 
 def _spread_ratio(

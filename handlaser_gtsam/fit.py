@@ -11,7 +11,7 @@ from .losses import GAUSSIAN
 from .model import residuals, scene
 from .noise import Noise
 from .ordering import Order
-from .recording import Readings, Recording
+from .recording import Readings, Recording, typical_range
 from .selection import Selection
 from .sensor import FLAT, OUTSIDE, Rejected
 from .weighting import reading_sigmas
@@ -62,6 +62,7 @@ def fit_of(
         poses=solution.poses,
         loss=solution.problem.loss.name,
         median_reading=float(np.median(readings.distance[of_used])),
+        typical_range=typical_range(readings.distance[of_used]),
         farthest=float(far[farthest]),
         farthest_at=(
             recording.station_names[station[of_used[farthest]]],

@@ -68,6 +68,14 @@ class JointCovariance:
             self, beams=factor * self.beams, planes=factor * self.planes, coupling=coupling
         )
 
+    def grown(self, beams: float, planes: float) -> "JointCovariance":
+        """Return the covariance with standard deviations that are larger.
+
+        Those of the beams `beams` times, those of the planes for known beams `planes` times.
+        """
+        found = self.scaled(beams**2)
+        return replace(found, planes=planes**2 * self.planes)
+
     def arranged(
         self, beams: Sequence[tuple[str, int]], planes: Sequence[tuple[str, int]]
     ) -> "JointCovariance":

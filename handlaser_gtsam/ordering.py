@@ -49,5 +49,6 @@ def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
         frozen(recording.world_t_hand[source]),
         len(beams),
         len(planes),
+        None if recording.samples is None else frozen(recording.samples[source, beams[beam]]),
     )
     return readings, Order(frozen_indices(stations), frozen_indices(beams), frozen_indices(planes))

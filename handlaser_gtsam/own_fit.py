@@ -68,6 +68,7 @@ def fit_of_graph(
         range_sigma_given=True,
         poses="estimated" if any(row.posed for row in rows) else "exact",
         median_reading=_median([row.range for row in rows]),
+        typical_range=_median([abs(row.range) for row in rows]),
         loss="gaussian",
         farthest=float(np.abs(e / sigma).max()),
         farthest_at=(rows[far].label, names[rows[far].beam]),

@@ -22,6 +22,7 @@ from .errors import InputError
 from .joint import JointCovariance
 from .keys import BeamKeys
 from .own_fit import fit_of_graph, key_name
+from .results.warning import CalibrationWarning
 from .values import require_values
 
 METHOD = "graph"
@@ -73,7 +74,7 @@ def read_graph(
     unknowns = linear.gradientAtZero().vector().size
     fit = fit_of_graph(graph, values, beams, planes, unknowns)
     information = _information(graph, linear, wanted)
-    length = fit.median_reading if fit.median_reading > 0.0 else 1.0
+    length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     status, message, found = _judged(information, wanted, length)
     if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
         status = "not_converged"
@@ -81,8 +82,9 @@ def read_graph(
     joint = None if found is None else _joint(found[0], wanted, values, beams, planes)
     told = joint if status == "converged" else None
     tail = float(chi2_distribution.sf(fit.chi2, fit.dof)) if fit.dof > 0 else 1.0
-    doubt = (
-        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
+    doubt = CalibrationWarning(
+        "sigmas-too-small",
+        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise",
     )
     return Calibration(
         status,

@@ -1,6 +1,7 @@
 """The whole way, from a recording to a calibration."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from .noise import Noise
 from .options import CalibrationOptions
 from .ordering import sorted_readings
 from .recording import Recording
+from .screening.screen import screened
 from .selection import select
 from .solvers.levenberg import Trial
 
@@ -40,9 +42,9 @@ def calibrate(
     Raises
     ------
     InputError
-        The sensor's limits leave a beam or a plane without readings; errors of the poses are to be
-        counted but not stated; pose covariances of another number of stations; a range sigma by beam
-        of a beam with few readings; arguments of other types.
+        The sensor's limits leave a beam or a plane without readings; a channel was logged twice;
+        errors of the poses are to be counted but not stated; pose covariances of another number of
+        stations; a range sigma by beam of a beam with few readings; arguments of other types.
     """
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
@@ -50,13 +52,20 @@ def calibrate(
     require_kind("noise", noise, Noise)
     require_kind("options", options, CalibrationOptions)
     options.require_consistent(noise)
+    if not options.sensor.range_stated:  # then the recording knows whether negative readings count
+        sensor = replace(options.sensor, range_min=recording.range_min)
+        options = replace(options, sensor=sensor)
+    # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
+    found = screened(recording, noise.range_sigma)
+    recording = found.recording
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
-    # 1. An order that only the content decides, and every plane in a frame amid its stations.
+    # 2. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)
-    # 2. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
+    # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
     selection = select(
         recording, readings.seen_from(origins), noise.reordered(order.stations), options, progress
     )
-    # 3. Covariances of what is determined, in the names and the order of the recording.
-    return assemble(recording, readings, order, origins, noise, selection)
+    # 4. Covariances of what is determined, in the names and the order of the recording.
+    result = assemble(recording, readings, order, origins, noise, selection)
+    return replace(result, warnings=(*found.warnings, *result.warnings), recording=recording)

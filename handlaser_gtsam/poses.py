@@ -56,7 +56,7 @@ def pose_priors(
     variance that is small beside that of the others.
     """
     stations, first = np.unique(readings.station, return_index=True)
-    length = float(np.median(readings.distance))
+    length = readings.typical_range()
     unit = np.array([1.0 / length] * 3 + [1.0] * 3)
     values, axes = np.linalg.eigh(covariance[stations] / np.outer(unit, unit))
     values = np.maximum(values, LEAST_SHARE * values[:, -1:])

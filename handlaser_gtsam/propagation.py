@@ -86,7 +86,7 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     joint = calibration.covariance
     if joint is None or one.direction_sigma is None:
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
-    x, J, slope = _spot(one, reading)
+    x, J, slope = _spot(calibration, one, reading)
     S = J @ joint.matrix([beam], []) @ J.T
     v = one.direction
     along = float(np.sqrt(max(float(v @ S @ v), 0.0)))
@@ -110,7 +110,7 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         raise InputError(f"readings of {len(names)} beams", "three or more: they span the plane")
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
-    spots = [_spot(_beam(calibration, name), readings[name]) for name in names]
+    spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
     X = np.array([x for x, _, _ in spots])
     middle = X.mean(axis=0)
     _, size, axes = np.linalg.svd(X - middle)
@@ -166,7 +166,7 @@ def typical_plane(
 
 def spot_jacobian(calibration: Calibration, beam: str, reading: float) -> FloatArray:
     """Return the derivative (3, 8) of a beam's spot at a reading [m] by its ambient coordinates."""
-    return _spot(_beam(calibration, beam), reading)[1]
+    return _spot(calibration, _beam(calibration, beam), reading)[1]
 
 
 def _beam(calibration: Calibration, name: str) -> Beam:
@@ -175,9 +175,19 @@ def _beam(calibration: Calibration, name: str) -> Beam:
     return calibration.beams[name]
 
 
-def _spot(beam: Beam, reading: float) -> tuple[FloatArray, FloatArray, float]:
+def _require_reading(calibration: Calibration, reading: float) -> None:
+    least = 0.0 if calibration.recording is None else calibration.recording.range_min
+    if not (np.isfinite(reading) and (reading > 0.0 or (least <= reading and least < 0.0))):
+        expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
+        raise InputError(f"a reading of {reading:g} m", expected)
+
+
+def _spot(
+    calibration: Calibration, beam: Beam, reading: float
+) -> tuple[FloatArray, FloatArray, float]:
     """Return the spot (3,), its derivative (3, 8) by the ambient coordinates, and g'(d)."""
-    require_number("a reading of", reading, 0.0, LARGEST, above=True, unit="m")
+    require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+    _require_reading(calibration, reading)
     k1, k2 = beam.range_error
     g = reading * (1.0 + k1 + k2 * reading)
     J = np.hstack(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, IntArray, frozen, frozen_indices
 from .checks import require_names
 from .errors import InputError
+from .results.warning import CalibrationWarning
 
 ROTATION_TOLERANCE = 1e-6
 QUARTILES = 1.349
@@ -36,6 +37,8 @@ class Readings:
         Hand pose of the reading's station [m], world frame.
     beams, planes : int
         Number of beams B and planes P.
+    samples : (N,), optional
+        How many independent readings each is worth, where it is a mean of several; else one.
     """
 
     station: IntArray
@@ -46,6 +49,7 @@ class Readings:
     world_t_hand: FloatArray
     beams: int
     planes: int
+    samples: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -62,6 +66,14 @@ class Readings:
         have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
         """
         return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
+
+    def typical_range(self) -> float:
+        """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
+        return typical_range(self.distance)
+
+    def largest_range(self) -> float:
+        """Return the size of the largest reading [m]."""
+        return float(np.abs(self.distance).max())
 
     def spread(self) -> float:
         """Return the standard deviation of the readings [m] that their quartiles show."""
@@ -82,6 +94,7 @@ class Readings:
             np.tile(self.world_t_hand, (count, 1)),
             self.beams * count,
             self.planes * count,
+            None if self.samples is None else np.tile(self.samples, count),
         )
 
     def plane_means(self, values: FloatArray) -> FloatArray:
@@ -102,6 +115,7 @@ class Readings:
             self.world_t_hand[rows],
             self.beams,
             self.planes,
+            None if self.samples is None else self.samples[rows],
         )
 
 
@@ -124,12 +138,20 @@ class Recording:
         Unique labels; "1", "2", ... by default.
     ignored_columns : strings
         Columns of the file that were not used.
+    samples : (M, B), optional
+        How many independent readings each range is worth, where it is a mean of several; else one.
+    warnings : tuple of CalibrationWarning
+        What was noticed when it was read from a file; `calibrate` hands it on.
+    range_min : float
+        Ranges below are refused [m]: zero, or negative for sensors that read the distance from a
+        reference amid their range.
 
     Raises
     ------
     InputError
         Wrong shapes, numbers that are not finite, matrices that are no rotations, ranges that are
-        not positive, names that cannot be printed or repeat, a plane or a beam without any reading.
+        not positive where `range_min` is zero, names that cannot be printed or repeat, a plane or a
+        beam without any reading.
     """
 
     world_R_hand: FloatArray
@@ -139,6 +161,9 @@ class Recording:
     beam_names: tuple[str, ...]
     station_names: tuple[str, ...] = ()
     ignored_columns: tuple[str, ...] = ()
+    samples: FloatArray | None = None
+    warnings: tuple[CalibrationWarning, ...] = ()
+    range_min: float = 0.0
     plane_names: tuple[str, ...] = field(init=False)
     plane_of_station: IntArray = field(init=False)
 
@@ -146,6 +171,8 @@ class Recording:
         store = object.__setattr__
         for name in ("world_R_hand", "world_t_hand", "ranges"):
             store(self, name, _float_array(getattr(self, name), name))
+        if self.samples is not None:
+            store(self, "samples", _float_array(self.samples, "samples"))
         store(self, "plane_labels", tuple(self.plane_labels))
         store(self, "beam_names", tuple(self.beam_names))
         stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
@@ -175,6 +202,7 @@ class Recording:
             frozen(self.world_t_hand[station]),
             len(self.beam_names),
             len(self.plane_names),
+            None if self.samples is None else frozen(self.samples[station, beam]),
         )
 
     def plane(self, name: str) -> "Recording":
@@ -220,6 +248,8 @@ class Recording:
             tuple(self.plane_labels[j] for j in rows),
             tuple(self.beam_names[i] for i in beams),
             tuple(self.station_names[j] for j in rows),
+            samples=None if self.samples is None else self.samples[np.ix_(rows, beams)],
+            range_min=self.range_min,
         )
 
     def without(self, left_out: ArrayLike) -> "Recording":
@@ -233,7 +263,8 @@ class Recording:
         ranges = np.where(np.asarray(left_out, dtype=bool), np.nan, self.ranges)
         beams = np.flatnonzero(~np.isnan(ranges).all(axis=0))
         names = tuple(self.beam_names[i] for i in beams)
-        return replace(self, ranges=ranges[:, beams], beam_names=names)
+        samples = None if self.samples is None else self.samples[:, beams]
+        return replace(self, ranges=ranges[:, beams], beam_names=names, samples=samples)
 
     def renamed(self, old: str, new: str) -> "Recording":
         """Return the same with another name for a beam."""
@@ -251,11 +282,17 @@ def join(recordings: Sequence[Recording]) -> Recording:
         A station name that stands in two of them.
     """
     beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
-    ranges = []
+    ranges, samples = [], []
     for one in recordings:
+        columns = [beams.index(name) for name in one.beam_names]
         wide = np.full((len(one.ranges), len(beams)), np.nan)
-        wide[:, [beams.index(name) for name in one.beam_names]] = one.ranges
+        wide[:, columns] = one.ranges
         ranges.append(wide)
+        worth = np.ones(wide.shape)
+        if one.samples is not None:
+            worth[:, columns] = one.samples
+        samples.append(worth)
+    averaged = any(one.samples is not None for one in recordings)
     return Recording(
         np.concatenate([one.world_R_hand for one in recordings]),
         np.concatenate([one.world_t_hand for one in recordings]),
@@ -263,6 +300,8 @@ def join(recordings: Sequence[Recording]) -> Recording:
         tuple(label for one in recordings for label in one.plane_labels),
         beams,
         tuple(name for one in recordings for name in one.station_names),
+        samples=np.concatenate(samples) if averaged else None,
+        range_min=min(one.range_min for one in recordings),
     )
 
 
@@ -287,12 +326,17 @@ def _check_shapes(recording: Recording) -> None:
         found = getattr(recording, name).shape
         if found != shape:
             raise InputError(f"{name} of shape {found}", f"shape {shape}")
+    samples = recording.samples
+    if samples is not None and samples.shape != (stations, beams):
+        raise InputError(f"samples of shape {samples.shape}", f"shape {(stations, beams)}")
     if len(recording.station_names) != stations:
         raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
 
 
 def _check_numbers(recording: Recording) -> None:
     name = recording.station_names
+    if not -LARGEST <= recording.range_min <= 0.0:
+        raise InputError(f"range_min {recording.range_min:g}", f"-{LARGEST:.0f} to 0 m")
     R, t, d = recording.world_R_hand, recording.world_t_hand, recording.ranges
     bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
     if bad.size:
@@ -301,6 +345,9 @@ def _check_numbers(recording: Recording) -> None:
     if bad.size:
         found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
         raise InputError(found, f"metres, at most {LARGEST:.0f}")
+    samples = recording.samples
+    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST)).all():
+        raise InputError("samples that are not one or more", "1 for a reading that is no mean")
     bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
     error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
@@ -311,12 +358,17 @@ def _check_numbers(recording: Recording) -> None:
             f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
         )
     with np.errstate(invalid="ignore"):
-        rows, columns = np.nonzero(~np.isnan(d) & ~((d > 0.0) & (d <= LARGEST)))
+        positive = (d > 0.0) if recording.range_min == 0.0 else (d >= recording.range_min)
+        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST)))
     if rows.size:
+        least = "a positive range"
+        if recording.range_min < 0.0:
+            least = f"a range from {recording.range_min:g}"
         raise InputError(
             f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
             f"at station {name[rows[0]]}",
-            f"a positive range in metres up to {LARGEST:.0f}, or NaN for no reading",
+            f"{least} in metres up to {LARGEST:.0f}, or NaN for no reading; negative readings need the "
+            "sensor's range_min",
         )
 
 
@@ -345,6 +397,18 @@ def _check_names(recording: Recording) -> None:
             f"plane {recording.plane_names[plane]} without any reading",
             "at least one reading of every plane; leave its stations out",
         )
+
+
+def typical_range(distance: FloatArray) -> float:
+    """Return the median of readings (N,), the natural unit of lengths [m].
+
+    Readings of both signs count from a reference amid the sensor's range, at which nothing is short:
+    then it is half of what they span, but for the extreme twentieths.
+    """
+    if distance.size == 0 or distance.min() > 0.0:
+        return float(np.median(distance))
+    low, high = np.quantile(distance, [0.05, 0.95])
+    return float(0.5 * (high - low)) or float(np.abs(distance).max()) or 1.0
 
 
 def first_repeated(names: Sequence[str]) -> int | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import model
-from .arrays import IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 from .checks import require_number
 from .errors import InputError
 from .parameters import Parameters
@@ -23,7 +23,8 @@ class Sensor:
     Attributes
     ----------
     range_min, range_max : float
-        Readings outside are no readings [m].
+        Readings outside are no readings [m]. The least is negative for sensors that read the distance
+        from a reference amid their range; else only positive readings are distances.
     max_incidence : float
         Largest angle between beam and plane normal at which a reading counts [rad].
     linearity : float
@@ -42,15 +43,25 @@ class Sensor:
                 require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
         for name in ("max_incidence", "linearity"):
             require_number(name, getattr(self, name), -LARGEST, LARGEST)
-        if not 0.0 <= self.range_min < self.range_max:
+        if not -LARGEST <= self.range_min < self.range_max:
             found = f"sensor range {self.range_min:g} to {self.range_max:g} m"
-            raise InputError(found, "0 <= least < largest")
+            raise InputError(found, f"-{LARGEST:.0f} <= least < largest")
         if not 0.0 < self.max_incidence <= math.pi / 2.0:
             found = f"max_incidence {math.degrees(self.max_incidence):g} deg"
             raise InputError(found, "an angle above 0 and up to 90 degrees")
         if not LEAST_LINEARITY <= self.linearity <= MOST_LINEARITY:
             expected = f"{LEAST_LINEARITY:g} to {MOST_LINEARITY:g}: a part of the reading"
             raise InputError(f"linearity {self.linearity:g}", expected)
+
+    @property
+    def range_stated(self) -> bool:
+        """Whether the range is stated at all."""
+        return self.range_min != 0.0 or math.isfinite(self.range_max)
+
+    def can_read(self, d: FloatArray) -> BoolArray:
+        """Tell which readings [m] the sensor can give."""
+        positive = (d > 0.0) | (self.range_min < 0.0)
+        return np.asarray(positive & (d >= self.range_min) & (d <= self.range_max))
 
 
 OUTSIDE = "outside the sensor's range"
@@ -78,15 +89,12 @@ def within(recording: Recording, sensor: Sensor) -> Recording:
         A plane or beam is left without readings.
     """
     d = recording.ranges
-    return replace(
-        recording, ranges=np.where((d >= sensor.range_min) & (d <= sensor.range_max), d, np.nan)
-    )
+    return replace(recording, ranges=np.where(sensor.can_read(d), d, np.nan))
 
 
 def within_range(readings: Readings, sensor: Sensor) -> IntArray:
     """Return the rows whose reading the sensor can give."""
-    d = readings.distance
-    return np.flatnonzero((d >= sensor.range_min) & (d <= sensor.range_max))
+    return np.flatnonzero(sensor.can_read(readings.distance))
 
 
 def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor) -> IntArray:

@@ -2,9 +2,10 @@ r"""How readings err together: the covariance of a station's readings, and its i
 
 The residuals of the readings d of one station have, to first order, the covariance
 
-    C = diag((g'(d) sigma)^2 + (tau tan a)^2) + J S J'
+    C = diag((g'(d) sigma)^2 / m + (tau tan a)^2) + J S J'
 
-with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, sigma the range sigma of the beam, tau the
+with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, m the number of independent readings that d is
+the mean of (else one), sigma the range sigma of the beam, tau the
 incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand pose and J the derivative
 of the residuals by it. J S J' couples the beams of a station. Stations are independent.
 """
@@ -193,10 +194,10 @@ def own_variances(parameters: Parameters, readings: Readings, variances: Varianc
 
 
 def slopes(parameters: Parameters, readings: Readings) -> FloatArray:
-    """Return g'(d) (N,): by how much an error of a reading changes its residual."""
+    """Return g'(d) / sqrt(m) (N,): by how much the noise of one reading changes a residual."""
     k = parameters.range_errors[readings.beam]
     slope: FloatArray = 1.0 + k[:, 0] + 2.0 * k[:, 1] * readings.distance
-    return slope
+    return slope if readings.samples is None else slope / np.sqrt(readings.samples)
 
 
 def unequal(parameters: Parameters, readings: Readings, variances: Variances) -> bool:

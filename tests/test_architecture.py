@@ -10,7 +10,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"text", "errors", "arrays", "_version", "checks", "losses"},
+    {"text", "errors", "arrays", "_version", "checks", "losses", "results.warning"},
     {"parameters", "recording", "noise", "keys", "ordering", "values"},
     {"model", "sensor"},
     {"weighting", "joint"},
@@ -23,10 +23,11 @@ FLOORS = [
     {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons", "diagnosis.elsewhere"},
     {"options", "covariance"},
     {"estimation"},
+    {"screening"},
     {"results.projection", "results.wording"},
     {"results.alternatives"},
     {"results.score_tests"},
-    {"results.systematic"},
+    {"results.systematic", "results.dependence"},
     {"calibration"},
     {"diagnosis.doubts", "diagnosis.hypotheses", "consensus"},
     {"diagnosis.mirror"},

@@ -104,7 +104,7 @@ def test_the_given_sigma_scales_chi2(gripper):
     options = hl.CalibrationOptions("k1k2", poses="exact")
     calibration = hl.calibrate(gripper, hl.Noise(2 * SIGMA), options)
     fit = calibration.fit
-    assert any("only 0.5" in words for words in calibration.warnings)
+    assert any("only 0.5" in words.message for words in calibration.warnings)
     k = np.array([beam.range_error for beam in calibration.beams.values()])
     slope = 1.0 + k[:, 0] + 2.0 * k[:, 1] * gripper.ranges
     # Weights are those of the iteration before the last.
@@ -295,9 +295,9 @@ def test_no_redundancy_and_no_sigma_is_said():
 def test_uncertain_poses_are_warned_of(gripper):
     noise = hl.Noise(SIGMA, pose_rotation_sigma=1e-3)
     exact = hl.calibrate(gripper, noise, hl.CalibrationOptions(poses="exact"))
-    assert any("poses were taken as exact" in words for words in exact.warnings)
+    assert any("poses were taken as exact" in words.message for words in exact.warnings)
     counted = hl.calibrate(gripper, noise)
-    assert not any("poses" in words for words in counted.warnings)
+    assert not any("poses" in words.message for words in counted.warnings)
     for name, beam in counted.beams.items():
         assert (beam.location_sigma > exact.beams[name].location_sigma).all()
 
@@ -439,7 +439,7 @@ def test_a_file_that_does_not_fit_is_told_from_a_motion_that_does_not_suffice(mi
         "labels": {"plane_labels": tuple("A" for _ in t)},
     }[mistake]
     calibration = hl.calibrate(broken(recording, **columns))
-    said = " ".join((calibration.message, *calibration.warnings))
+    said = " ".join((calibration.message, *(one.message for one in calibration.warnings)))
     assert "check that lengths are metres" in said
     assert "world_T_hand" in said
     assert hl.calibrate(recording).warnings == ()
@@ -450,7 +450,7 @@ def test_everything_in_millimetres_is_suspected():
     scaled = broken(
         recording, ranges=1e3 * recording.ranges, world_t_hand=1e3 * recording.world_t_hand
     )
-    assert any("millimetres" in words for words in hl.calibrate(scaled).warnings)
+    assert any("millimetres" in words.message for words in hl.calibrate(scaled).warnings)
 
 
 def test_an_outlier_is_named():
@@ -460,9 +460,9 @@ def test_an_outlier_is_named():
     keep = hl.CalibrationOptions(outliers="keep")
     calibration = hl.calibrate(broken(recording, ranges=ranges), hl.Noise(SIGMA), keep)
     assert calibration.fit.largest_at == ("18", "3")
-    assert any("beam 3 at station 18" in words for words in calibration.warnings)
+    assert any("beam 3 at station 18" in words.message for words in calibration.warnings)
 
 
 def test_a_given_sigma_that_is_too_small_is_contradicted(gripper):
     calibration = hl.calibrate(gripper, hl.Noise(SIGMA / 2))
-    assert any("times as large as the sigmas" in words for words in calibration.warnings)
+    assert any("times as large as the sigmas" in words.message for words in calibration.warnings)

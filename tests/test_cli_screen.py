@@ -98,7 +98,10 @@ def replace_ranges(recording, ranges):
 
 
 def test_warnings_that_do_not_fit_are_counted(calibration, recording):
-    words = tuple(f"{i} " + "a reading is far off, look at it " * 7 for i in range(12))
+    words = tuple(
+        hl.CalibrationWarning("far-reading", f"{i} " + "a reading is far off, look at it " * 7)
+        for i in range(12)
+    )
     many = replace(calibration, warnings=words)
     lines = screen_lines(many, recording, verdict(many, recording), closing=3)
     fits("\n".join(lines))
@@ -124,7 +127,10 @@ def test_the_worst_case_of_everything_fits(calibration, recording):
         covariance=None,
         mixture=None,
         systematic=(error_of(np.full((8, 3), 1e-5), found=False),),
-        warnings=("look at every one of the readings of the recording " * 8,) * 9,
+        warnings=(
+            hl.CalibrationWarning("x", "look at every one of the readings of the recording " * 8),
+        )
+        * 9,
     )
     judged = verdict(wide, recording, Limits(1e-6, 1e-6, 1e-6))
     fits("\n".join(screen_lines(wide, recording, judged, closing=3)))

@@ -45,8 +45,8 @@ def test_millimetres_taken_for_metres_are_asked_about(recording):
         recording, world_t_hand=1e3 * recording.world_t_hand, ranges=1e3 * recording.ranges
     )
     found = hl.calibrate(moved, options=NONE)
-    assert any("from the hand's origin; are positions in millimetres" in w for w in found.warnings)
-    assert not any("millimetres" in w for w in hl.calibrate(recording, options=NONE).warnings)
+    assert "far-beam" in [one.code for one in found.warnings]
+    assert "far-beam" not in [one.code for one in hl.calibrate(recording, options=NONE).warnings]
 
 
 def test_a_hand_that_only_turns_leaves_its_mirror_image_open(recording):

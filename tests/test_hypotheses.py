@@ -75,5 +75,5 @@ def test_a_right_file_suggests_nothing(right):
 def test_the_calibration_warns_and_does_not_converge(right):
     found = hl.calibrate(inverted(right), hl.Noise(1e-3))
     assert found.status != "converged"
-    assert "poses look inverted" in found.warnings[0]
+    assert "poses look inverted" in found.warnings[0].message
     assert all(beam.covariance is None for beam in found.beams.values())

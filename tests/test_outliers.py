@@ -98,7 +98,7 @@ def test_a_wrong_plane_label_is_recognised_and_suggested():
     assert {r.station for r in found.fit.rejected} == {"4"}
     assert {r.reason for r in found.fit.rejected} == {"wrong plane label: fits plane A"}
     expected = "station 4 is labelled plane C but fits plane A: correct its label"
-    assert expected in found.warnings
+    assert hl.CalibrationWarning("wrong-label", expected) in found.warnings
 
 
 def test_swapped_readings_of_a_station_are_recognised():

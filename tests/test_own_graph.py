@@ -316,7 +316,7 @@ def test_a_wrong_noise_is_warned_of():
     found = hl.read_graph(
         graph, hl.optimize(graph, started(walker.values)).values, {"laser": BEAM}, PLANES
     )
-    assert "chi2" in found.warnings[0]
+    assert "chi2" in found.warnings[0].message
 
 
 def test_wrong_keys_are_refused(walk):

@@ -127,9 +127,8 @@ FAULTS = {
     ),
     "empty pose": ([HEADER, ROWS[0].replace("0.2", ""), *ROWS[1:]], 2, "y", "an empty cell"),
     "empty label": ([HEADER, ROWS[0].replace("A", "", 1), *ROWS[1:]], 2, "plane", "an empty cell"),
-    "nan": ([HEADER, ROWS[0].replace("0.021", "nan"), *ROWS[1:]], 2, "range_2", "'nan'"),
     "nan pose": ([HEADER, ROWS[0].replace("0.2", "NaN"), *ROWS[1:]], 2, "y", "'NaN'"),
-    "infinity": ([HEADER, ROWS[0].replace("0.021", "inf"), *ROWS[1:]], 2, "range_2", "'inf'"),
+    "infinity": ([HEADER, ROWS[0].replace("0.2", "inf"), *ROWS[1:]], 2, "y", "'inf'"),
     "quaternion": (
         [HEADER, ROWS[0].replace("0,0,0,1", "0,0,0,1.01"), *ROWS[1:]],
         2,

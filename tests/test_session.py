@@ -314,9 +314,9 @@ def test_scales_that_were_learned_from_fewer_planes_are_named():
     for index in range(8):
         session.add(plane(recording, index))
     words = "planes: settle() learns them anew"
-    assert any(words in warning for warning in session.calibration().warnings)
+    assert any(words in warning.message for warning in session.calibration().warnings)
     session.settle()
-    assert not any(words in warning for warning in session.calibration().warnings)
+    assert not any(words in warning.message for warning in session.calibration().warnings)
     assert_batch(session)
 
 

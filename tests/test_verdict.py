@@ -171,7 +171,8 @@ def test_outside_a_limit(calibration, recording, name):
 
 
 def test_warnings_ask_for_care(calibration, recording):
-    found = verdict(replace(calibration, warnings=("a reading is far off",)), recording)
+    doubt = hl.CalibrationWarning("far-reading", "a reading is far off")
+    found = verdict(replace(calibration, warnings=(doubt,)), recording)
     assert (found.usable, found.code) == (True, "usable-with-care")
 
 

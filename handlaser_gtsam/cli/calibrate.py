@@ -138,7 +138,7 @@ def calibrate(
         incidence_sigma_mm,
     )
     settings = settings_of(rig, numbers, range_mm, max_incidence_deg)
-    table = read_recording(recording)
+    table = read_recording(recording, settings.sensor)
     options = CalibrationOptions(
         range_error.value,
         outliers.value,
@@ -219,7 +219,7 @@ def _finish(
     if cross is not None and aloud:
         print(cross_check_line(cross), file=sys.stderr)
     for warning in result.warnings if aloud else ():
-        if warning != result.message:
+        if warning.message != result.message:
             print(f"WARNING: {warning}", file=sys.stderr)
     if result.status != "converged":
         print(f"handlaser: {result.message}", file=sys.stderr)

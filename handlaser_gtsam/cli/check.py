@@ -26,6 +26,8 @@ def check(
 
     table = read_recording(recording)
     found = check_motion(table)
+    for warning in table.warnings:
+        print(f"WARNING: {warning}", file=sys.stderr)
     if json_:
         sys.stdout.write(check_text(found))
     else:

@@ -14,6 +14,7 @@ from ..noise import Noise
 from ..options import CalibrationOptions
 from ..pipeline import calibrate
 from ..recording import Recording
+from ..results.warning import CalibrationWarning
 from ..session import Comparison, Session, Update
 
 MM = 1e3
@@ -65,7 +66,8 @@ def plane_by_plane(
             f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
             f"themselves, or tell a Session to forget"
         )
-        result = replace(result, warnings=(words, *result.warnings))
+        more = CalibrationWarning("beam-moved", words)
+        result = replace(result, warnings=(more, *result.warnings))
     return PlaneByPlane(result, session.recording(), told, comparison)
 
 

@@ -235,7 +235,7 @@ def _rejected(result: Calibration) -> str:
 
 def _warnings(result: Calibration, room: int) -> list[str]:
     """Return as many warnings as there is room for, whole; the first one is cut if need be."""
-    warnings = [f"WARNING: {one}" for one in result.warnings if one != result.message]
+    warnings = [f"WARNING: {one}" for one in result.warnings if one.message != result.message]
     lines: list[str] = []
     for number, warning in enumerate(warnings):
         rest = len(warnings) - number - 1

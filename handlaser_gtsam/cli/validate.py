@@ -113,7 +113,7 @@ def validate(
         estimate_noise=estimate_noise,
         sensor=settings.sensor,
     )
-    table = read_recording(recording)
+    table = read_recording(recording, settings.sensor)
     if calibration is None and hold_out is None:
         _validate(table, settings, options, (splits, seed), json_)
         return
@@ -196,8 +196,10 @@ def _test(
         if found.status != "converged":
             print(f"handlaser: {found.message}", file=sys.stderr)
             raise typer.Exit(3)
-        mounts, tested = Mounts.of(found), read_recording(other or Path())
+        mounts, tested = Mounts.of(found), read_recording(other or Path(), settings.sensor)
         noise = found.noise(noise) if found.noise_estimate else noise
+    for warning in tested.warnings:
+        print(f"WARNING: {warning}", file=sys.stderr)
     result: HoldOut = hold_out(mounts, within(tested, settings.sensor), noise)
     if json_:
         sys.stdout.write(hold_out_text(result))

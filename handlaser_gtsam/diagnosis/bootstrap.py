@@ -152,7 +152,7 @@ def _variances(learned: LearnedScales, used: Variances, u: FloatArray) -> Varian
 
 def _used(calibration: Calibration, recording: Recording) -> tuple[Readings, Parameters]:
     """Return the readings that were used and the solution, planes in frames amid their stations."""
-    all_of_them = recording.readings()
+    all_of_them = (calibration.recording or recording).readings()
     kept = ~np.isnan(calibration.fit.residuals[all_of_them.station, all_of_them.beam])
     readings = all_of_them.subset(np.flatnonzero(kept))
     origins = readings.plane_means(readings.world_t_hand)
@@ -175,11 +175,13 @@ def _drawn(
         x = model.Scene(x.R @ turn, x.t + shift, x.r, x.v, x.n, x.b, x.k)
     d = read_back(model.predicted_ranges(x), x.k)
     sigma = variances.range_sigma[readings.beam]
+    if readings.samples is not None:
+        sigma = sigma / np.sqrt(readings.samples)
     tangent = np.sqrt(np.maximum(model.cosines(x) ** -2 - 1.0, 0.0))
     slope = 1.0 + x.k[:, 0] + 2.0 * x.k[:, 1] * d
     spread = np.hypot(sigma, variances.incidence_sigma * tangent / slope)
     d = d + spread * rng.standard_normal(len(d))
-    if (d <= 0.0).any():
+    if readings.distance.min() > 0.0 and (d <= 0.0).any():
         raise InputError("a drawn reading that is not positive", "ranges far above their sigma")
     return Readings(
         readings.station,
@@ -190,4 +192,5 @@ def _drawn(
         readings.world_t_hand,
         readings.beams,
         readings.planes,
+        readings.samples,
     )

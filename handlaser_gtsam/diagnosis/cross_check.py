@@ -54,6 +54,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
+    recording = calibration.recording or recording
     used = replace(
         recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
     )

@@ -145,7 +145,7 @@ def fit_planes(
     start = PartialStart.empty(readings)
     start.locations[:], start.directions[:], start.range_errors[:] = beams
     at = grow(start, readings)
-    unit = np.array([1.0, 1.0, float(np.median(readings.distance))])
+    unit = np.array([1.0, 1.0, readings.typical_range()])
     still = np.zeros((readings.beams, 7))
     for _ in range(STEPS):
         how = whitening(at, readings, variances)
@@ -203,7 +203,7 @@ class _Quadratic:
     ) -> "_Quadratic":
         """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
         normal = whitened_normal_equations(at, readings, 2, how)
-        length = float(np.median(readings.distance))
+        length = readings.typical_range()
         active = np.concatenate([np.arange(7) < 5 + terms for terms in mounts.terms])
         unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)[active]
         plane_unit = np.array([1.0, 1.0, length])

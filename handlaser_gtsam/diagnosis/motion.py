@@ -104,7 +104,7 @@ def check_motion(recording: Recording) -> MotionCheck:
     unknowns = 5 * readings.beams + 3 * readings.planes
     words, help_ = undetermined(parts), advice(parts)
     moved = float(np.abs(readings.world_t_hand).max())
-    if not parts and moved < LEAST_MOVE * float(np.median(readings.distance)):
+    if not parts and moved < LEAST_MOVE * readings.typical_range():
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
     return MotionCheck(planes, unknowns, len(readings), parts, words, help_)
 
@@ -159,7 +159,7 @@ def _open_in_general(readings: Readings, names: Names) -> tuple[OpenPart, ...]:
 
 def _general_position(readings: Readings, rng: np.random.Generator) -> Parameters:
     """Return random beams, and planes a typical range in front of the first beam."""
-    length = float(np.median(readings.distance))
+    length = readings.typical_range()
     main = rng.standard_normal(3)
     v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
     along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])

@@ -194,7 +194,7 @@ def observability(
     options = options or ObservabilityOptions()
     counts = per_beam(terms, readings.beams)
     most = max(counts)
-    length = float(np.median(readings.distance))
+    length = readings.typical_range()
     error_unit = np.array([1.0, 1.0 / length])
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)

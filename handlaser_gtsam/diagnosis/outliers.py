@@ -115,7 +115,7 @@ def quick_evidence(
         if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
             free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
             estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
-            sigma = max(range_sigma or 0.0, estimated, ROUNDING * float(readings.distance.max()))
+            sigma = max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
             best = min(best, _evidence(readings, kept, parameters, sigma))
     return float(best)
 
@@ -179,7 +179,7 @@ def judge(
     estimated = float(np.sqrt((z @ z) / free))
     typical = float(np.median(unit[kept]))
     least = 1.0 if known and (sigmas > 0.0).all() else 0.0
-    scale = max(least, estimated, ROUNDING * float(readings.distance.max()) / typical)
+    scale = max(least, estimated, ROUNDING * readings.largest_range() / typical)
     found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
     steep = np.flatnonzero(np.isfinite(e))
     h = np.zeros(len(readings))

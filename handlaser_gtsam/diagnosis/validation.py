@@ -125,6 +125,7 @@ def validate(
     whole = calibrate(recording, noise, options)
     if whole.status != "converged":
         raise SolverError(f"no calibration to validate: {whole.message}")
+    recording = whole.recording or recording
     kept = replace(
         recording, ranges=np.where(np.isnan(whole.fit.residuals), np.nan, recording.ranges)
     )

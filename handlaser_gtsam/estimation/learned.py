@@ -130,7 +130,7 @@ class ScaleProblem:
         self.known, self.members = known, members
         self.at, self.readings, self.terms, self.scales = at, readings, terms, scales
         self.base, self.linearity = base, linearity
-        self.length = length or float(np.median(readings.distance))
+        self.length = length or readings.typical_range()
         self.k = at.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
         beams = readings.beams if members is None else len(members)
         self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms, beams)

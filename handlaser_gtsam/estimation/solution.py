@@ -186,7 +186,7 @@ class _Task:
         self.readings, self.noise, self.options = readings, noise, options
         self.progress, self.scale, self.terms = progress, scale, options.terms
         self.loss, self.rank, self.sigma = Loss(options.loss), 0, 0.0
-        self.length = float(np.median(readings.distance))
+        self.length = readings.typical_range()
         self.learns = options.linearity is not None and prior is None
         self.prior = prior
         if self.learns:
@@ -219,7 +219,7 @@ class _Task:
 
     def is_exact(self) -> bool:
         """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
-        return self.redundancy > 0 and self.sigma < ROUNDING * float(self.readings.distance.max())
+        return self.redundancy > 0 and self.sigma < ROUNDING * self.readings.largest_range()
 
     def weighted(self, solution: Solution, variances: Variances) -> Solution:
         """Solve with the weights that follow from `variances`, and anew until they settle."""

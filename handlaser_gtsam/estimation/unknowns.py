@@ -36,7 +36,7 @@ def unknown_scales(
             unknown += _given_covariance(pose, options)
         else:
             pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
-            length = float(np.median(readings.distance))
+            length = readings.typical_range()
             factor, more = _pose_scales(noise, options, MOST * max(rms, LEAST_SIGMA), length)
             unknown += more
     ranges = np.full(readings.beams, sigma)

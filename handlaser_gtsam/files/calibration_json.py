@@ -29,7 +29,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         "version": 1,
         "status": calibration.status,
         "message": calibration.message,
-        "warnings": list(calibration.warnings),
+        "warnings": [{"code": one.code, "message": one.message} for one in calibration.warnings],
         "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         "beam_covariance": _beam_covariance(calibration),
         "planes": [_plane(plane) for plane in calibration.planes.values()],

@@ -14,9 +14,12 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ..recording import LARGEST, Recording, first_repeated
+from ..results.warning import CalibrationWarning
+from ..screening.codes import code_warning, coded_numbers
+from ..sensor import Sensor
 from ..text import A_NAME, name_fault
 from .table import Table as _Table
 from .table import read_table
@@ -25,12 +28,25 @@ from .writing import path_of, write_text
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX = "range_"
 QUATERNION_TOLERANCE = 1e-3
+NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
+"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
 MISSPELT = 0.75
 """A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     """Read a recording.
+
+    Cells of ranges that hold a code for "no reading" instead of a distance count as empty, and
+    `Recording.warnings` says which: words such as `nan` or `overflow`, and numbers that no range has
+    where they stand several times, or where the stated range of the sensor excludes them.
+
+    Parameters
+    ----------
+    path : Path or str
+    sensor : Sensor, optional
+        Its range, where it is stated, tells codes from readings. Negative readings are legal where that
+        range has them.
 
     Raises
     ------
@@ -51,7 +67,7 @@ def read_recording(path: Path | str) -> Recording:
         too_far = np.abs(position[:, index]) > LARGEST
         table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
     quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
-    ranges = np.column_stack([_ranges(table, PREFIX + beam) for beam in beams])
+    ranges, warnings = _ranges(table, beams, sensor or Sensor())
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
         _rotations(table, quaternion),
@@ -61,6 +77,8 @@ def read_recording(path: Path | str) -> Recording:
         tuple(beams),
         stations,
         tuple(name for name in table.frame.columns if not _used(name)),
+        warnings=warnings,
+        range_min=min(0.0, (sensor or Sensor()).range_min),
     )
 
 
@@ -118,11 +136,15 @@ def _used(column: str) -> bool:
     return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
 
 
-def _numbers(table: _Table, name: str, *, empty: bool = False) -> FloatArray:
-    """Return a column as finite floats; NaN where a cell is empty and may be."""
+def _numbers(
+    table: _Table, name: str, *, empty: bool = False, but: BoolArray | None = None
+) -> FloatArray:
+    """Return a column as finite floats, `but` some; NaN where a cell is empty and may be."""
     text = table.frame[name]
     values = text.cast(pl.Float64, strict=False).to_numpy().astype(np.float64)
     wrong = ~np.isfinite(values)
+    if but is not None:
+        wrong &= ~but
     if empty:
         wrong &= ~text.is_null().to_numpy()
     expected = "a finite number" + (" or an empty cell" if empty else "")
@@ -132,11 +154,54 @@ def _numbers(table: _Table, name: str, *, empty: bool = False) -> FloatArray:
     return values
 
 
-def _ranges(table: _Table, name: str) -> FloatArray:
-    d = _numbers(table, name, empty=True)
-    expected = f"a positive range in metres up to {LARGEST:.0f}, or an empty cell for no reading"
-    table.refuse((d <= 0.0) | (d > LARGEST), name, expected)
-    return d
+def _ranges(
+    table: _Table, beams: list[str], sensor: Sensor
+) -> tuple[FloatArray, tuple[CalibrationWarning, ...]]:
+    """Return the ranges, NaN where there is no reading, and which codes stood for that."""
+    columns = [table.frame[PREFIX + beam] for beam in beams]
+    words = np.column_stack([_word_codes(column) for column in columns])
+    d = np.column_stack(
+        [
+            _numbers(table, PREFIX + beam, empty=True, but=word)
+            for beam, word in zip(beams, words.T, strict=True)
+        ]
+    )
+    d[words] = np.nan
+    with np.errstate(invalid="ignore"):
+        impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
+        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST)
+    coded = impossible & sensor.range_stated
+    coded |= coded_numbers(d, impossible)
+    least = "a range" if sensor.range_min < 0.0 else "a positive range"
+    expected = (
+        f"{least} in metres up to {LARGEST:.0f}, or an empty cell for no reading; if the sensor can "
+        "read this, or says so that it reads nothing, state its range: range_mm in the rig file"
+    )
+    for i, beam in enumerate(beams):
+        table.refuse((impossible & ~coded)[:, i], PREFIX + beam, expected)
+    warnings = _code_warnings(columns, beams, coded | words)
+    d[coded] = np.nan
+    return d, warnings
+
+
+def _word_codes(column: pl.Series) -> BoolArray:
+    """Return which cells say in a word that there is no reading."""
+    word = column.str.to_lowercase().str.strip_chars_start("+-")
+    return np.asarray(word.is_in(NO_READING).fill_null(value=False).to_numpy(), dtype=bool)
+
+
+def _code_warnings(
+    columns: list[pl.Series], beams: list[str], coded: BoolArray
+) -> tuple[CalibrationWarning, ...]:
+    """Return a warning for every code, as it is written, with its beams and its count."""
+    found: dict[str, list[str]] = {}
+    for i, beam in enumerate(beams):
+        for cell in columns[i].filter(pl.Series(coded[:, i])).to_list():
+            found.setdefault(str(cell), []).append(beam)
+    return tuple(
+        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
+        for cell, whose in found.items()
+    )
 
 
 def _rotations(table: _Table, quaternion: FloatArray) -> FloatArray:

@@ -195,7 +195,7 @@ class ScoreTests:
         squares = [(self.whole * weighed(rows.how, self.whole)).sum(axis=0)]
         whole = np.concatenate((*squares, *(own for _, _, own in sums)))
         share = loose.left / np.where(whole > 0.0, whole, np.inf)
-        unit = {"m": float(np.median(rows.readings.distance)), "1": 1.0}
+        unit = {"m": rows.readings.typical_range(), "1": 1.0}
         codes = self.members.codes.tolist()
         most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in codes])
         return np.asarray((share > LEAST_SHARE) & (loose.left > (scale / most) ** 2))

@@ -145,7 +145,7 @@ def _spot_variance(
     S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
     S = S / how.sigma**2 + np.diag(_prior(calibration))
     active = np.concatenate([np.arange(7) < 5 + b.terms for b in calibration.beams.values()])
-    length = calibration.fit.median_reading
+    length = calibration.fit.typical_range
     unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
     S = S[np.ix_(active, active)] * np.outer(unit, unit)
     basis = model.tangent_basis(at.directions)

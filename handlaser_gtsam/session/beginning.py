@@ -41,7 +41,7 @@ def setting_of(found: Calibration, noise: Noise, sensor: Sensor) -> Setting:
     return Setting(
         tuple(beam.name for beam in beams),
         tuple(beam.terms for beam in beams),
-        found.fit.median_reading,
+        found.fit.typical_range,
         found.fit.range_sigma,
         np.inf if given else float(max(found.fit.dof, 1)),
         noise,

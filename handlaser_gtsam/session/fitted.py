@@ -66,7 +66,7 @@ class FittedPlane:
 
     def determined(self) -> bool:
         """Tell whether the readings alone determine the plane, for known beams."""
-        unit = np.array([1.0, 1.0, float(np.median(self.readings.distance))])
+        unit = np.array([1.0, 1.0, self.readings.typical_range()])
         information = self.normal.plane[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
         return bool(np.linalg.eigvalsh(information)[0] > MOST_SIGMA**-2)
 
@@ -242,7 +242,7 @@ def _stepped(
     at: Parameters, normal: NormalEquations, readings: Readings
 ) -> tuple[Parameters, NormalEquations]:
     """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
-    unit = np.array([1.0, 1.0, float(np.median(readings.distance))])
+    unit = np.array([1.0, 1.0, readings.typical_range()])
     values, axes = np.linalg.eigh(normal.plane[0, 0] * np.outer(unit, unit))
     known = values > RANK * values[-1]
     along = np.where(known, axes.T @ (normal.plane_gradient[0, 0] * unit), 0.0)

@@ -21,6 +21,8 @@ from ..options import CalibrationOptions
 from ..parameters import Beams, Parameters
 from ..pipeline import calibrate
 from ..recording import Readings, Recording, join
+from ..results.warning import CalibrationWarning
+from ..screening.screen import screened
 from ..sensor import Rejected
 from ..solvers.incremental import IncrementalOptions
 from .beginning import begun, refuse, setting_of
@@ -70,6 +72,7 @@ class Session:
         self.incremental = incremental or IncrementalOptions()
         refuse(self.noise, self.options)
         self._early, self._now = Contents.empty(), None
+        self._screening: tuple[CalibrationWarning, ...] = ()
         self._lock = RLock()
 
     _now: Now | None
@@ -117,18 +120,27 @@ class Session:
         Raises
         ------
         InputError
-            A station name that is there already, or a new beam that its readings do not determine.
+            A station name that is there already, a channel that was logged twice, or a new beam that
+            its readings do not determine.
         """
         if not isinstance(recording, Recording):
             raise InputError(
                 f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
             )
+        found = screened(recording, self.noise.range_sigma)
+        if found.warnings:
+            recording = found.recording.part(~np.isnan(found.recording.ranges).all(axis=1))
         with self._lock:
-            now = self._now
-            contents = self._contents.added(recording, self.options.sensor)
-            if now is None or not set(recording.beam_names) <= set(now.setting.names):
-                return self._begin(contents)
-            return self._change(now, contents, recording.plane_names)
+            update = self._added(recording)
+            self._screening += found.warnings
+        return update
+
+    def _added(self, recording: Recording) -> Update:
+        now = self._now
+        contents = self._contents.added(recording, self.options.sensor)
+        if now is None or not set(recording.beam_names) <= set(now.setting.names):
+            return self._begin(contents)
+        return self._change(now, contents, recording.plane_names)
 
     def remove_plane(self, name: str) -> Update:
         """Take a plane and its stations out again.
@@ -283,6 +295,7 @@ class Session:
         """
         now = self._require()
         found = now.inside().calibration(now.contents)
+        found = replace(found, warnings=(*self._screening, *found.warnings))
         planes = len(now.contents.numbers)
         learns = now.setting.learned is not None or self.noise.range_sigma is None
         if not learns or now.learned_with == planes or now.setting.links:
@@ -291,7 +304,8 @@ class Session:
             f"the scales of noise and range errors were learned from {now.learned_with} of {planes} "
             f"planes: settle() learns them anew"
         )
-        return replace(found, warnings=(*found.warnings, words))
+        more = CalibrationWarning("scales-of-fewer-planes", words)
+        return replace(found, warnings=(*found.warnings, more))
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes as they are now.

@@ -146,6 +146,10 @@ class ReferenceProblem:
         self.station, self.beam = np.nonzero(~np.isnan(recording.ranges))
         self.plane = recording.plane_of_station[self.station]
         self.d = recording.ranges[self.station, self.beam]
+        samples = (
+            np.ones(recording.ranges.shape) if recording.samples is None else recording.samples
+        )
+        self.samples = samples[self.station, self.beam]
         self.R = recording.world_R_hand[self.station]
         self.t = recording.world_t_hand[self.station]
         self.directions = _UnitVectors.of(start.directions)
@@ -205,7 +209,7 @@ class ReferenceProblem:
     def weigh(self, x: FloatArray, noise: ReferenceNoise) -> None:
         """Weigh the readings of each station together, at `x`."""
         beam = self._beams(x)[self.beam]
-        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
+        slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d) / np.sqrt(self.samples)
         tangent = np.sqrt(np.maximum(self._ranges(x, self.R, self.t)[1] ** -2 - 1.0, 0.0))
         own = (slope * noise.range_sigma[self.beam]) ** 2 + (noise.incidence_sigma * tangent) ** 2
         J = np.zeros((len(self.d), 6))

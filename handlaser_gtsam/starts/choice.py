@@ -208,7 +208,7 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
 
 def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
     """Tell whether a sum of squares [m^2] agrees with the given range sigma."""
-    if squares <= len(readings) * (EXACT * float(readings.distance.max())) ** 2:
+    if squares <= len(readings) * (EXACT * readings.largest_range()) ** 2:
         return True
     dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
     if dof <= 0 or range_sigma is None:

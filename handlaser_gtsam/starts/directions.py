@@ -40,7 +40,7 @@ def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> l
     """Return starts of random directions and locations, up to twenty ranges from the hand's origin."""
     v = model.normalized(rng.standard_normal((count, 3)))
     r = model.normalized(rng.standard_normal((count, 3)))
-    r *= float(np.median(readings.distance)) * 10.0 ** rng.uniform(-0.5, 1.3, (count, 1))
+    r *= readings.typical_range() * 10.0 ** rng.uniform(-0.5, 1.3, (count, 1))
     n, b = _planes(_reach(v, readings) + _turned(r, readings), readings)
     return _starts(r, v, n, b, readings)
 

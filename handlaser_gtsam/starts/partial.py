@@ -116,7 +116,7 @@ def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> No
         part = readings.subset(rows)
         n = start.normals[part.plane]
         n_hand = np.einsum("nji,nj->ni", part.world_R_hand, n)
-        scale = part.distance.mean()
+        scale = np.abs(part.distance).mean()
         A = np.hstack((n_hand, n_hand * (part.distance / scale)[:, None]))
         rhs = -(start.offsets[part.plane] + np.einsum("ni,ni->n", n, part.world_t_hand))
         solution, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=CONDITION)

@@ -66,7 +66,7 @@ def robust_starts(
         Range-error terms of the last steps.
     evidence : callable
     """
-    least = max(range_sigma or 0.0, 1e-9 * float(readings.distance.max()))
+    least = max(range_sigma or 0.0, 1e-9 * readings.largest_range())
     unknowns = (5 + terms) * readings.beams + 3 * readings.planes
     ample = len(readings) >= AMPLE * unknowns
     found: list[RobustStart] = []

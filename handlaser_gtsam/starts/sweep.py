@@ -125,7 +125,7 @@ def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Paramet
     centre = readings.world_t_hand.mean(axis=0)
     n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
     ones = np.ones((*n_hand.shape[:2], 1))
-    scale = readings.distance.mean()
+    scale = np.abs(readings.distance).mean()
     reach = n_hand * (readings.distance / scale)[:, None]
     rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
     v = _least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs)[:, 3:6]

@@ -1,0 +1,1 @@
+"""What the readings of a recording are, found before anything is solved."""

@@ -1,0 +1,89 @@
+"""Noise that is correlated in time is noticed, and makes standard deviations larger."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import odd_readings, unflagged
+from benchmarks.robot_cell import Scene, cell
+
+SCENE = Scene(2, 4, 25, 0.0, 0.0, 0.6)
+SIGMA = 1e-4
+EXACT = hl.Noise(SIGMA, 0.0, 0.0)
+NONE = hl.CalibrationOptions("none")
+
+
+def autoregressive(shape, rho, rng):
+    """Noise of unit variance, station after station."""
+    noise = rng.standard_normal(shape)
+    for j in range(1, len(noise)):
+        noise[j] = rho * noise[j - 1] + np.sqrt(1.0 - rho**2) * noise[j]
+    return noise
+
+
+def calibrated(rho, seed, noise=EXACT):
+    rng = np.random.default_rng(seed)
+    recording, truth = cell(SCENE, rng)
+    d = recording.ranges + SIGMA * autoregressive(recording.ranges.shape, rho, rng)
+    return hl.calibrate(replace(recording, ranges=d), noise, NONE), truth
+
+
+def codes(found):
+    return [one.code for one in found.warnings]
+
+
+@pytest.mark.parametrize("noise", [EXACT, hl.Noise(None, 0.0, 0.0)], ids=["given", "estimated"])
+def test_correlated_noise_is_named_and_counted(noise):
+    """For known beams the means of 25 readings in a row vary 7.3 times as much as of independent ones.
+
+    That is 2.7 times the standard deviation. Chains of 25 tell the correlation to 0.1, which moves
+    that by a factor of two either way: the geometric mean over four recordings is within sqrt(2).
+    """
+    growth = []
+    for seed in range(1, 5):
+        found, _ = calibrated(0.8, seed, noise)
+        assert "correlated-in-time" in codes(found)
+        quiet, _ = calibrated(0.0, seed, noise)
+        assert "correlated-in-time" not in codes(quiet)
+        variance, usual = (np.einsum("pii->pi", x.covariance.planes) for x in (found, quiet))
+        growth.append(np.log(np.sqrt(variance / usual)).mean())
+    assert 2.7 / np.sqrt(2.0) < np.exp(np.mean(growth)) < 2.7 * np.sqrt(2.0)
+
+
+@pytest.mark.slow
+def test_standard_deviations_cover_correlated_noise():
+    """The mean squared error of r in its sigmas, over 40 draws: one would be right."""
+    squares = []
+    for seed in range(40):
+        found, truth = calibrated(0.8, seed, hl.Noise(None, 0.0, 0.0))
+        for beam, r in zip(found.beams.values(), truth.locations, strict=True):
+            squares.append(((beam.location - r) / beam.location_sigma) ** 2)
+    assert np.mean(squares) < 1.4
+
+
+@pytest.mark.slow
+def test_independent_noise_raises_no_alarm():
+    """At most one recording in a hundred: none of 60 is expected, and two have a chance of 1 in 8."""
+    alarms = 0
+    for seed in range(60):
+        noise = (EXACT, hl.Noise(SIGMA), hl.Noise())[seed % 3]
+        alarms += "correlated-in-time" in codes(calibrated(0.0, seed, noise)[0])
+    assert alarms <= 2
+
+
+@pytest.mark.parametrize("kind", odd_readings.KINDS)
+def test_no_kind_of_readings_goes_by_unflagged(kind):
+    """The study in small: neither a wrong result without a warning, nor a right one refused."""
+    given = odd_readings.KINDS.index(kind) % 2 == 0
+    found = [unflagged.outcome(kind, given, seed) for seed in range(2)]
+    assert not [one for one in found if one.unflagged and one.farthest > unflagged.FAR]
+    if kind in ("held", "saturated"):
+        expected = {"held": "repeated-stations", "saturated": "reading-code"}[kind]
+        assert all(expected in one.codes for one in found)
+    if kind == "doubled":
+        assert all({"repeated-stations", "column-twice"} & set(one.codes) for one in found)
+    if kind == "gaussian":
+        assert all(one.status == "converged" and not one.codes for one in found)
+    assert unflagged.line(kind, given, found).startswith(kind)
