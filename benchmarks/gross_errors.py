@@ -1,4 +1,4 @@
-"""Wrong plane labels and readings that are codes: are they found, and is nothing else accused?
+"""Whether wrong plane labels and readings that are codes are found, and nothing else is accused.
 
     python -m benchmarks.gross_errors [--runs 100] [--jobs 1] [--first-seed 0] [--given]
                                       [--labels 14 20 30] [--codes 0.999 8.191 65.535 65535] [--more]
@@ -99,7 +99,9 @@ def run_once(case: Case, given: bool, seed: int) -> Judged:
     named = accused == seen
     if not named:
         why = why or f"accused {accused}, wrong are {seen}"
-    return Judged(seed, not _missed(result, truth) and not why.startswith("lost"), named, hinted, why, seconds)
+    return Judged(
+        seed, not _missed(result, truth) and not why.startswith("lost"), named, hinted, why, seconds
+    )
 
 
 def _missed(result: hl.Calibration, truth: Truth) -> str:

@@ -96,9 +96,9 @@ def _robust(
     terms: int,
 ) -> list[RobustStart]:
     """Return robust candidates; none where the start at hand is believed and shows no outliers."""
-    if start.believed and _fits_well(plain, readings, range_sigma):
-        if _spread_ratio(readings, start.parameters, range_sigma, terms) > SUSPICIOUS:
-            return []
+    alike = start.believed and _fits_well(plain, readings, range_sigma)
+    if alike and _spread_ratio(readings, start.parameters, range_sigma, terms) > SUSPICIOUS:
+        return []
     others = [start.parameters, *start.rivals]
     others = others if plain is None else [plain.parameters, *others]
     part = part_of(readings)

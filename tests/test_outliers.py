@@ -167,7 +167,6 @@ def test_robust_starts_agree_on_the_good_readings():
     readings = with_garbage(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 
-
     def scale_of(_, scale):
         return scale
 

@@ -21,7 +21,7 @@ FLAT = 0.17
 """A beam that meets its plane with a smaller cosine (80 degrees) is likely to have missed it."""
 FITS = 4.0
 AHEAD = 13.8
-"""The squared residuals of a station before the next best plane must be so much larger: odds of 1000."""
+"""By so much the squares of a station must be larger before the next best plane: odds of 1000."""
 CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
 SAME_POSE = 1e-9
@@ -81,10 +81,10 @@ def reasons(
         found = observability(parameters, part, 0, 0.0)
         predict = _Prediction(readings, kept, parameters, range_sigma, found)
         out = np.bincount(readings.station[rows], minlength=len(left))
-        for station in np.flatnonzero((out > 0) & (out >= left)):
-            plane = _fitting_plane(readings, int(station), predict)
+        for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
+            plane = _fitting_plane(readings, one, predict)
             if plane is not None:
-                other[int(station)] = plane
+                other[one] = plane
     swapped = _swapped(readings, rows, parameters, range_sigma)
     words = []
     for row in rows:
@@ -105,9 +105,7 @@ def reasons(
     return Reasons(tuple(words), other, residuals(parameters, readings))
 
 
-def _fitting_plane(
-    readings: Readings, station: int, predict: "_Prediction"
-) -> int | None:
+def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> int | None:
     """Return the plane that all readings of a station fit, if one does far better, and by no chance."""
     rows = np.flatnonzero(readings.station == station)
     own = int(readings.plane[rows[0]])

@@ -86,9 +86,9 @@ def refine_many(
 ) -> list[Refined | None]:
     """Refine every start; None where a beam grazes its plane there and the loss is not robust.
 
-    A station whose label names a plane at right angles to the one it sees has beams that graze the plane
-    named, at the solution as much as anywhere: their residuals grow beyond bounds and change sign
-    within a few degrees. Under a robust loss residuals are therefore limited.
+    A station whose label names a plane at right angles to the one it sees has beams that graze the
+    plane named, at the solution as much as anywhere: their residuals grow beyond bounds and change
+    sign within a few degrees. Under a robust loss residuals are therefore limited.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class _Search:
         return residual
 
     def _limited(self, at: Parameters) -> FloatArray:
-        """Return residuals (K, N) [m] within the limit, which is that of a beam that grazes its plane."""
+        """Return residuals (K, N) [m] within the limit; a beam that grazes its plane is at it."""
         copies = len(at.locations) // self.readings.beams
         e = model.residuals_or_infinite(at, self.readings.copies(copies))
         return np.clip(e, -self.limit, self.limit).reshape(copies, -1)

@@ -48,6 +48,7 @@ def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> l
 def as_starts(
     r: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
 ) -> list[PartialStart]:
+    """Return starts of C locations and directions, which all beams share, and of C times P planes."""
     starts = []
     for c in range(len(v)):
         start = PartialStart.empty(readings)

@@ -1,12 +1,13 @@
 """Mend a candidate that gross errors hold in part: every plane anew, by consensus, from its beams.
 
-A plane is in none but its own readings, so that a candidate may have its beams right and one plane wrong:
-where few stations see the plane, one of them with the label of another is enough. Given the beams a plane
-has three unknowns only, and any three spots determine it: many triples are drawn, and the plane that
-most readings agree with replaces the candidate's where it is better.
+A plane is in none but its own readings, so that a candidate may have its beams right and one plane
+wrong: where few stations see the plane, one of them with the label of another is enough. Given the
+beams a plane has three unknowns only, and any three spots determine it: many triples are drawn, and the
+plane that most readings agree with replaces the candidate's where it is better.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def mended(
     ahead = np.einsum("nij,nj->ni", x.R, x.v)
     spots = np.einsum("nij,nj->ni", x.R, x.r) + ranges[:, None] * ahead + x.t
     starts = np.searchsorted(readings.plane, np.arange(readings.planes + 1))
-    for plane, (first, end) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+    for plane, (first, end) in enumerate(pairwise(starts.tolist())):
         if end - first <= 3:
             continue
         own = slice(first, end)

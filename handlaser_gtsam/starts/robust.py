@@ -2,8 +2,8 @@
 
 A linear start follows its outliers. Here every candidate, linear or swept, is refined with Cauchy's
 loss, whose scale follows the residuals of those readings that must be good for the answer to mean
-anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Gross errors agree
-with nothing: the candidates that reach the strongest evidence are those that found the consensus.
+anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Gross errors
+agree with nothing: the candidates that reach the strongest evidence are those that found the consensus.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,9 +27,11 @@ RANDOM_ROUNDS, RANDOM_STARTS = 3, 48
 CAUCHY_STEPS, TUKEY_STEPS = 40, 10
 SHARES = (0.5, 0.25, 0.0)
 """Parts of the redundant readings that must be good, besides as many as there are unknowns."""
-AGREEING, SAME_EVIDENCE, SAME_PART = 4, 0.5, 0.06
-"""So many candidates of the same evidence end the search where the best is beyond chance: the same to
-so much, or to this part of what is beyond chance, for not every candidate has arrived."""
+AGREEING, LATE_AGREEING = 4, 2
+"""So many candidates of the same evidence end the search where the best is beyond chance, and so many
+where sweeps on subsets have not brought about more."""
+SAME_EVIDENCE, SAME_PART = 0.5, 0.1
+"""The same to so much, or to this part of what is beyond chance: not every candidate has arrived."""
 FIRST_MENDED, MENDING = 8, 3.0
 """So many of the best candidates are mended in each round, with so many times their scale."""
 KEPT = 6
@@ -76,42 +78,42 @@ def robust_starts(
     """
     least = max(range_sigma or 0.0, 1e-9 * float(readings.distance.max()))
     found: list[RobustStart] = []
-    for starts, good in _rounds(readings, others, terms):
+    rng = np.random.default_rng(0)
+    for starts, good, needed in _rounds(readings, others, terms, rng):
         found += _tightened(starts, readings, terms, Scale(least, good), evidence)
-        found = _mended(found, readings, terms, Scale(least, good), evidence)
-        if found and _agreed(found, beyond_chance(found[0].parameters, found[0].scale)):
+        found = _mended(found, readings, terms, Scale(least, good), evidence, rng)
+        if found and needed <= _agreeing(found, beyond_chance(found[0].parameters, found[0].scale)):
             break
     return _different(found)
 
 
-def _agreed(found: list[RobustStart], beyond: float) -> bool:
-    """Tell whether enough candidates are where the best one is, which is `beyond` chance [nats]."""
+def _agreeing(found: list[RobustStart], beyond: float) -> int:
+    """Return how many candidates are where the best one is; none if that is not `beyond` chance."""
     same = found[0].evidence + max(SAME_EVIDENCE, SAME_PART * beyond)
-    return beyond > 0.0 and sum(one.evidence <= same for one in found) >= AGREEING
+    return sum(one.evidence <= same for one in found) if beyond > 0.0 else 0
 
 
 def _rounds(
-    readings: Readings, others: list[Parameters], terms: int
-) -> Iterator[tuple[list[Parameters], float]]:
-    """Yield starts and the part of the readings that must be good."""
+    readings: Readings, others: list[Parameters], terms: int, rng: np.random.Generator
+) -> Iterator[tuple[list[Parameters], float, int]]:
+    """Yield starts, the part of the readings that must be good, and how many must agree to end."""
     total = len(readings)
     unknowns = (5 + terms) * readings.beams + 3 * readings.planes
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     near = _without_far_readings(readings)
-    rng = np.random.default_rng(0)
     few = [grow(start, near) for start in subset_starts(near, FIRST_SWEPT, TRIED, rng)]
-    yield [*others, *few], parts[0]
+    yield [*others, *few], parts[0], AGREEING
     for number in range(SUBSET_ROUNDS):
         drawn = [grow(start, near) for start in subset_starts(near, SWEPT, TRIED, rng)]
-        yield drawn, parts[number % len(parts)]
+        yield drawn, parts[number % len(parts)], AGREEING
     swept = [grow(start, near) for start in direction_starts(near, SWEPT, TRIED)]
     for part in parts:
-        yield [*others, *swept], part
+        yield [*others, *swept], part, LATE_AGREEING
     for _ in range(RANDOM_ROUNDS):
         drawn = [grow(start, near) for start in random_starts(near, RANDOM_STARTS, rng)]
         for part in parts:
-            yield drawn, part
+            yield drawn, part, LATE_AGREEING
 
 
 def _without_far_readings(readings: Readings) -> Readings:
@@ -142,10 +144,14 @@ def _tight(
 
 
 def _mended(
-    found: list[RobustStart], readings: Readings, terms: int, rule: Scale, evidence: Evidence
+    found: list[RobustStart],
+    readings: Readings,
+    terms: int,
+    rule: Scale,
+    evidence: Evidence,
+    rng: np.random.Generator,
 ) -> list[RobustStart]:
     """Return the candidates in order, the best of them with planes mended where that is better."""
-    rng = np.random.default_rng(0)
     found = sorted(found, key=lambda candidate: candidate.evidence)
     new = [
         mended(one.parameters, readings, MENDING * one.scale, rng) for one in found[:FIRST_MENDED]

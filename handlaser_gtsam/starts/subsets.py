@@ -9,16 +9,24 @@ readings of that plane. A direction is as good as the nearer part of all reading
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..recording import Readings
-from .directions import along_beams, as_starts, common_location, planes_through, reach_of, sphere, turned
+from .directions import (
+    along_beams,
+    as_starts,
+    common_location,
+    planes_through,
+    reach_of,
+    sphere,
+    turned,
+)
 from .partial import PartialStart
 
 TURNS = 4
 LEAST_DRAWN, MOST_DRAWN = 0.4, 0.9
 """Part of the stations that a direction begins with: few leave wrong ones out, many fit better."""
 NOT_DRAWN = 1e-3
-"""Weight of the other stations at first: a plane of which none is drawn has its readings all the same."""
+"""Weight of the other stations at first: a plane of which none is drawn keeps its readings."""
 NEARER = 0.6
 """Part of the readings whose distances say how good a plane, or a direction, is."""
 WORK = 400_000
@@ -51,7 +59,7 @@ def subset_starts(
 
 
 def _swept(
-    v: FloatArray, drawn: FloatArray, readings: Readings
+    v: FloatArray, drawn: BoolArray, readings: Readings
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return misfits (C,), locations (C, 3), normals (C, P, 3) and offsets (C, P) for directions."""
     weights = np.where(drawn[:, readings.station], 1.0, NOT_DRAWN)
@@ -72,7 +80,7 @@ def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
     """Return the weights (C, N) of spots by their distances from their planes."""
     away = np.abs(np.einsum("cni,cni->cn", n[:, readings.plane], spots) + b[:, readings.plane])
     first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
-    weights = np.empty_like(away)
+    weights: FloatArray = np.empty_like(away)
     for own in np.split(np.arange(len(readings)), first[1:]):
         unit = _nearer(away[:, own])[:, None] + 1e-300
         weights[:, own] = 1.0 / (1.0 + (away[:, own] / unit) ** 2) ** 2
