@@ -24,6 +24,9 @@ MAJORITY = 0.6
 """Part of a long recording that must be good."""
 CONVINCING = 3.0
 """Readings that agree within so many of the given sigmas need no further search."""
+SURE_FIT = 0.02
+"""Readings that agree within this part of their spread do not hide a station of another plane, which
+range errors and a tilted plane can take up to a few hundredths of it."""
 STEPS = 20
 
 
@@ -79,13 +82,15 @@ def _convincing(
     return _fits_well(best, readings, range_sigma)
 
 
-def _fits_well(one: Screening | None, readings: Readings, range_sigma: float | None) -> bool:
-    """Tell whether what a screening kept fits the given sigma, or the spread of the readings."""
+def _fits_well(
+    one: Screening | None, readings: Readings, range_sigma: float | None, part: float = POOR_FIT
+) -> bool:
+    """Tell whether what a screening kept fits the given sigma, or to a part of the readings' spread."""
     if one is None:
         return False
     if range_sigma is not None:
         return one.range_sigma <= CONVINCING * range_sigma
-    return one.range_sigma <= POOR_FIT * readings.spread()
+    return one.range_sigma <= part * readings.spread()
 
 
 def _robust(
@@ -96,7 +101,7 @@ def _robust(
     terms: int,
 ) -> list[RobustStart]:
     """Return robust candidates; none where the start at hand is believed and shows no outliers."""
-    alike = start.believed and _fits_well(plain, readings, range_sigma)
+    alike = start.believed and _fits_well(plain, readings, range_sigma, SURE_FIT)
     if alike and _spread_ratio(readings, start.parameters, range_sigma, terms) > SUSPICIOUS:
         return []
     others = [start.parameters, *start.rivals]
