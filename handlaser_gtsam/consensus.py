@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from .arrays import BoolArray
-from .diagnosis.outliers import Screening, quick_evidence, screen
+from .diagnosis.outliers import Screening, beyond_chance, quick_evidence, screen
 from .losses import Loss
 from .parameters import Parameters
 from .recording import Readings
@@ -24,6 +24,9 @@ MAJORITY = 0.6
 """Part of a long recording that must be good."""
 CONVINCING = 3.0
 """Readings that agree within so many of the given sigmas need no further search."""
+SURE_FIT = 0.02
+"""Readings that agree within this part of their spread do not hide a station of another plane, which
+range errors and a tilted plane can take up to a few hundredths of it."""
 STEPS = 20
 
 
@@ -56,7 +59,7 @@ def find_consensus(
     plain = screen(readings, start.parameters, terms, range_sigma)
     found: list[tuple[str, Screening]] = [] if plain is None else [(start.method, plain)]
     if not start.fits:
-        for candidate in _robust(readings, start, range_sigma, terms)[:SCREENED]:
+        for candidate in _robust(readings, start, plain, range_sigma, terms)[:SCREENED]:
             one = screen(readings, candidate.parameters, terms, range_sigma, candidate.scale)
             if one is not None:
                 found.append(("consensus", one))
@@ -75,27 +78,39 @@ def _convincing(
     found: list[tuple[str, Screening]], readings: Readings, range_sigma: float | None
 ) -> bool:
     """Tell whether the best screening fits well enough to end the search."""
-    if not found:
+    best = min((one for _, one in found), key=lambda one: one.evidence, default=None)
+    return _fits_well(best, readings, range_sigma)
+
+
+def _fits_well(
+    one: Screening | None, readings: Readings, range_sigma: float | None, part: float = POOR_FIT
+) -> bool:
+    """Tell whether what a screening kept fits the given sigma, or to a part of the readings' spread."""
+    if one is None:
         return False
-    sigma = min(found, key=lambda entry: entry[1].evidence)[1].range_sigma
     if range_sigma is not None:
-        return sigma <= CONVINCING * range_sigma
-    return sigma <= POOR_FIT * readings.spread()
+        return one.range_sigma <= CONVINCING * range_sigma
+    return one.range_sigma <= part * readings.spread()
 
 
 def _robust(
-    readings: Readings, start: Start, range_sigma: float | None, terms: int
+    readings: Readings,
+    start: Start,
+    plain: Screening | None,
+    range_sigma: float | None,
+    terms: int,
 ) -> list[RobustStart]:
-    """Return robust candidates: from the candidates at hand if they show no outliers, else from all."""
+    """Return robust candidates; none where the start at hand is believed and shows no outliers."""
+    alike = start.believed and _fits_well(plain, readings, range_sigma, SURE_FIT)
+    if alike and _spread_ratio(readings, start.parameters, range_sigma, terms) > SUSPICIOUS:
+        return []
     others = [start.parameters, *start.rivals]
-    if start.believed:
-        share = _spread_ratio(readings, start.parameters, range_sigma, terms)
-        if share > SUSPICIOUS:
-            return []
+    others = others if plain is None else [plain.parameters, *others]
     part = part_of(readings)
     evidence = partial(quick_evidence, part.readings, terms, range_sigma)
+    beyond = partial(beyond_chance, part.readings, terms, range_sigma)
     known = [part.restricted(parameters) for parameters in others]
-    found = robust_starts(part.readings, known, range_sigma, terms, evidence)
+    found = robust_starts(part.readings, known, range_sigma, terms, evidence, beyond)
     if part.is_whole:
         return found
     rule = Scale(_least_scale(readings, range_sigma), MAJORITY)

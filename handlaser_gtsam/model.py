@@ -129,6 +129,18 @@ def residuals(x: Scene, d: FloatArray) -> FloatArray:
     return predicted_ranges(x) - corrected(d, x.k)
 
 
+def residuals_or_infinite(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return residuals (N,) [m] of readings; infinite where a beam grazes its plane."""
+    x = scene(parameters, readings)
+    steep = np.abs(cosines(x)) >= GRAZING_LIMIT
+    if steep.all():
+        return residuals(x, readings.distance)
+    e = np.full(len(readings), np.inf)
+    part = Scene(*(getattr(x, name)[steep] for name in x.__dataclass_fields__))
+    e[steep] = residuals(part, readings.distance[steep])
+    return e
+
+
 def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearization:
     """Return residuals and derivatives at readings d (N,); raises like `predicted_ranges`."""
     n_hand, cosine = _seen_from_hand(x)

@@ -19,7 +19,7 @@ from .noise import Noise
 from .options import CalibrationOptions
 from .parameters import Parameters
 from .recording import Readings, Recording
-from .starts import Start, find_start
+from .starts import Effort, Start, find_start
 from .weighting import reading_sigmas
 
 ROUNDS = 5
@@ -114,7 +114,8 @@ def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _Fi
     # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
     certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
     sigma = noise.range_sigma
-    start = find_start(readings, sigma, terms, thorough=not reject, certain=certain)
+    effort: Effort = "quick" if reject else "thorough"
+    start = find_start(readings, sigma, terms, effort=effort, certain=certain)
     if reject:
         found = find_consensus(readings, start, sigma if certain else None, terms)
     else:

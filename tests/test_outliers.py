@@ -167,7 +167,10 @@ def test_robust_starts_agree_on_the_good_readings():
     readings = with_garbage(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 
-    best = robust_starts(readings, others, None, 0, lambda _, scale: scale)[0]
+    def scale_of(_, scale):
+        return scale
+
+    best = robust_starts(readings, others, None, 0, scale_of, lambda *_: -1.0)[0]
     angle = np.linalg.norm(np.cross(best.parameters.directions, truth.directions), axis=1)
     assert np.degrees(angle.max()) < 1.0
 

@@ -84,7 +84,7 @@ def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
 def _mean_square(recording: Recording, terms: int) -> float:
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    rms = find_start(readings, None, terms, thorough=False).tried[0][1]
+    rms = find_start(readings, None, terms, effort="normal").tried[0][1]
     return float(rms**2)
 
 

@@ -12,6 +12,7 @@ so that leaving a reading out has its price: about 4 standard deviations.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaln
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
@@ -28,9 +29,15 @@ CAUTION = 0.5
 """So much below even odds is the cut: garbage that stays costs more than a good reading that goes."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
+MOST_SPAN = 0.5
+"""A reading that was left out is not taken back where the cut about its prediction is wider than this
+part of the span of the good readings: far from the spots of its plane, or along it, that test passes
+what is grossly wrong, and the fit would follow."""
 ROUNDS, STEPS = 20, 25
 LEAST_SHARE = 0.6
 """At least this part of the readings must remain: a bare majority may agree by chance."""
+PRICE = 2.0
+"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
 ROUNDING = 1e-12
 """Residuals below this part of the readings are rounding."""
 
@@ -113,11 +120,43 @@ def quick_evidence(
         kept = e <= cut
         good = readings.subset(np.flatnonzero(kept))
         if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
-            free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
-            estimated = float(np.sqrt((e[kept] @ e[kept]) / free))
-            sigma = max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
+            sigma = _sigma_of(readings, e[kept], terms, range_sigma)
             best = min(best, _evidence(readings, kept, parameters, sigma))
     return float(best)
+
+
+def beyond_chance(
+    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
+) -> float:
+    r"""Return by how many nats the readings that agree on a candidate are beyond chance.
+
+    As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
+    agree within sigma by chance, where each would lie anywhere within the span W of those, has the
+    expected number of cases (compare Moisan and Stival, IJCV 2004)
+
+        (N over m) (sqrt(2 pi e) sigma / W)^(m - u) exp(price u)
+
+    of which this is the negative logarithm, for readings within a cut of the `scale`.
+    """
+    e = np.abs(residuals(parameters, readings))
+    kept = e <= FIRST_CUT * scale
+    total, good, unknowns = len(e), int(kept.sum()), _unknowns(readings, terms)
+    if good <= unknowns:
+        return -np.inf
+    sigma = _sigma_of(readings, e[kept], terms, range_sigma)
+    span = max(float(np.ptp(readings.distance[kept])), sigma)
+    each = float(np.log(span / (np.sqrt(2.0 * np.pi * np.e) * sigma)))
+    choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
+    return float((good - unknowns) * each - choices - PRICE * unknowns)
+
+
+def _sigma_of(
+    readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
+) -> float:
+    """Return the sigma [m] of the residuals of those that agree, not below the given one."""
+    free = max(len(residual) - _unknowns(readings, terms), 1)
+    estimated = float(np.sqrt((residual @ residual) / free))
+    return max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
 
 
 def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
@@ -185,9 +224,15 @@ def judge(
     h = np.zeros(len(readings))
     h[steep] = leverages(parameters, readings.subset(steep), found)
     t = standardized(e / unit, h, kept, scale)
+    t[~kept & _vague(readings, kept, scale * unit * np.sqrt(1.0 + h))] = np.inf
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf
     return scale * typical, t
+
+
+def _vague(readings: Readings, kept: BoolArray, predicted: FloatArray) -> BoolArray:
+    """Tell of readings (N,) whether their prediction sigmas [m] would let almost any reading pass."""
+    return np.asarray(MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept])))
 
 
 def _unknowns(readings: Readings, terms: int) -> int:
@@ -218,9 +263,4 @@ def _evidence(
 
 def residuals(parameters: Parameters, readings: Readings) -> FloatArray:
     """Return residuals (N,) [m]; infinite where a beam grazes its plane."""
-    x = model.scene(parameters, readings)
-    steep = np.abs(model.cosines(x)) >= model.GRAZING_LIMIT
-    e = np.full(len(readings), np.inf)
-    part = model.Scene(*(getattr(x, name)[steep] for name in x.__dataclass_fields__))
-    e[steep] = model.residuals(part, readings.distance[steep])
-    return e
+    return model.residuals_or_infinite(parameters, readings)

@@ -1,6 +1,6 @@
 """Why a reading was left out as an outlier, as far as the solution can tell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -9,6 +9,8 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
+from .leverage import leverages
+from .observability import Observability, observability
 from .outliers import residuals
 from .words import Names
 
@@ -18,6 +20,8 @@ STATION = "whole station off"
 FLAT = 0.17
 """A beam that meets its plane with a smaller cosine (80 degrees) is likely to have missed it."""
 FITS = 4.0
+AHEAD = 13.8
+"""By so much the squares of a station must be larger before the next best plane: odds of 1000."""
 CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
 SAME_POSE = 1e-9
@@ -72,11 +76,15 @@ def reasons(
     flat = np.abs(model.cosines(x)) < FLAT
     repeated = _repeated_poses(readings)
     other: dict[int, int] = {}
-    for station in np.unique(readings.station[rows]):
-        if left[station] == 0:
-            plane = _fitting_plane(readings, station, parameters, range_sigma)
+    if readings.planes > 1 and rows.size:
+        part = readings.subset(np.flatnonzero(kept))
+        found = observability(parameters, part, 0, 0.0)
+        predict = _Prediction(readings, kept, parameters, range_sigma, found)
+        out = np.bincount(readings.station[rows], minlength=len(left))
+        for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
+            plane = _fitting_plane(readings, one, predict)
             if plane is not None:
-                other[int(station)] = plane
+                other[one] = plane
     swapped = _swapped(readings, rows, parameters, range_sigma)
     words = []
     for row in rows:
@@ -97,25 +105,21 @@ def reasons(
     return Reasons(tuple(words), other, residuals(parameters, readings))
 
 
-def _fitting_plane(
-    readings: Readings, station: int, parameters: Parameters, range_sigma: float
-) -> int | None:
-    """Return the one plane that all readings of a station fit, if that is no chance."""
+def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> int | None:
+    """Return the plane that all readings of a station fit, if one does far better, and by no chance."""
     rows = np.flatnonzero(readings.station == station)
-    d = readings.distance[rows]
-    span = max(float(np.ptp(readings.distance)), range_sigma)
-    chance = readings.planes * min(2.0 * FITS * range_sigma / span, 1.0) ** len(rows)
-    if readings.planes < 2 or chance > CHANCE:
-        return None
-    fitting: list[int] = []
+    own = int(readings.plane[rows[0]])
+    span = float(np.ptp(readings.distance[predict.kept]))
+    squares, fits = np.full(readings.planes, np.inf), np.zeros(readings.planes, dtype=bool)
     for plane in range(readings.planes):
-        if plane == readings.plane[rows[0]]:
+        if plane == own:
             continue
-        s = _ranges(readings, rows, parameters, plane)
-        residual = s - model.corrected(d, parameters.range_errors[readings.beam[rows]])
-        if (np.abs(residual) <= FITS * range_sigma).all():
-            fitting.append(plane)
-    return fitting[0] if len(fitting) == 1 else None
+        e, sigma = predict.residuals(rows, plane)
+        chance = readings.planes * np.minimum(2.0 * FITS * sigma / span, 1.0).prod()
+        squares[plane] = float(((e / sigma) ** 2).sum())
+        fits[plane] = bool((np.abs(e) <= FITS * sigma).all()) and chance <= CHANCE
+    best = int(np.argmin(squares))
+    return best if fits[best] and np.sort(squares)[1] > squares[best] + AHEAD else None
 
 
 def _swapped(
@@ -137,20 +141,32 @@ def _swapped(
     return found
 
 
-def _ranges(readings: Readings, rows: IntArray, parameters: Parameters, plane: int) -> FloatArray:
-    """Return what rows would read of another plane [m]; infinite behind the sensor or parallel.
+@dataclass(frozen=True, slots=True)
+class _Prediction:
+    """What a solution says of readings that were not used, before any plane.
 
     All planes of `parameters` must be seen from one origin, that of the hand poses.
     """
-    own = readings.subset(rows)
-    x = model.scene(parameters, own)
-    n = np.broadcast_to(parameters.normals[plane], x.n.shape)
-    b = np.full(len(rows), parameters.offsets[plane])
-    moved = model.Scene(x.R, x.t, x.r, x.v, n, b, x.k)
-    if (np.abs(model.cosines(moved)) < model.GRAZING_LIMIT).any():
-        return np.full(len(rows), np.inf)
-    s = model.predicted_ranges(moved)
-    return np.where(s > 0.0, s, np.inf)
+
+    readings: Readings
+    kept: BoolArray
+    parameters: Parameters
+    range_sigma: float
+    found: Observability
+
+    def residuals(self, rows: IntArray, plane: int) -> tuple[FloatArray, FloatArray]:
+        """Return residuals of rows before another plane and their sigmas [m].
+
+        A residual is infinite behind the sensor, or where a beam is parallel to the plane.
+        """
+        moved = replace(self.readings.subset(rows), plane=np.full(len(rows), plane, dtype=np.intp))
+        e = residuals(self.parameters, moved)
+        k = self.parameters.range_errors[moved.beam]
+        ahead = e + model.corrected(moved.distance, k) > 0.0
+        if not (np.isfinite(e) & ahead).all():
+            return np.full(len(rows), np.inf), np.full(len(rows), self.range_sigma)
+        h = leverages(self.parameters, moved, self.found)
+        return e, self.range_sigma * np.sqrt(1.0 + h)
 
 
 def _repeated_poses(readings: Readings) -> BoolArray:

@@ -15,12 +15,12 @@ The offset of a plane is taken at the middle of its laser spots instead of the w
 changes neither S nor the solution, and keeps H_pp well conditioned far from the origin.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..parameters import Parameters
 from ..recording import Readings
 from ..weighting import Whitening
@@ -79,7 +79,9 @@ def normal_equations(
         Of the readings; one where not given.
     """
     copies = len(parameters.locations) // readings.beams
-    columns, centres = jacobian_columns(parameters, readings.copies(copies), terms)
+    counted = None if weights is None else weights > 0.0
+    many = readings.copies(copies)
+    columns, centres = jacobian_columns(parameters, many, terms, counted=counted)
     if weights is not None:
         columns *= np.sqrt(weights)
     width, beams, planes = 5 + terms, readings.beams, readings.planes
@@ -178,13 +180,21 @@ def apply_step(
 
 
 def jacobian_columns(
-    parameters: Parameters, readings: Readings, terms: int, centres: FloatArray | None = None
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    centres: FloatArray | None = None,
+    counted: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rows of (J_beam, J_plane, e), transposed (5 + terms + 4, N), and the centres (P, 3).
 
     Offsets of planes are taken at `centres`: at the middle of the laser spots where not given.
+    Readings that are not `counted` may graze their planes; their rows are finite and mean nothing.
     """
     x = model.scene(parameters, readings)
+    if counted is not None and not counted.all():
+        ahead = np.einsum("nij,nj->ni", x.R, x.v)
+        x = replace(x, n=np.where(counted[:, None], x.n, ahead))
     at = model.linearize(x, readings.distance)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])

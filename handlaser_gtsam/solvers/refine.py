@@ -21,6 +21,9 @@ LEVEL = 1e-9
 """A candidate whose cost falls by less than this part has arrived."""
 QUANTILE = 1.2
 """Of half to two thirds of the readings, among up to a third of outliers, in standard deviations."""
+MOST_RESIDUAL = 2.0
+"""A residual of so many times three quarters of the readings counts no more under a robust loss: so do
+beams that graze their plane, and those are not what a candidate must be dropped for."""
 ROWS = 60_000
 """Readings times candidates worked on at once: more would leave the processor's cache."""
 
@@ -81,7 +84,11 @@ def refine_many(
     loss: Loss = GAUSSIAN,
     scale: "Scale | None" = None,
 ) -> list[Refined | None]:
-    """Refine every start; None where a beam grazes its plane there.
+    """Refine every start; None where a beam grazes its plane there and the loss is not robust.
+
+    A station whose label names a plane at right angles to the one it sees has beams that graze the
+    plane named, at the solution as much as anywhere: their residuals grow beyond bounds and change
+    sign within a few degrees. Under a robust loss residuals are therefore limited.
 
     Parameters
     ----------
@@ -117,6 +124,9 @@ class _Search:
         scale: Scale,
     ) -> None:
         self.readings, self.terms, self.loss, self.rule = readings, terms, loss, scale
+        self.limit = np.inf
+        if loss.name != "gaussian":
+            self.limit = MOST_RESIDUAL * float(np.quantile(readings.distance, 0.75))
         self.at = joined(starts)
         self.damping = np.full(len(starts), LEAST_DAMPING)
         self.residual = self._residuals(self.at)
@@ -179,10 +189,13 @@ class _Search:
         self.scale[rows] = np.minimum(before, self.rule.of(residual))
         self.tightening[rows] = self.scale[rows] < 0.999 * before
         self.cost[rows] = self._costs(residual, self.scale[rows])
-        return self.loss.weight(residual / self.scale[rows, None]).ravel()
+        weight = self.loss.weight(residual / self.scale[rows, None])
+        return np.where(np.abs(residual) < self.limit, weight, 0.0).ravel()
 
     def _residuals(self, at: Parameters) -> FloatArray:
         """Return residuals (K, N) [m], infinite where a beam of the candidate grazes its plane."""
+        if np.isfinite(self.limit):
+            return self._limited(at)
         copies = len(at.locations) // self.readings.beams
         many = self.readings.copies(copies)
         x = model.scene(at, many)
@@ -198,6 +211,12 @@ class _Search:
             e = model.residuals(part, many.distance[kept])
             residual[usable] = e.reshape(-1, len(self.readings))
         return residual
+
+    def _limited(self, at: Parameters) -> FloatArray:
+        """Return residuals (K, N) [m] within the limit; a beam that grazes its plane is at it."""
+        copies = len(at.locations) // self.readings.beams
+        e = model.residuals_or_infinite(at, self.readings.copies(copies))
+        return np.clip(e, -self.limit, self.limit).reshape(copies, -1)
 
     def _costs(self, residual: FloatArray, scale: FloatArray) -> FloatArray:
         """Return costs (K,) [m^2], infinite where a residual is."""

@@ -6,6 +6,7 @@ the given range sigma says, or, where no sigma is given, when several starts agr
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -85,6 +86,7 @@ class Candidate:
 
 
 Seeds = list[tuple[str, PartialStart]]
+Effort = Literal["quick", "normal", "thorough"]
 
 
 def find_start(
@@ -92,7 +94,7 @@ def find_start(
     range_sigma: float | None = None,
     terms: int = 2,
     *,
-    thorough: bool = True,
+    effort: Effort = "thorough",
     certain: bool = True,
 ) -> Start:
     """Return the best start for `readings`.
@@ -104,14 +106,15 @@ def find_start(
         Standard deviation of a reading [m]: says when a start fits.
     terms : int
         Most range-error terms the solution will have.
-    thorough : bool
-        Whether random starts follow where nothing else is believed.
+    effort : {"quick", "normal", "thorough"}
+        What follows where the first starts are not believed: nothing, sweeps with finer steps, or
+        those and random starts.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     """
     terms = usable_terms(readings, terms)
     part = part_of(readings)
-    start = _search(part.readings, range_sigma, terms, thorough, certain)
+    start = _search(part.readings, range_sigma, terms, effort, certain)
     if part.is_whole:
         return start
     grown = part.extended(start.parameters)
@@ -129,12 +132,12 @@ def usable_terms(readings: Readings, terms: int) -> int:
 
 
 def _search(
-    readings: Readings, range_sigma: float | None, terms: int, thorough: bool, certain: bool
+    readings: Readings, range_sigma: float | None, terms: int, effort: Effort, certain: bool
 ) -> Start:
     upper = range_sigma if certain else None
     found: list[Candidate] = []
     believed = False
-    for seeds in _rounds(readings, terms, thorough):
+    for seeds in _rounds(readings, terms, effort):
         before = found[0].squares if found else np.inf
         found += _refined(seeds, readings, terms)
         found.sort(key=lambda candidate: candidate.squares)
@@ -163,7 +166,7 @@ def _search(
     )
 
 
-def _rounds(readings: Readings, terms: int, thorough: bool) -> Iterator[Seeds]:
+def _rounds(readings: Readings, terms: int, effort: Effort) -> Iterator[Seeds]:
     """Yield seeds, the cheap ones first."""
     closed = translation_start(readings)
     if closed is not None:
@@ -175,11 +178,13 @@ def _rounds(readings: Readings, terms: int, thorough: bool) -> Iterator[Seeds]:
         + [("sweep", s) for s in sweep_starts(readings)]
         + [("directions", s) for s in direction_starts(readings, 6)]
     )
+    if effort == "quick":
+        return
     yield [("directions", s) for s in direction_starts(readings, 40, tried=600)]
     options = SweepOptions(refined=16, seeds=8, kept=4)
     yield [("sweep", s) for s in sweep_starts(readings, options)]
     rng = np.random.default_rng(0)
-    for _ in range(RANDOM_ROUNDS if thorough else 0):
+    for _ in range(RANDOM_ROUNDS if effort == "thorough" else 0):
         yield [("random", s) for s in random_starts(readings, RANDOM_STARTS, rng)]
 
 

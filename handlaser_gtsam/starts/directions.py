@@ -26,14 +26,14 @@ def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[P
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
     r = np.zeros_like(v)
-    reach = _reach(v, readings)
+    reach = reach_of(v, readings)
     for _ in range(TURNS):
-        n, b = _planes(reach + _turned(r, readings), readings)
-        r = _location(reach, n, b, readings)
-    spots = reach + _turned(r, readings)
-    n, b = _planes(spots, readings)
+        n, b = planes_through(reach + turned(r, readings), readings)
+        r = common_location(reach, n, b, readings)
+    spots = reach + turned(r, readings)
+    n, b = planes_through(spots, readings)
     best = np.argsort(_misfit(spots, v, n, b, readings), kind="stable")[:count]
-    return _starts(r[best], v[best], n[best], b[best], readings)
+    return as_starts(r[best], v[best], n[best], b[best], readings)
 
 
 def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[PartialStart]:
@@ -41,13 +41,14 @@ def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> l
     v = model.normalized(rng.standard_normal((count, 3)))
     r = model.normalized(rng.standard_normal((count, 3)))
     r *= readings.typical_range() * 10.0 ** rng.uniform(-0.5, 1.3, (count, 1))
-    n, b = _planes(_reach(v, readings) + _turned(r, readings), readings)
-    return _starts(r, v, n, b, readings)
+    n, b = planes_through(reach_of(v, readings) + turned(r, readings), readings)
+    return as_starts(r, v, n, b, readings)
 
 
-def _starts(
+def as_starts(
     r: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
 ) -> list[PartialStart]:
+    """Return starts of C locations and directions, which all beams share, and of C times P planes."""
     starts = []
     for c in range(len(v)):
         start = PartialStart.empty(readings)
@@ -57,12 +58,12 @@ def _starts(
     return starts
 
 
-def _reach(v: FloatArray, readings: Readings) -> FloatArray:
+def reach_of(v: FloatArray, readings: Readings) -> FloatArray:
     """Return d R v + t (C, N, 3) for directions v (C, 3)."""
-    return _turned(v, readings) * readings.distance[:, None] + readings.world_t_hand
+    return turned(v, readings) * readings.distance[:, None] + readings.world_t_hand
 
 
-def _turned(vectors: FloatArray, readings: Readings) -> FloatArray:
+def turned(vectors: FloatArray, readings: Readings) -> FloatArray:
     """Return R u (C, N, 3) for vectors u (C, 3), hand frame."""
     turned: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
     return turned
@@ -77,13 +78,21 @@ def sphere(count: int) -> FloatArray:
     return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
 
 
-def _planes(spots: FloatArray, readings: Readings) -> tuple[FloatArray, FloatArray]:
-    """Fit every plane to its spots (C, N, 3); return normals (C, P, 3) and offsets (C, P)."""
+def planes_through(
+    spots: FloatArray, readings: Readings, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Fit every plane to its spots (C, N, 3), with weights (C, N); return (C, P, 3) and (C, P)."""
     first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
     count = np.diff(np.append(first, len(readings)))
-    centre = np.add.reduceat(spots, first, axis=1) / count[:, None]
-    local = spots - np.repeat(centre, count, axis=1)
-    outer = local[..., :, None] * local[..., None, :]
+    if weights is None:
+        centre = np.add.reduceat(spots, first, axis=1) / count[:, None]
+        local = spots - np.repeat(centre, count, axis=1)
+        outer = local[..., :, None] * local[..., None, :]
+    else:
+        share = weights / np.repeat(np.add.reduceat(weights, first, axis=1), count, axis=1)
+        centre = np.add.reduceat(spots * share[..., None], first, axis=1)
+        local = spots - np.repeat(centre, count, axis=1)
+        outer = local[..., :, None] * (local * share[..., None])[..., None, :]
     n = np.linalg.eigh(np.add.reduceat(outer, first, axis=1))[1][..., 0]
     normals = np.zeros((len(spots), readings.planes, 3))
     normals[..., 2] = 1.0
@@ -94,14 +103,21 @@ def _planes(spots: FloatArray, readings: Readings) -> tuple[FloatArray, FloatArr
     return normals, offsets
 
 
-def _location(reach: FloatArray, n: FloatArray, b: FloatArray, readings: Readings) -> FloatArray:
-    """Return the location (C, 3) that all beams share, for known planes."""
+def common_location(
+    reach: FloatArray,
+    n: FloatArray,
+    b: FloatArray,
+    readings: Readings,
+    weights: FloatArray | None = None,
+) -> FloatArray:
+    """Return the location (C, 3) that all beams share, for known planes; weights are (C, N)."""
     each = n[:, readings.plane]
     A = np.einsum("nji,cnj->cni", readings.world_R_hand, each)
     rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
-    H = np.swapaxes(A, 1, 2) @ A
+    At = np.swapaxes(A if weights is None else A * weights[..., None], 1, 2)
+    H = At @ A
     ridge = 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    solved: FloatArray = np.linalg.solve(H + ridge, np.swapaxes(A, 1, 2) @ rhs[..., None])[..., 0]
+    solved: FloatArray = np.linalg.solve(H + ridge, At @ rhs[..., None])[..., 0]
     return solved
 
 
@@ -109,8 +125,16 @@ def _misfit(
     spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
 ) -> FloatArray:
     """Return the sum of squared residuals along the beams (C,)."""
+    misfit: FloatArray = (along_beams(spots, v, n, b, readings) ** 2).sum(axis=1)
+    return misfit
+
+
+def along_beams(
+    spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
+) -> FloatArray:
+    """Return how far along their beams the spots (C, N, 3) are from their planes (C, N) [m]."""
     each = n[:, readings.plane]
     away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
-    cosine = np.abs(np.einsum("cni,cni->cn", each, _turned(v, readings)))
-    misfit: FloatArray = ((away / np.maximum(cosine, LEAST_COSINE)) ** 2).sum(axis=1)
-    return misfit
+    cosine = np.abs(np.einsum("cni,cni->cn", each, turned(v, readings)))
+    found: FloatArray = np.abs(away) / np.maximum(cosine, LEAST_COSINE)
+    return found

@@ -2,8 +2,8 @@
 
 A linear start follows its outliers. Here every candidate, linear or swept, is refined with Cauchy's
 loss, whose scale follows the residuals of those readings that must be good for the answer to mean
-anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Garbage agrees
-with nothing: the candidates that reach the strongest evidence are those that found the consensus.
+anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Gross errors
+agree with nothing: the candidates that reach the strongest evidence are those that found the consensus.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,17 +17,23 @@ from ..parameters import Parameters
 from ..recording import Readings
 from ..solvers.refine import Scale, refine_many
 from .directions import direction_starts, random_starts
+from .mending import mended
 from .partial import grow
+from .subsets import subset_starts
 
-SWEPT, TRIED = 32, 400
+FIRST_SWEPT, SWEPT, TRIED = 12, 32, 400
+SUBSET_ROUNDS = 4
 RANDOM_ROUNDS, RANDOM_STARTS = 3, 48
 CAUCHY_STEPS, TUKEY_STEPS = 40, 10
 SHARES = (0.5, 0.25, 0.0)
 """Parts of the redundant readings that must be good, besides as many as there are unknowns."""
-AGREEING, SAME_EVIDENCE = 4, 0.5
-"""So many candidates of the same evidence end the search,"""
-AMPLE = 5.0
-"""where there are so many readings an unknown; among fewer, garbage may agree by chance."""
+AGREEING, LATE_AGREEING = 4, 2
+"""So many candidates of the same evidence end the search where the best is beyond chance, and so many
+where sweeps on subsets have not brought about more."""
+SAME_EVIDENCE, SAME_PART = 0.5, 0.1
+"""The same to so much, or to this part of what is beyond chance: not every candidate has arrived."""
+FIRST_MENDED, MENDING = 8, 3.0
+"""So many of the best candidates are mended in each round, with so many times their scale."""
 KEPT = 6
 FAR = 5.0
 """Readings so many times beyond three quarters of them take no part in the starts."""
@@ -44,6 +50,8 @@ class RobustStart:
 
 Evidence = Callable[[Parameters, float], float]
 """Of a candidate and its scale; lower is better."""
+BeyondChance = Callable[[Parameters, float], float]
+"""By how much [nats] a candidate and its scale are beyond chance; negative where they are not."""
 
 
 def robust_starts(
@@ -52,6 +60,7 @@ def robust_starts(
     range_sigma: float | None,
     terms: int,
     evidence: Evidence,
+    beyond_chance: BeyondChance,
 ) -> list[RobustStart]:
     """Return the best candidates for readings with outliers, the strongest evidence first.
 
@@ -65,37 +74,46 @@ def robust_starts(
     terms : int
         Range-error terms of the last steps.
     evidence : callable
+    beyond_chance : callable
     """
     least = max(range_sigma or 0.0, 1e-9 * readings.largest_range())
-    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
-    ample = len(readings) >= AMPLE * unknowns
     found: list[RobustStart] = []
-    for starts, good in _rounds(readings, others, terms):
+    rng = np.random.default_rng(0)
+    for starts, good, needed in _rounds(readings, others, terms, rng):
         found += _tightened(starts, readings, terms, Scale(least, good), evidence)
-        found.sort(key=lambda candidate: candidate.evidence)
-        best = found[0].evidence if found else np.inf
-        if ample and sum(c.evidence <= best + SAME_EVIDENCE for c in found) >= AGREEING:
+        found = _mended(found, readings, terms, Scale(least, good), evidence, rng)
+        if found and needed <= _agreeing(found, beyond_chance(found[0].parameters, found[0].scale)):
             break
     return _different(found)
 
 
+def _agreeing(found: list[RobustStart], beyond: float) -> int:
+    """Return how many candidates are where the best one is; none if that is not `beyond` chance."""
+    same = found[0].evidence + max(SAME_EVIDENCE, SAME_PART * beyond)
+    return sum(one.evidence <= same for one in found) if beyond > 0.0 else 0
+
+
 def _rounds(
-    readings: Readings, others: list[Parameters], terms: int
-) -> Iterator[tuple[list[Parameters], float]]:
-    """Yield starts and the part of the readings that must be good."""
+    readings: Readings, others: list[Parameters], terms: int, rng: np.random.Generator
+) -> Iterator[tuple[list[Parameters], float, int]]:
+    """Yield starts, the part of the readings that must be good, and how many must agree to end."""
     total = len(readings)
     unknowns = (5 + terms) * readings.beams + 3 * readings.planes
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     near = _without_far_readings(readings)
+    few = [grow(start, near) for start in subset_starts(near, FIRST_SWEPT, TRIED, rng)]
+    yield [*others, *few], parts[0], AGREEING
+    for number in range(SUBSET_ROUNDS):
+        drawn = [grow(start, near) for start in subset_starts(near, SWEPT, TRIED, rng)]
+        yield drawn, parts[number % len(parts)], AGREEING
     swept = [grow(start, near) for start in direction_starts(near, SWEPT, TRIED)]
     for part in parts:
-        yield [*others, *swept], part
-    rng = np.random.default_rng(0)
+        yield [*others, *swept], part, LATE_AGREEING
     for _ in range(RANDOM_ROUNDS):
         drawn = [grow(start, near) for start in random_starts(near, RANDOM_STARTS, rng)]
         for part in parts:
-            yield drawn, part
+            yield drawn, part, LATE_AGREEING
 
 
 def _without_far_readings(readings: Readings) -> Readings:
@@ -111,12 +129,38 @@ def _tightened(
 ) -> list[RobustStart]:
     loose = refine_many(starts, readings, 0, CAUCHY_STEPS, Loss("cauchy"), rule)
     usable = [one.parameters for one in loose if one is not None]
-    tight = refine_many(usable, readings, terms, TUKEY_STEPS, Loss("tukey"), rule)
+    return _tight(usable, readings, terms, rule, evidence)
+
+
+def _tight(
+    starts: list[Parameters], readings: Readings, terms: int, rule: Scale, evidence: Evidence
+) -> list[RobustStart]:
+    tight = refine_many(starts, readings, terms, TUKEY_STEPS, Loss("tukey"), rule)
     return [
         RobustStart(one.parameters, one.scale, evidence(one.parameters, one.scale))
         for one in tight
         if one is not None
     ]
+
+
+def _mended(
+    found: list[RobustStart],
+    readings: Readings,
+    terms: int,
+    rule: Scale,
+    evidence: Evidence,
+    rng: np.random.Generator,
+) -> list[RobustStart]:
+    """Return the candidates in order, the best of them with planes mended where that is better."""
+    found = sorted(found, key=lambda candidate: candidate.evidence)
+    new = [
+        mended(one.parameters, readings, MENDING * one.scale, rng) for one in found[:FIRST_MENDED]
+    ]
+    again = refine_many(new, readings, terms, TUKEY_STEPS, Loss("cauchy"), rule)
+    usable = [one.parameters for one in again if one is not None]
+    tight = _tight(usable, readings, terms, rule, evidence)
+    both = [min(pair, key=lambda one: one.evidence) for pair in zip(found, tight, strict=False)]
+    return sorted([*both, *found[len(both) :]], key=lambda candidate: candidate.evidence)
 
 
 def _different(found: list[RobustStart]) -> list[RobustStart]:
