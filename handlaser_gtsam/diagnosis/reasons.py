@@ -19,7 +19,9 @@ REPEATED = "pose of another station repeated"
 STATION = "whole station off"
 FLAT = 0.17
 """A beam that meets its plane with a smaller cosine (80 degrees) is likely to have missed it."""
-FITS = 4.0
+FITS, FITS_PLANE = 4.0, 6.0
+"""Most sigmas by which readings are off that fit when exchanged, or that fit another plane: there the
+error of the station's own pose counts too, which the sigma holds on average only."""
 AHEAD = 13.8
 """By so much the squares of a station must be larger before the next best plane: odds of 1000."""
 CHANCE = 0.05
@@ -115,9 +117,9 @@ def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> 
         if plane == own:
             continue
         e, sigma = predict.residuals(rows, plane)
-        chance = readings.planes * np.minimum(2.0 * FITS * sigma / span, 1.0).prod()
+        chance = readings.planes * np.minimum(2.0 * FITS_PLANE * sigma / span, 1.0).prod()
         squares[plane] = float(((e / sigma) ** 2).sum())
-        fits[plane] = bool((np.abs(e) <= FITS * sigma).all()) and chance <= CHANCE
+        fits[plane] = bool((np.abs(e) <= FITS_PLANE * sigma).all()) and chance <= CHANCE
     best = int(np.argmin(squares))
     return best if fits[best] and np.sort(squares)[1] > squares[best] + AHEAD else None
 
