@@ -95,7 +95,9 @@ def run_once(case: Case, given: bool, seed: int) -> Judged:
     seconds = time.perf_counter() - since
     why = _missed(result, truth) or _lost(result, recording, bad)
     accused = {m[1]: m[3] for one in result.warnings if (m := LABEL.search(one.message))}
-    hinted = any(HINT in one.message for one in result.warnings) or bool(accused.keys() - seen.keys())
+    hinted = any(HINT in one.message for one in result.warnings) or bool(
+        accused.keys() - seen.keys()
+    )
     named = accused == seen
     if not named:
         why = why or f"accused {accused}, wrong are {seen}"

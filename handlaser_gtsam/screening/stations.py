@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..recording import Recording
+from ..recording import Recording, typical_range
 from ..results.warning import CalibrationWarning
 
 SAME_POSE = 1e-6
@@ -32,6 +32,9 @@ HELD_PART = 0.02
 """So are those that differ by less than this part of a given range sigma."""
 FAR = 12.0
 """A sample so many robust standard deviations from the others of its pose is not averaged."""
+MOST_NOISE = 0.01
+"""Nor is one that is farther from them than this part of the typical range, or than `FAR` given sigmas:
+the hand has moved on, and its pose was logged again."""
 SCATTERING = 0.8
 """Samples that scatter by this part of the given sigma or more are taken to be independent."""
 MEDIAN_TO_SIGMA = 1.4826
@@ -153,7 +156,8 @@ class _Samples:
         free = ~held[self.key] & (self.count[self.key] > 1)
         if free.any():
             robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
-            agree = off <= (FAR * robust if robust > 0.0 else np.inf)
+            most = MOST_NOISE * typical_range(self.value) if sigma is None else FAR * sigma
+            agree = off <= (min(FAR * robust, most) if robust > 0.0 else most)
         number = np.add.reduceat(agree.astype(np.float64), self.start)
         total = np.add.reduceat(np.where(agree, self.value, 0.0), self.start)
         mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
@@ -169,8 +173,7 @@ class _Samples:
         """Return the row of the earliest station among those that agree, one a (pose, beam)."""
         rows = np.flatnonzero(agree)
         rows = rows[np.lexsort((self.station[rows], self.key[rows]))]
-        first = np.concatenate(([True], np.diff(self.key[rows]) != 0))
-        return np.asarray(rows[first])
+        return np.asarray(rows[np.diff(self.key[rows], prepend=-1) != 0])
 
 
 def _worth(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:

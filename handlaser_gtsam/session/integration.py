@@ -98,13 +98,22 @@ class ScaleSums:
         k = state.range_errors.copy()
         k[:, : learned.terms] += step[:, 5:]
         turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
+        # The reference has other tangents than the state, of which those of a batch solution are.
+        across = block_diag(*(_across(v) for v in state.directions))
         return replace(
             state,
             locations=state.locations + step[:, :3],
             directions=model.normalized(state.directions + turned),
             range_errors=k,
-            covariance=state.covariance + lift @ change @ lift.T,
+            covariance=across @ (state.covariance + lift @ change @ lift.T) @ across,
         )
+
+
+def _across(direction: FloatArray) -> FloatArray:
+    """Return the projector (8, 8) of the coordinates of a beam that takes out what is along it."""
+    projector = np.eye(8)
+    projector[3:6, 3:6] -= np.outer(direction, direction)
+    return projector
 
 
 def _counted_from(found: Information, turn: FloatArray, shift: FloatArray) -> Information:
