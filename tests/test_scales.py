@@ -12,7 +12,7 @@ from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
-from handlaser_gtsam.estimation.mixture import SPAN
+from handlaser_gtsam.estimation.mixture import PERFECT, SPAN
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
@@ -262,8 +262,8 @@ def test_scales_of_range_errors_are_integrated_over(k):
 
     def evidence(a, b, c):
         value, mean, S = dense.posterior(C, prior_covariance(np.exp([a, b]), math.exp(c)))
-        mass = 0.7 * math.exp(shared_prior(a, b, c)) * (side[1] - side[0]) ** 3
-        return value + math.log(0.3 if (a, b, c) == perfect else mass), mean, S
+        mass = (1.0 - PERFECT) * math.exp(shared_prior(a, b, c)) * (side[1] - side[0]) ** 3
+        return value + math.log(PERFECT if (a, b, c) == perfect else mass), mean, S
 
     points = [*product(side, side, side), perfect]
     w, mean, S = averaged(points, evidence)
