@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NO_NUMBER = ("nan", "inf", "infinity")
+NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
 """Words that a logger writes for "no reading", with any sign."""
 DEGREE = math.pi / 180.0
 
@@ -114,7 +114,7 @@ def _number(cell: str) -> float:
 
 
 def _range(cell: str) -> float:
-    return math.nan if cell.lstrip("+-").lower() in ("", *NO_NUMBER) else _number(cell)
+    return math.nan if cell.lstrip("+-").lower() in ("", *NO_READING) else _number(cell)
 
 
 def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
