@@ -16,7 +16,13 @@ if TYPE_CHECKING:
     from .diagnosis.cross_check import CrossCheck, cross_check
     from .diagnosis.hold_out import HoldOut, hold_out
     from .diagnosis.validation import Validation, validate
-    from .errors import GrazingBeamError, HandlaserError, InputError, SolverError
+    from .errors import (
+        CalibrationWarning,
+        GrazingBeamError,
+        HandlaserError,
+        InputError,
+        SolverError,
+    )
     from .files.calibration_json import write_calibration
     from .files.mounts_json import read_mounts
     from .files.recording_csv import read_recording, write_recording
@@ -31,7 +37,6 @@ if TYPE_CHECKING:
     from .pipeline import calibrate
     from .propagation import measured_plane, spot
     from .recording import Readings, Recording, join
-    from .results.warning import CalibrationWarning
     from .sensor import Sensor
     from .session import Session, Update
     from .solvers.incremental import IncrementalOptions
@@ -93,7 +98,7 @@ _HOME = {
     "Bootstrap": "diagnosis.bootstrap",
     "Calibration": "calibration",
     "CalibrationOptions": "options",
-    "CalibrationWarning": "results.warning",
+    "CalibrationWarning": "errors",
     "CrossCheck": "diagnosis.cross_check",
     "Fit": "calibration",
     "GrazingBeamError": "errors",

@@ -37,6 +37,7 @@ from .diagnosis.words import (
     undetermined,
     weakest,
 )
+from .errors import CalibrationWarning
 from .estimation.posterior import ScaleEstimate
 from .estimation.scales import RANGE
 from .estimation.solution import Solution
@@ -49,7 +50,6 @@ from .parameters import Parameters
 from .recording import Readings, Recording
 from .results.dependence import INDEPENDENT, dependence
 from .results.systematic import SystematicError, systematic_errors
-from .results.warning import CalibrationWarning
 from .selection import Selection
 from .weighting import Variances, Whitening, whitening
 

@@ -12,6 +12,7 @@ from .arrays import FloatArray, IntArray
 from .diagnosis.correlations import Correlation
 from .diagnosis.observability import Indices
 from .diagnosis.words import OpenPart
+from .errors import CalibrationWarning
 from .estimation.learned import LearnedScales
 from .estimation.mixture import mixture_quantiles
 from .joint import JointCovariance
@@ -20,7 +21,6 @@ from .noise import Noise
 from .parameters import Parameters, RangeErrorPrior
 from .recording import Recording
 from .results.systematic import SystematicError
-from .results.warning import CalibrationWarning
 from .sensor import Rejected
 from .weighting import Variances
 

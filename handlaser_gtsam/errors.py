@@ -1,9 +1,10 @@
-"""Every error a caller can meet, under one root.
+"""Every error a caller can meet, under one root, and the warnings of a result.
 
-Each class is one cause and carries its numbers as attributes. The message says what was found,
+Each error is one cause and carries its numbers as attributes. The message says what was found,
 what was expected and what to do.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from .text import printable
@@ -71,3 +72,22 @@ class GrazingBeamError(HandlaserError):
 
 class SolverError(HandlaserError):
     """A solver cannot work on the problem it was given."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationWarning:
+    """A sign that a result should not be believed as it stands.
+
+    Attributes
+    ----------
+    code : str
+        What kind of sign, in lower case with hyphens; the kinds are listed in docs/files.md.
+    message : str
+        What was found, and what to look at.
+    """
+
+    code: str
+    message: str
+
+    def __str__(self) -> str:
+        return self.message

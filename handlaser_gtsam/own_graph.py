@@ -18,11 +18,10 @@ from .calibration import Beam, Calibration, Determined, Plane, StartReport, Stat
 from .checks import require_names
 from .diagnosis.correlations import strong_correlations
 from .diagnosis.observability import ObservabilityOptions
-from .errors import InputError
+from .errors import CalibrationWarning, InputError
 from .joint import JointCovariance
 from .keys import BeamKeys
 from .own_fit import fit_of_graph, key_name
-from .results.warning import CalibrationWarning
 from .values import require_values
 
 METHOD = "graph"

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray, frozen, frozen_indices
 from .checks import require_names
-from .errors import InputError
-from .results.warning import CalibrationWarning
+from .errors import CalibrationWarning, InputError
 
 ROTATION_TOLERANCE = 1e-6
 QUARTILES = 1.349

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "handlaser_gtsam"
 
 # A module may import what stands on its own floor or below.
 FLOORS = [
-    {"text", "errors", "arrays", "_version", "checks", "losses", "results.warning"},
+    {"text", "errors", "arrays", "_version", "checks", "losses"},
     {"parameters", "recording", "noise", "keys", "ordering", "values"},
     {"model", "sensor"},
     {"weighting", "joint"},

@@ -10,11 +10,11 @@ from rich.table import Table
 
 from ..arrays import FloatArray
 from ..calibration import Calibration
+from ..errors import CalibrationWarning
 from ..noise import Noise
 from ..options import CalibrationOptions
 from ..pipeline import calibrate
 from ..recording import Recording
-from ..results.warning import CalibrationWarning
 from ..session import Comparison, Session, Update
 
 MM = 1e3

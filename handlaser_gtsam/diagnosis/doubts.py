@@ -7,11 +7,11 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from ..calibration import Fit
+from ..errors import CalibrationWarning
 from ..model import plausible_range_errors
 from ..noise import Noise
 from ..parameters import Parameters
 from ..recording import Readings, Recording
-from ..results.warning import CalibrationWarning
 from ..sensor import BY_LIMITS
 from ..weighting import Variances
 

@@ -15,9 +15,8 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..recording import LARGEST, Recording, first_repeated
-from ..results.warning import CalibrationWarning
 from ..screening.codes import code_warning, coded_numbers
 from ..sensor import Sensor
 from ..text import A_NAME, name_fault

@@ -26,11 +26,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..errors import CalibrationWarning
 from ..parameters import Parameters
 from ..recording import Readings
 from ..weighting import Whitening
 from .projection import WIDTH, Projection, linear_rows
-from .warning import CalibrationWarning
 
 FAR = 3.5
 """Standard deviations above its mean from which the autocorrelation is no accident: one in 4000."""

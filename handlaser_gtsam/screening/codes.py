@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..errors import CalibrationWarning
 from ..recording import Recording
-from ..results.warning import CalibrationWarning
 
 LEAST = 3
 """A number that stands less often may be a distance, or an outlier, which is found by its residual."""

@@ -45,6 +45,8 @@ class RepeatedColumnError(InputError):
     beams : (str, str)
     stations, common : int
         At how many stations they read the same, and at how many both read.
+    factor : float
+        Unit of the second column over that of the first.
     """
 
     code = "column-twice"
@@ -57,6 +59,10 @@ class RepeatedColumnError(InputError):
             f"stations: one channel logged twice",
             "every beam once; find out whose readings they are, and leave the other out",
         )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process."""
+        return RepeatedColumnError, (self.beams, self.stations, self.common, self.factor)
 
 
 def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+from ..errors import CalibrationWarning
 from ..recording import Recording
-from ..results.warning import CalibrationWarning
 from .codes import without_codes
 from .columns import refuse_repeated_columns
 from .stations import merged_stations

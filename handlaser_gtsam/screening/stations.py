@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..errors import CalibrationWarning
 from ..recording import Recording, typical_range
-from ..results.warning import CalibrationWarning
 
 SAME_POSE = 1e-6
 """Poses whose coordinates differ by no more than this [m, rad] are one: no robot is so fine."""

@@ -14,14 +14,13 @@ import numpy as np
 from ..calibration import Calibration
 from ..checks import require_kind
 from ..diagnosis.drift import Moved
-from ..errors import GrazingBeamError, InputError
+from ..errors import CalibrationWarning, GrazingBeamError, InputError
 from ..mounts import Mounts
 from ..noise import Noise
 from ..options import CalibrationOptions
 from ..parameters import Beams, Parameters
 from ..pipeline import calibrate
 from ..recording import Readings, Recording, join
-from ..results.warning import CalibrationWarning
 from ..screening.screen import screened
 from ..sensor import Rejected
 from ..solvers.incremental import IncrementalOptions
