@@ -18,10 +18,10 @@ from rich.console import Console
 from rich.progress import track
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.calibration import Calibration
-from handlaser_gtsam.recording import Recording
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.data.recording import Recording
+from handlaser_gtsam.results.calibration import Calibration
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 
 SIGMAS = 3.0
 RANGE_SIGMA = {"paper": 3e-5, "arm": 1e-3}

@@ -18,10 +18,10 @@ import numpy as np
 from rich.progress import track
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.covariance import covariance
+from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.estimation.solution import solve
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 
 SIGMA, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 SHOWN = (10, 20, 50, 100, 200, 500, 1000)

@@ -11,12 +11,12 @@ import time
 
 from numpy.random import default_rng
 
-from handlaser_gtsam.noise import Noise
-from handlaser_gtsam.options import CalibrationOptions
+from handlaser_gtsam.data.noise import Noise
+from handlaser_gtsam.data.recording import Recording
+from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.pipeline import calibrate
-from handlaser_gtsam.recording import Recording
-from handlaser_gtsam.scenes import Layout, arm
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.simulation.scenes import Layout, arm
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.starts import find_start
 

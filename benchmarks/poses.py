@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
+from handlaser_gtsam.data.noise import Noise
+from handlaser_gtsam.estimation.options import CalibrationOptions, Poses
 from handlaser_gtsam.estimation.solution import solve
-from handlaser_gtsam.noise import Noise
-from handlaser_gtsam.options import CalibrationOptions, Poses
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.starts import find_start
 
 SIGMAS = (3e-5, 5e-5, math.radians(0.03))

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray
-from handlaser_gtsam.diagnosis.observability import observability
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.recording import Readings, Recording
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import Readings, Recording
+from handlaser_gtsam.observability.rank import observability
 
 MOST_SIGMA = 0.03
 """A problem is solvable when no direction of its unknowns has a standard deviation above this part of

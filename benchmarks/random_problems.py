@@ -23,10 +23,10 @@ from rich.progress import track
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.calibration import Calibration
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.options import RangeError
 from handlaser_gtsam.estimation.solution import solve
-from handlaser_gtsam.options import RangeError
-from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.results.calibration import Calibration
 
 from .problems import Problem, solvable
 from .unsolvable import true_null_space, unsolvable

@@ -26,12 +26,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from handlaser_gtsam.covariance import covariance
-from handlaser_gtsam.graph import build_graph
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.recording import Readings, Recording
-from handlaser_gtsam.scenes import Layout, paper
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import Readings, Recording
+from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.simulation.scenes import Layout, paper
+from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
 from handlaser_gtsam.starts import find_start

@@ -38,7 +38,7 @@ from rich.progress import Progress  # isort: skip
 import handlaser_gtsam as hl
 from benchmarks.robot_cell import CODES, MOTION, Scene, cell
 from handlaser_gtsam.arrays import FloatArray, IntArray
-from handlaser_gtsam.weighting import Variances, Whitening, whitening
+from handlaser_gtsam.model.weighting import Variances, Whitening, whitening
 
 FACTORS = (1.5, 1.0)
 """Sizes injected, as multiples of the one that the result states as detectable."""

@@ -20,10 +20,10 @@ from rich.progress import Progress
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.options import Poses
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.options import Poses
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 
 RANGE_SIGMA, TRANSLATION_SIGMA, ROTATION_SIGMA = 3e-5, 5e-5, math.radians(0.03)
 AXES = {"Y axis": (1,), "all axes": (0, 1, 2)}

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.recording import Readings
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import Readings
 
 from .problems import Motion, Problem, look_at, read, unit
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 from mpl_toolkits.mplot3d import Axes3D
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.model import corrected
+from handlaser_gtsam.model.equation import corrected
 
 ROOT = Path(__file__).parents[1]
 COLOURS = ("#d1495b", "#00798c", "#edae49", "#30638e")

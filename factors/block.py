@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
 from handlaser_gtsam.checks import require_number
+from handlaser_gtsam.data.noise import MOST_SIGMA
+from handlaser_gtsam.data.recording import LARGEST
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys, integer_key
-from handlaser_gtsam.noise import MOST_SIGMA
-from handlaser_gtsam.recording import LARGEST
-from handlaser_gtsam.weighting import Whitening
+from handlaser_gtsam.model.weighting import Whitening
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
 

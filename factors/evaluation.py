@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.weighting import Whitening
+from handlaser_gtsam.model.weighting import Whitening
 
 LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, 5), slice(5, 7)
 NORMAL, OFFSET, PLANE, POSE = slice(7, 9), 9, slice(7, 10), slice(10, 16)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import gtsam
 import numpy as np
 
-from handlaser_gtsam.weighting import Whitening, joined
+from handlaser_gtsam.model.weighting import Whitening, joined
 
 from .block import RangeBlock
 from .evaluation import Share

@@ -16,7 +16,7 @@ import numpy as np
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.errors import SolverError
-from handlaser_gtsam.weighting import Whitening
+from handlaser_gtsam.model.weighting import Whitening
 
 from .block import RangeBlock, range_error
 from .evaluation import (

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 from ._version import __version__
 
 if TYPE_CHECKING:
-    from . import factors, model, scenes, simulate, starts
-    from .calibration import Beam, Calibration, Fit, Plane
-    from .diagnosis.bootstrap import Bootstrap, bootstrap
-    from .diagnosis.cross_check import CrossCheck, cross_check
-    from .diagnosis.hold_out import HoldOut, hold_out
-    from .diagnosis.validation import Validation, validate
+    from . import factors, model, starts
+    from .data.noise import Noise
+    from .data.parameters import Parameters
+    from .data.recording import Readings, Recording, join
     from .errors import (
         CalibrationWarning,
         GrazingBeamError,
@@ -23,24 +21,27 @@ if TYPE_CHECKING:
         InputError,
         SolverError,
     )
+    from .estimation.options import CalibrationOptions
     from .files.calibration_json import write_calibration
     from .files.mounts_json import read_mounts
     from .files.recording_csv import read_recording, write_recording
     from .files.rig_toml import Rig, read_rig
-    from .joint import JointCovariance
     from .keys import BeamKeys
-    from .mounts import Mounts
-    from .noise import Noise
-    from .options import CalibrationOptions
-    from .own_graph import read_graph
-    from .parameters import Parameters
+    from .model.joint import JointCovariance
+    from .model.sensor import Sensor
     from .pipeline import calibrate
-    from .propagation import measured_plane, spot
-    from .recording import Readings, Recording, join
-    from .sensor import Sensor
+    from .results.calibration import Beam, Calibration, Fit, Plane
+    from .results.from_graph import read_graph
+    from .results.mounts import Mounts
+    from .results.spots import measured_plane, spot
     from .session import Session, Update
+    from .simulation import scenes, simulate
     from .solvers.incremental import IncrementalOptions
     from .solvers.levenberg import optimize
+    from .validation.bootstrap import Bootstrap, bootstrap
+    from .validation.cross_check import CrossCheck, cross_check
+    from .validation.hold_out import HoldOut, hold_out
+    from .validation.leave_out import Validation, validate
 
 __all__ = [
     "Beam",
@@ -93,55 +94,62 @@ __all__ = [
 ]
 
 _HOME = {
-    "Beam": "calibration",
+    "Beam": "results.calibration",
     "BeamKeys": "keys",
-    "Bootstrap": "diagnosis.bootstrap",
-    "Calibration": "calibration",
-    "CalibrationOptions": "options",
+    "Bootstrap": "validation.bootstrap",
+    "Calibration": "results.calibration",
+    "CalibrationOptions": "estimation.options",
     "CalibrationWarning": "errors",
-    "CrossCheck": "diagnosis.cross_check",
-    "Fit": "calibration",
+    "CrossCheck": "validation.cross_check",
+    "Fit": "results.calibration",
     "GrazingBeamError": "errors",
     "HandlaserError": "errors",
-    "HoldOut": "diagnosis.hold_out",
+    "HoldOut": "validation.hold_out",
     "IncrementalOptions": "solvers.incremental",
     "InputError": "errors",
-    "JointCovariance": "joint",
-    "Mounts": "mounts",
-    "Noise": "noise",
-    "Parameters": "parameters",
-    "Plane": "calibration",
-    "Readings": "recording",
-    "Recording": "recording",
+    "JointCovariance": "model.joint",
+    "Mounts": "results.mounts",
+    "Noise": "data.noise",
+    "Parameters": "data.parameters",
+    "Plane": "results.calibration",
+    "Readings": "data.recording",
+    "Recording": "data.recording",
     "Rig": "files.rig_toml",
-    "Sensor": "sensor",
+    "Sensor": "model.sensor",
     "Session": "session",
     "Update": "session",
     "SolverError": "errors",
-    "Validation": "diagnosis.validation",
-    "bootstrap": "diagnosis.bootstrap",
+    "Validation": "validation.leave_out",
+    "bootstrap": "validation.bootstrap",
     "calibrate": "pipeline",
-    "cross_check": "diagnosis.cross_check",
-    "hold_out": "diagnosis.hold_out",
-    "join": "recording",
-    "measured_plane": "propagation",
+    "cross_check": "validation.cross_check",
+    "hold_out": "validation.hold_out",
+    "join": "data.recording",
+    "measured_plane": "results.spots",
     "optimize": "solvers.levenberg",
-    "read_graph": "own_graph",
+    "read_graph": "results.from_graph",
     "read_mounts": "files.mounts_json",
     "read_recording": "files.recording_csv",
     "read_rig": "files.rig_toml",
-    "spot": "propagation",
-    "validate": "diagnosis.validation",
+    "spot": "results.spots",
+    "validate": "validation.leave_out",
     "write_calibration": "files.calibration_json",
     "write_recording": "files.recording_csv",
+}
+_MODULES = {
+    "factors": "factors",
+    "model": "model",
+    "scenes": "simulation.scenes",
+    "simulate": "simulation.simulate",
+    "starts": "starts",
 }
 
 
 def __getattr__(name: str) -> object:
     if name in _HOME:
         return getattr(import_module(f".{_HOME[name]}", __name__), name)
-    if name in __all__:
-        return import_module(f".{name}", __name__)
+    if name in _MODULES:
+        return import_module(f".{_MODULES[name]}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

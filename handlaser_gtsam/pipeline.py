@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from .assemble import assemble
-from .calibration import Calibration
 from .checks import require_kind
-from .noise import Noise
-from .options import CalibrationOptions
-from .ordering import sorted_readings
-from .recording import Recording
-from .screening.screen import screened
-from .selection import select
+from .data.noise import Noise
+from .data.ordering import sorted_readings
+from .data.recording import Recording
+from .data.screen import screened
+from .estimation.options import CalibrationOptions
+from .estimation.selection import select
+from .results.assemble import assemble
+from .results.calibration import Calibration
 from .solvers.levenberg import Trial
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.recording import Recording
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, Stations, simulate
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import Recording
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, Stations, simulate
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"

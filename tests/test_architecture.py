@@ -8,62 +8,31 @@ from helpers import ROOT
 
 PACKAGE = ROOT / "handlaser_gtsam"
 
-# A module may import what stands on its own floor or below.
 FLOORS = [
-    {"text", "errors", "arrays", "_version", "checks", "losses"},
-    {"parameters", "recording", "noise", "keys", "ordering", "values"},
-    {"model", "sensor"},
-    {"weighting", "joint"},
-    {"factors"},
-    {"poses"},
-    {"graph", "simulate"},
-    {"solvers", "scenes"},
-    {"starts", "diagnosis.observability"},
-    {"diagnosis.words", "diagnosis.motion", "diagnosis.correlations"},
-    {"diagnosis.leverage", "diagnosis.outliers", "diagnosis.reasons", "diagnosis.elsewhere"},
-    {"options", "covariance"},
-    {"estimation"},
-    {"screening"},
-    {"results.projection", "results.wording"},
-    {"results.alternatives"},
-    {"results.score_tests"},
-    {"results.systematic", "results.dependence"},
-    {"calibration"},
-    {"diagnosis.doubts", "diagnosis.hypotheses", "consensus"},
-    {"diagnosis.mirror"},
-    {"selection"},
-    {"fit"},
-    {"assemble"},
-    {
-        "own_fit",
-        "own_graph",
-        "pipeline",
-        "limits",
-        "diagnosis.cross_check",
-        "propagation",
-        "mounts",
-    },
-    {"diagnosis.hold_out", "diagnosis.bootstrap", "diagnosis.drift"},
-    {"diagnosis.validation", "session"},
-    {
-        "results.significance",
-        "results.spot_error",
-        "results.variance_shares",
-        "results.improvement",
-        "results.verdict",
-    },
-    {"files"},
-    {"cli"},
-]
-WITHOUT_FLOOR = ("", "diagnosis", "results")
-"""Packages whose modules stand on several floors."""
-WITHOUT_GTSAM = [
-    "starts",
+    "base",
+    "data",
     "model",
-    "solvers.reduction",
-    "solvers.reference",
-    "diagnosis.observability",
+    "factors",
+    "solvers",
+    "simulation",
+    "starts",
+    "observability",
+    "outliers",
+    "estimation",
+    "results",
+    "pipeline",
+    "validation",
+    "session",
+    "files",
+    "cli",
 ]
+"""From the ground up, one folder a floor. A module may import from its own floor or below."""
+BASE = ("_version", "arrays", "checks", "errors", "keys", "text")
+"""The files that lie flat below all folders."""
+WITHOUT_GTSAM = ("data", "model", "simulation", "starts", "observability", "outliers")
+"""Floors that work on NumPy alone."""
+REDUCTION = ("solvers.reduction", "solvers.refine", "solvers.reference", "solvers.stopping")
+"""Solvers that do."""
 
 
 def modules() -> dict[str, Path]:
@@ -115,28 +84,24 @@ def imports(name: str) -> set[str]:
     return found
 
 
-def floor(name: str) -> int | None:
-    for number, rooms in enumerate(FLOORS):
-        if any(name == room or name.startswith(room + ".") for room in rooms):
-            return number
-    return None
+def room(name: str) -> str:
+    """The floor on which a module stands."""
+    return "base" if name in BASE else name.split(".")[0]
 
 
 def test_every_module_has_a_floor():
-    homeless = [name for name in MODULES if name not in WITHOUT_FLOOR and floor(name) is None]
-    assert not homeless
+    assert {room(name) for name in MODULES if name} == set(FLOORS)
 
 
 def test_arrows_point_downwards():
     wrong = []
-    for name in MODULES:
-        if name in WITHOUT_FLOOR:
-            continue
-        here = floor(name)
-        for target in imports(name) & set(MODULES):
-            there = floor(target)
-            if there is not None and there > here:
-                wrong.append(f"{name} (floor {here}) imports {target} (floor {there})")
+    for name in filter(None, MODULES):
+        here = FLOORS.index(room(name))
+        wrong += [
+            f"{name} imports {target}"
+            for target in imports(name) & set(filter(None, MODULES))
+            if FLOORS.index(room(target)) > here
+        ]
     assert not wrong
 
 
@@ -155,16 +120,26 @@ def test_there_are_no_circles():
         visit(name, ())
 
 
-def test_starts_and_reduction_do_not_know_gtsam():
+def test_the_mathematics_does_not_know_gtsam():
     for name in MODULES:
-        if any(name == room or name.startswith(room + ".") for room in WITHOUT_GTSAM):
+        if room(name) in WITHOUT_GTSAM or name in REDUCTION:
             assert "gtsam" not in imports(name), name
-            assert not any(target.split(".")[0] in ("factors", "graph") for target in imports(name))
+            assert not any(room(target) == "factors" for target in imports(name)), name
+
+
+def test_every_room_says_its_job():
+    rooms = [folder for folder in PACKAGE.iterdir() if (folder / "__init__.py").exists()]
+    assert len(rooms) <= 14
+    for folder in rooms:
+        says = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
+        assert says, folder
+        assert len(says.splitlines()) == 1, folder
+    assert len(list(PACKAGE.glob("*.py"))) <= 8
 
 
 def test_the_reference_shares_no_equation():
     inner = imports("solvers.reference") & set(MODULES)
-    assert inner <= {"arrays", "parameters", "recording", "errors"}
+    assert inner <= {"arrays", "data.parameters", "data.recording", "errors"}
 
 
 def calls(name: str) -> set[str]:

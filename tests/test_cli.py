@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import handlaser_gtsam as hl
 from handlaser_gtsam import __version__
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.simulation.scenes import Layout
 
 RECORDING, RIG = str(GRIPPER / "recording.csv"), str(GRIPPER / "rig.toml")
 
@@ -343,7 +343,7 @@ def test_robust_losses_and_kept_outliers_are_options(handlaser):
 
 
 def test_a_cross_check_that_disagrees_is_no_calibration(handlaser, monkeypatch):
-    from handlaser_gtsam.diagnosis import cross_check as checking
+    from handlaser_gtsam.validation import cross_check as checking
 
     monkeypatch.setattr(
         checking,

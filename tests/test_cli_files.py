@@ -7,17 +7,17 @@ import stat
 import subprocess
 import sys
 
+import handlaser_gtsam.diagnosis.validation
 import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
 
-import handlaser_gtsam.diagnosis.validation
 import handlaser_gtsam.session  # noqa: F401  (before anything of theirs is replaced)
 from handlaser_gtsam.cli import main
+from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.files import writing
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.recording import Recording
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.simulation.scenes import Layout
 
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 QUICK = ["--poses", "exact", "--range-error", "none", "--range-sigma-mm", "0.03"]

@@ -13,10 +13,10 @@ from handlaser_gtsam.cli.lines import WIDTH, decimals, with_sigma, wrapped
 from handlaser_gtsam.cli.screen import LINES, screen_lines
 from handlaser_gtsam.cli.tables import systematic_lines
 from handlaser_gtsam.cli.validation_tables import hold_out_sentence
-from handlaser_gtsam.diagnosis.hold_out import HoldOut
-from handlaser_gtsam.limits import Limits
+from handlaser_gtsam.model.sensor import Rejected
+from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.verdict import verdict
-from handlaser_gtsam.sensor import Rejected
+from handlaser_gtsam.validation.hold_out import HoldOut
 
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 OPENINGS = ("Usable", "Usable with care", "Not usable")

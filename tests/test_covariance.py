@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from helpers import simulated
 
-from handlaser_gtsam.covariance import covariance, covariance_of_determined
-from handlaser_gtsam.diagnosis.observability import observability
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.graph import build_graph, read_parameters
-from handlaser_gtsam.poses import pose_priors
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.estimation.covariance import covariance, covariance_of_determined
+from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.observability.rank import observability
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt, linearize
-from handlaser_gtsam.weighting import Variances, whitening
+from handlaser_gtsam.solvers.poses import pose_priors
 
 SIGMA = 3e-5
 POSE = np.diag([5e-4**2] * 3 + [5e-5**2] * 3)

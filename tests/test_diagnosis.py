@@ -8,12 +8,12 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
-from handlaser_gtsam.diagnosis.mirror import mirror_image_fits
-from handlaser_gtsam.diagnosis.observability import observability
-from handlaser_gtsam.diagnosis.words import Names, weakest
-from handlaser_gtsam.limits import Limits, exceeded
-from handlaser_gtsam.parameters import RangeErrorPrior
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.data.parameters import RangeErrorPrior
+from handlaser_gtsam.observability.mirror import mirror_image_fits
+from handlaser_gtsam.observability.rank import observability
+from handlaser_gtsam.observability.wording import Names, weakest
+from handlaser_gtsam.results.limits import Limits, exceeded
+from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.solvers.reduction import apply_step, normal_equations
 from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
 

@@ -7,8 +7,8 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.motion import check_motion
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.simulation.scenes import Layout
 
 SIGMA = 3e-5
 NONE = hl.CalibrationOptions("none")

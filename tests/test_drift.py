@@ -9,8 +9,8 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
 
 SIGMA, TURN = 1e-4, math.radians(0.3)

@@ -8,8 +8,8 @@ import pytest
 from benchmarks.gross_errors import Case, made, run_once
 from benchmarks.right_angles import Scene, coded, plates, relabelled
 from handlaser_gtsam import model
-from handlaser_gtsam.diagnosis.outliers import beyond_chance
-from handlaser_gtsam.losses import Loss
+from handlaser_gtsam.model.losses import Loss
+from handlaser_gtsam.outliers.snooping import beyond_chance
 from handlaser_gtsam.solvers.refine import Scale, refine_many
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.mending import mended

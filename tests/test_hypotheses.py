@@ -8,8 +8,8 @@ from helpers import simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.hypotheses import better_ways
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.results.file_mistakes import better_ways
+from handlaser_gtsam.simulation.scenes import Layout
 
 
 @pytest.fixture(scope="module")

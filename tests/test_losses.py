@@ -8,9 +8,9 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.graph import build_graph
-from handlaser_gtsam.losses import Loss, LossName
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.model.losses import Loss, LossName
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 
 NAMES = get_args(LossName)

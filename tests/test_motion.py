@@ -10,8 +10,8 @@ import pytest
 from helpers import DEGENERATE, GRIPPER, ROOT, bench, degenerate, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.motion import check_motion, lemma_words
 from handlaser_gtsam.files.recording_csv import write_recording
+from handlaser_gtsam.observability.motion import check_motion, lemma_words
 
 NONE = hl.CalibrationOptions("none")
 

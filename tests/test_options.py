@@ -5,11 +5,11 @@ import pytest
 from helpers import GRIPPER
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.observability import ObservabilityOptions
-from handlaser_gtsam.limits import Limits
-from handlaser_gtsam.losses import Loss
-from handlaser_gtsam.scenes import Layout
-from handlaser_gtsam.simulate import Errors
+from handlaser_gtsam.model.losses import Loss
+from handlaser_gtsam.observability.rank import ObservabilityOptions
+from handlaser_gtsam.results.limits import Limits
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.simulation.simulate import Errors
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions
 
 WORDS = {

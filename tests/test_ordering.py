@@ -5,8 +5,8 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.ordering import sorted_readings
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.data.ordering import sorted_readings
+from handlaser_gtsam.simulation.scenes import Layout
 
 
 def shuffled(recording, seed):

@@ -8,10 +8,10 @@ from helpers import GRIPPER, bench, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
-from handlaser_gtsam.diagnosis.leverage import leverages, standardized
-from handlaser_gtsam.diagnosis.observability import observability
-from handlaser_gtsam.diagnosis.outliers import screen
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.observability.rank import observability
+from handlaser_gtsam.outliers.leverage import leverages, standardized
+from handlaser_gtsam.outliers.snooping import screen
+from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.partial import grow
 from handlaser_gtsam.starts.robust import robust_starts

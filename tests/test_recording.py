@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
+from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.errors import GrazingBeamError, InputError
-from handlaser_gtsam.recording import Recording
 
 GOOD = {
     "world_R_hand": np.tile(np.eye(3), (2, 1, 1)),

@@ -9,11 +9,11 @@ from helpers import simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.screening.codes import without_codes
-from handlaser_gtsam.screening.columns import RepeatedColumnError, refuse_repeated_columns
-from handlaser_gtsam.screening.stations import merged_stations, pose_groups
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.data.codes import without_codes
+from handlaser_gtsam.data.columns import RepeatedColumnError, refuse_repeated_columns
+from handlaser_gtsam.data.stations import merged_stations, pose_groups
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NOISE = hl.Noise(SIGMA, 1e-4, 1e-4)

@@ -9,8 +9,8 @@ import pytest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.factors import RangeBlock, gathered
-from handlaser_gtsam.scenes import SCENES, Layout
-from handlaser_gtsam.simulate import Errors, simulate
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
 
 SIGMA = 3e-5

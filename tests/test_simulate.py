@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from helpers import simulated
 
-from handlaser_gtsam import scenes
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.scenes import ERRORS, SENSORS, Layout
-from handlaser_gtsam.sensor import Sensor
-from handlaser_gtsam.simulate import Errors, plane_name, read_back, simulate
+from handlaser_gtsam.model.sensor import Sensor
+from handlaser_gtsam.simulation import scenes
+from handlaser_gtsam.simulation.scenes import ERRORS, SENSORS, Layout
+from handlaser_gtsam.simulation.simulate import Errors, plane_name, read_back, simulate
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -6,16 +6,12 @@ import pytest
 from helpers import GRIPPER, bench, motion, recording_of
 
 from handlaser_gtsam import model
-from handlaser_gtsam.covariance import covariance
+from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.errors import GrazingBeamError
+from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.files.recording_csv import read_recording
-from handlaser_gtsam.graph import build_graph, read_parameters, start_values
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.solvers.levenberg import (
-    LevenbergOptions,
-    levenberg_marquardt,
-    linearize,
-)
+from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
+from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt, linearize
 from handlaser_gtsam.solvers.reduction import normal_equations
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.solvers.refine import refine

@@ -8,12 +8,12 @@ from helpers import bench, largest_error, motion, recording_of, simulated
 from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam import model
-from handlaser_gtsam.graph import build_graph
-from handlaser_gtsam.noise import Noise
-from handlaser_gtsam.options import CalibrationOptions
-from handlaser_gtsam.parameters import Parameters
+from handlaser_gtsam.data.noise import Noise
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.pipeline import calibrate
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start

@@ -8,16 +8,16 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from handlaser_gtsam import model
-from handlaser_gtsam.diagnosis.words import Names
+from handlaser_gtsam.data.noise import Noise
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import Readings
+from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.estimation.solution import solve
-from handlaser_gtsam.noise import Noise
-from handlaser_gtsam.options import CalibrationOptions
-from handlaser_gtsam.parameters import Parameters
-from handlaser_gtsam.recording import Readings
+from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.observability.wording import Names
 from handlaser_gtsam.results.alternatives import WHOLE
 from handlaser_gtsam.results.score_tests import LEVEL, POWER, alike, holm, needed, two_sided
 from handlaser_gtsam.results.systematic import detectable_of, systematic_errors
-from handlaser_gtsam.weighting import Variances, whitening
 
 SIGMA = 1e-4
 TESTED = (*WHOLE, "displaced", "beam-on-plane")

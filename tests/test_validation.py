@@ -5,8 +5,8 @@ import pytest
 from helpers import GRIPPER, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.diagnosis.validation import predict, reconstruction
-from handlaser_gtsam.scenes import Layout
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.leave_out import predict, reconstruction
 
 NOISE = hl.Noise(3e-5)
 

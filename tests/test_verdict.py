@@ -8,16 +8,17 @@ import pytest
 from helpers import GRIPPER, degenerate, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.limits import LimitCheck, Limits, checked, exceeded, worst_of_each
-from handlaser_gtsam.propagation import spot
+from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
+from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, exceeded, worst_of_each
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.spots import spot
 from handlaser_gtsam.results.systematic import SystematicError
 from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
-from handlaser_gtsam.results.verdict import verdict, verdict_of_validation
-from handlaser_gtsam.scenes import Layout
-from handlaser_gtsam.sensor import Rejected
+from handlaser_gtsam.results.verdict import verdict
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.verdict import verdict_of_validation
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)
 LOOSE = Limits(1e-3, 1e-3, 0.1)

@@ -9,10 +9,10 @@ import typer
 from .choices import LossChoice, OutliersChoice, PosesChoice, RangeErrorChoice
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
-    from ..diagnosis.cross_check import CrossCheck
-    from ..recording import Recording
+    from ..data.recording import Recording
+    from ..results.calibration import Calibration
     from ..results.verdict import Verdict
+    from ..validation.cross_check import CrossCheck
     from .incremental import PlaneByPlane
 
 UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
@@ -115,14 +115,14 @@ def calibrate(
     the solver gave up; 4 not usable: outside the limits of the rig file, or with a systematic error
     larger than what the result states; 130 stopped by Ctrl-C.
     """
-    from ..diagnosis import cross_check as checking
     from ..errors import InputError
+    from ..estimation.options import CalibrationOptions
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
     from ..files.writing import require_writable, same_file, write_text
-    from ..options import CalibrationOptions
     from ..pipeline import calibrate as run
     from ..results.verdict import verdict
+    from ..validation import cross_check as checking
     from .settings import reading_of, settings_of
 
     if out is not None:

@@ -20,9 +20,9 @@ def check(
     Exit codes: 0 the motion determines everything, for beams and planes in general position; 2 bad
     input; 3 it leaves something open.
     """
-    from ..diagnosis.motion import check_motion, lemma_words
     from ..files.calibration_json import check_text
     from ..files.recording_csv import read_recording
+    from ..observability.motion import check_motion, lemma_words
 
     table = read_recording(recording)
     found = check_motion(table)

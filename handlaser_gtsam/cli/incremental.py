@@ -9,12 +9,12 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ..arrays import FloatArray
-from ..calibration import Calibration
+from ..data.noise import Noise
+from ..data.recording import Recording
 from ..errors import CalibrationWarning
-from ..noise import Noise
-from ..options import CalibrationOptions
+from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
-from ..recording import Recording
+from ..results.calibration import Calibration
 from ..session import Comparison, Session, Update
 
 MM = 1e3

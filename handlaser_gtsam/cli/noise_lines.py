@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..calibration import Calibration, NoiseComponent
+from ..results.calibration import Calibration, NoiseComponent
 from .lines import DEG, MM, some
 
 SHOWN = 4

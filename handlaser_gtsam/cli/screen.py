@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ..arrays import FloatArray
-from ..calibration import Beam, Calibration
-from ..limits import worst_of_each
-from ..recording import Recording
+from ..data.recording import Recording
+from ..results.calibration import Beam, Calibration
+from ..results.limits import worst_of_each
 from ..results.systematic import SystematicError
 from ..results.verdict import Verdict, spot_error_by, spot_shift
 from ..results.wording import size_in_words

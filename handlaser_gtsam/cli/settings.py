@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..checks import require_number
+from ..data.recording import LARGEST
 from ..files.rig_toml import Rig, read_rig
-from ..recording import LARGEST
 
 MM = 1e-3
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ..simulate import Errors
+    from ..simulation.simulate import Errors
 
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
@@ -60,12 +60,12 @@ def simulate(
     """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER."""
     import numpy as np
 
-    from .. import scenes
     from ..errors import InputError
     from ..files.calibration_json import write_truth
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
-    from ..simulate import simulate as run
+    from ..simulation import scenes
+    from ..simulation.simulate import simulate as run
     from ..text import printable
 
     there = [name for name in FILES if (folder / name).exists()]
@@ -99,7 +99,7 @@ def _errors(
     pose_axes: PoseAxes | None,
 ) -> "Errors":
     """Return the errors of the scene with what the command line says instead."""
-    from ..simulate import Errors
+    from ..simulation.simulate import Errors
 
     range_sigma, translation, rotation = numbers
     return Errors(

@@ -10,11 +10,11 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.table import Table
 
-from ..calibration import Beam, Calibration, Plane
-from ..diagnosis.cross_check import CrossCheck
-from ..propagation import MeasuredPlane, spot, typical_plane
-from ..recording import Recording
+from ..data.recording import Recording
+from ..results.calibration import Beam, Calibration, Plane
+from ..results.spots import MeasuredPlane, spot, typical_plane
 from ..results.verdict import Verdict
+from ..validation.cross_check import CrossCheck
 from .lines import MM, UNDETERMINED, count
 from .noise_lines import noise_words, range_error_words, zero_excluded
 

@@ -11,10 +11,10 @@ import typer
 from .choices import PosesChoice, RangeErrorChoice
 
 if TYPE_CHECKING:
-    from ..diagnosis.hold_out import HoldOut
+    from ..data.recording import Recording
+    from ..estimation.options import CalibrationOptions
     from ..files.rig_toml import Rig
-    from ..options import CalibrationOptions
-    from ..recording import Recording
+    from ..validation.hold_out import HoldOut
 
 FAILED = 4
 
@@ -93,8 +93,8 @@ def validate(
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
     """
     from ..errors import InputError
+    from ..estimation.options import CalibrationOptions
     from ..files.recording_csv import read_recording
-    from ..options import CalibrationOptions
     from .settings import settings_of
 
     if calibration is not None and hold_out is not None:
@@ -131,9 +131,9 @@ def _validate(
     from rich.console import Console
     from rich.progress import Progress
 
-    from ..diagnosis.validation import validate as run
     from ..files.validation_json import validation_text
-    from ..results.verdict import verdict_of_validation
+    from ..validation.leave_out import validate as run
+    from ..validation.verdict import verdict_of_validation
     from .validation_tables import validation_lines
 
     planes = len(recording.plane_names)
@@ -173,14 +173,14 @@ def _test(
     json_: bool,
 ) -> None:
     """Test an old calibration on `recording`, or its own calibration on another one."""
-    from ..diagnosis.hold_out import hold_out
     from ..files.mounts_json import read_mounts
     from ..files.recording_csv import read_recording
     from ..files.validation_json import hold_out_text
-    from ..mounts import Mounts
+    from ..model.sensor import within
     from ..pipeline import calibrate
+    from ..results.mounts import Mounts
     from ..results.significance import SINGLE_LEVEL
-    from ..sensor import within
+    from ..validation.hold_out import hold_out
     from .validation_tables import hold_out_lines
 
     old, other = files

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterator
 
-from ..diagnosis.hold_out import HoldOut
-from ..diagnosis.validation import Prediction, Validation
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
+from ..validation.hold_out import HoldOut
+from ..validation.leave_out import Prediction, Validation
 from .lines import MM
 from .tables import systematic_lines
 

@@ -19,9 +19,9 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import Variances, own_variances, slopes
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import Variances, own_variances, slopes
 
 LARGEST_CHUNK = 6_000_000
 """Numbers of the largest intermediate array."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters, RangeErrorPrior
-from ..recording import Readings
-from ..weighting import Variances
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.recording import Readings
+from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
 from .mixture import SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
 from .scales import Design, Scales, design, find_mode, with_scales

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..joint import JointCovariance, beam_lift
-from ..parameters import Parameters
+from ..data.parameters import Parameters
+from ..model.joint import JointCovariance, beam_lift
 from ..solvers.reduction import apply_step
 from .information import PlaneResponse
 from .learned import LearnedScales, ScaleProblem

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray
-from ..weighting import Variances
+from ..model.weighting import Variances
 from .information import NoiseSet
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"

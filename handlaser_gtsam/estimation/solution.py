@@ -14,19 +14,19 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..diagnosis.elsewhere import least_observed
-from ..diagnosis.observability import Observability, observability
-from ..graph import CalibrationGraph, build_graph, read_parameters
-from ..losses import GAUSSIAN, Loss
-from ..model import residuals, scene
-from ..noise import Noise
-from ..options import CalibrationOptions
-from ..parameters import Parameters, RangeErrorPrior
-from ..poses import PosePriors, pose_priors
-from ..recording import Readings
+from ..data.noise import Noise
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.recording import Readings
+from ..model.equation import residuals, scene
+from ..model.losses import GAUSSIAN, Loss
+from ..model.weighting import Variances, Whitening, unequal, whitening
+from ..observability.least_observed import least_observed
+from ..observability.rank import Observability, observability
+from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
 from ..solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
-from ..weighting import Variances, Whitening, unequal, whitening
+from ..solvers.poses import PosePriors, pose_priors
 from .learned import ScaleProblem
+from .options import CalibrationOptions
 from .posterior import Posterior, ScaleEstimate, posterior
 from .scales import Scales, with_scales
 from .unknowns import LEAST_SIGMA, start_of, unknown_scales

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ..arrays import FloatArray
-from ..noise import Noise
-from ..options import CalibrationOptions
-from ..recording import Readings
-from ..weighting import Variances
+from ..data.noise import Noise
+from ..data.recording import Readings
+from ..model.weighting import Variances
+from .options import CalibrationOptions
 from .scales import FLOOR, MOST, RANGE, ROTATION, TRANSLATION, Scale, Scales
 
 LEAST_SIGMA = 1e-12

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..arrays import FloatArray
-from ..calibration import Beam, Calibration, Plane
-from ..diagnosis.motion import MotionCheck
-from ..parameters import Parameters
-from ..propagation import spot
-from ..recording import Recording
+from ..data.parameters import Parameters
+from ..data.recording import Recording
+from ..observability.motion import MotionCheck
+from ..results.calibration import Beam, Calibration, Plane
+from ..results.spots import spot
 from ..results.systematic import SystematicError
 from .writing import path_of, write_text
 

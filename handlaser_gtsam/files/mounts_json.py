@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..arrays import FloatArray
+from ..data.recording import first_repeated
 from ..errors import InputError
-from ..mounts import Mounts
-from ..recording import first_repeated
+from ..results.mounts import Mounts
 from ..text import shown
 from .writing import path_of
 

@@ -15,10 +15,10 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
+from ..data.codes import code_warning, coded_numbers
+from ..data.recording import LARGEST, Recording, first_repeated
 from ..errors import CalibrationWarning, InputError
-from ..recording import LARGEST, Recording, first_repeated
-from ..screening.codes import code_warning, coded_numbers
-from ..sensor import Sensor
+from ..model.sensor import Sensor
 from ..text import A_NAME, name_fault
 from .table import Table as _Table
 from .table import read_table

@@ -20,10 +20,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..arrays import FloatArray
+from ..data.noise import Noise
 from ..errors import InputError
-from ..limits import Limits
-from ..noise import Noise
-from ..sensor import Sensor
+from ..model.sensor import Sensor
+from ..results.limits import Limits
 from ..text import shown
 from .writing import path_of, write_text
 

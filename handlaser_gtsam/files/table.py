@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from ..arrays import BoolArray, IntArray
+from ..data.recording import first_repeated
 from ..errors import InputError
-from ..recording import first_repeated
 from ..text import LONGEST_NAME, name_fault, shown
 
 SEPARATORS = ",;\t"

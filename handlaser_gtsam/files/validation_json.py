@@ -3,8 +3,8 @@
 import json
 import math
 
-from ..diagnosis.hold_out import HoldOut
-from ..diagnosis.validation import PlaneLeftOut, Prediction, Validation
+from ..validation.hold_out import HoldOut
+from ..validation.leave_out import PlaneLeftOut, Prediction, Validation
 from .calibration_json import Json
 
 

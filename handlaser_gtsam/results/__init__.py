@@ -1,1 +1,1 @@
-"""What follows from a calibration: its verdict, and the systematic errors that it was tested for."""
+"""What follows from an estimate: the calibration, its warnings, systematic errors, verdict."""

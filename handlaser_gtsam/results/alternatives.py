@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import slopes
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import slopes
 from .projection import Rows, weighed
 
 WHOLE = ("incidence", "cubic", "sag", "lag", "drift", "turn-scale", "translation-scale")

@@ -26,10 +26,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import Whitening
+from ..model.weighting import Whitening
 from .projection import WIDTH, Projection, linear_rows
 
 FAR = 3.5

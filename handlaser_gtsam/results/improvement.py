@@ -11,14 +11,14 @@ from typing import Literal
 
 from scipy.stats import chi2 as chi2_distribution
 
-from ..calibration import Calibration
-from ..diagnosis.doubts import MANY_LEFT_OUT
-from ..limits import LimitCheck
-from ..sensor import BY_LIMITS
+from ..model.sensor import BY_LIMITS
+from .calibration import Calibration
+from .limits import LimitCheck
 from .significance import SINGLE_LEVEL
 from .spot_error import freedom
 from .systematic import SystematicError
 from .variance_shares import Quantity, VarianceShares
+from .warnings import MANY_LEFT_OUT
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import Whitening
 from ..solvers.reduction import (
     NormalEquations,
     jacobian_columns,
     normal_equations,
     whitened_normal_equations,
 )
-from ..weighting import Whitening
 
 WIDTH = 7
 """Unknowns of a beam: location, direction, k1 and k2."""

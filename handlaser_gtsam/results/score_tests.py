@@ -14,9 +14,9 @@ from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import Whitening
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import Whitening
 from .alternatives import WHOLE, Family, families, whole_columns
 from .projection import WIDTH, Projection, Rows, linear_rows, weighed
 from .wording import WORDING

@@ -19,8 +19,8 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
 from ..arrays import FloatArray
-from ..calibration import Calibration
-from ..propagation import spot_jacobian
+from .calibration import Calibration
+from .spots import spot_jacobian
 
 LEVEL = 0.95
 

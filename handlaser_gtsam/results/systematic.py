@@ -22,10 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..diagnosis.words import Names
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import Whitening
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import Whitening
+from ..observability.wording import Names
 from .score_tests import LEVEL, ScoreTests, alike
 from .wording import BY_NATURE, WORDING, size_in_words
 

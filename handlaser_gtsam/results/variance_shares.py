@@ -20,13 +20,13 @@ from scipy.linalg import eigh
 
 from .. import model
 from ..arrays import FloatArray
-from ..calibration import Calibration
+from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
-from ..joint import BEAM_COORDINATES
-from ..propagation import spot_jacobian
-from ..recording import Readings, Recording
+from ..model.joint import BEAM_COORDINATES
+from ..model.weighting import Variances, whitening
 from ..solvers.reduction import whitened_normal_equations
-from ..weighting import Variances, whitening
+from .calibration import Calibration
+from .spots import spot_jacobian
 
 STEP = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""

@@ -1,16 +1,14 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..diagnosis.validation import Validation
-from ..limits import LimitCheck, Limits, checked, rms_checked, worst_of_each
-from ..recording import Recording
+from ..data.recording import Recording
+from .calibration import Calibration
 from .improvement import Improvement, improvement
-from .significance import chance, contradicted
+from .limits import LimitCheck, Limits, checked, worst_of_each
 from .spot_error import SpotError, spot_errors
 from .systematic import SystematicError
 from .variance_shares import VarianceShares, variance_shares
@@ -129,51 +127,6 @@ def verdict(
     )
 
 
-def verdict_of_validation(
-    validation: Validation,
-    recording: Recording | None = None,
-    limits: Limits | None = None,
-    reading: float | None = None,
-) -> Verdict:
-    """Return the verdict on a calibration that was validated by leaving planes out.
-
-    Beside that on the calibration itself: the rms limit holds for planes that were left out, too, and
-    none of them contradicts the beams found without it.
-    """
-    found = verdict(validation.calibration, recording, limits, reading)
-    left_out = {one.plane: one.result for one in validation.planes if one.result is not None}
-    checks = tuple(
-        check
-        for plane, result in left_out.items()
-        for check in rms_checked(f"without plane {plane}", result.rms, limits or Limits())
-    )
-    found = replace(found, limits=(*found.limits, *checks))
-    p_values = {plane: result.p_value for plane, result in left_out.items()}
-    against = contradicted(p_values)
-    end = f"; best improvement: {found.improvement}"
-    if not found.usable:
-        return found
-    if against:
-        rarest = min(p_values[plane] for plane in against)
-        planes = f"plane{'s' if len(against) > 1 else ''} {_some(against)}"
-        verb = "contradict" if len(against) > 1 else "contradicts"
-        words = (
-            f"{planes} {verb} the beams found without it (by chance {chance(rarest)} recordings)"
-        )
-        return _rejected(found, "contradicted", words + end)
-    if found.exceeded:
-        return _rejected(found, "outside-limits", _failures(found.limits) + end)
-    if not p_values:
-        return found
-    tested = "1 plane" if len(p_values) == 1 else f"{len(p_values)} planes"
-    confirmed = f"{OPENING[found.code]}, confirmed by {tested} left out"
-    return replace(found, sentence=found.sentence.replace(OPENING[found.code], confirmed, 1))
-
-
-def _rejected(found: Verdict, code: Code, words: str) -> Verdict:
-    return replace(found, usable=False, code=code, sentence=f"{OPENING[code]}: {words}.")
-
-
 def spot_shift(one: SystematicError, beam: int, reading: float) -> float:
     """Return how far a systematic error that goes unnoticed moves a spot [m]; NaN if unknown."""
     shift = one.location_shift[beam] + reading * one.direction_shift[beam]
@@ -233,7 +186,7 @@ def _sentence(
 ) -> str:
     parts = []
     if code == "outside-limits":
-        parts.append(_failures(checks))
+        parts.append(failures(checks))
     if code == "systematic-error" and harmful is not None:
         parts.append(_cut(harmful.message))
     elif worst is not None:
@@ -275,17 +228,12 @@ def _none(calibration: Calibration, reading: float) -> Verdict:
     )
 
 
-def _failures(checks: tuple[LimitCheck, ...]) -> str:
+def failures(checks: tuple[LimitCheck, ...]) -> str:
     """Return the worst failure of every quantity, and how many there are."""
     failed = tuple(one for one in checks if not one.held)
     worst = worst_of_each(failed)
     more = len(failed) - len(worst)
     return ", ".join(one.failure for one in worst) + (f", and {more} more" if more else "")
-
-
-def _some(names: tuple[str, ...], most: int = 4) -> str:
-    shown = ", ".join(names[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _cut(words: str, longest: int = LONGEST) -> str:

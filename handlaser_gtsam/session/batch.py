@@ -6,25 +6,25 @@ import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..assemble import assemble
-from ..calibration import Calibration
-from ..covariance import covariance
-from ..diagnosis.observability import Observability, ObservabilityOptions, observability
+from ..data.ordering import Order
+from ..data.parameters import Beams, Parameters
+from ..data.recording import Readings, Recording
+from ..estimation.covariance import covariance
 from ..estimation.information import Information
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
+from ..estimation.selection import Selection
 from ..estimation.solution import SETTLED, Solution
-from ..graph import CalibrationGraph, build_graph, read_parameters
-from ..ordering import Order
-from ..parameters import Beams, Parameters
-from ..poses import PosePriors, pose_priors
-from ..recording import Readings, Recording
-from ..selection import Selection
-from ..sensor import FLAT, OUTSIDE
+from ..model.sensor import FLAT, OUTSIDE
+from ..model.weighting import Whitening, unequal, whitening
+from ..observability.rank import Observability, ObservabilityOptions, observability
+from ..results.assemble import assemble
+from ..results.calibration import Calibration
+from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
 from ..solvers.incremental import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
+from ..solvers.poses import PosePriors, pose_priors
 from ..starts import Start
-from ..weighting import Whitening, unequal, whitening
 from .contents import Contents
 from .reports import Comparison
 from .setting import Setting

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..data.noise import Noise
 from ..errors import InputError
-from ..noise import Noise
-from ..options import CalibrationOptions
-from ..sensor import Sensor
+from ..estimation.options import CalibrationOptions
+from ..model.sensor import Sensor
+from ..results.calibration import Calibration
 from .contents import Contents
 from .setting import Setting
 

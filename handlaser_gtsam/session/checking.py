@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..results.calibration import Calibration
 from ..solvers.incremental import BeamState
 from .now import Now, begin
 from .reports import Comparison

@@ -7,9 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..data.recording import Recording, join
 from ..errors import InputError
-from ..recording import Recording, join
-from ..sensor import OUTSIDE, Rejected, Sensor
+from ..model.sensor import OUTSIDE, Rejected, Sensor
 
 Item = TypeVar("Item")
 

@@ -11,17 +11,17 @@ from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..diagnosis.drift import Information, Reference, plane_information
+from ..data.parameters import Beams, Parameters
+from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
-from ..graph import station_blocks
-from ..joint import beam_lift
 from ..keys import plane_key, pose_key
-from ..parameters import Beams, Parameters
-from ..poses import pose_priors
-from ..recording import Readings, Recording
+from ..model.joint import beam_lift
+from ..model.weighting import Whitening, whitening
+from ..solvers.graph import station_blocks
 from ..solvers.incremental import BeamState, PlaneFactors
+from ..solvers.poses import pose_priors
 from ..solvers.reduction import NormalEquations, whitened_normal_equations
-from ..weighting import Whitening, whitening
+from .drift import Information, Reference, plane_information
 from .setting import Setting
 
 MOST_SIGMA = 0.1

@@ -14,13 +14,13 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..diagnosis.drift import History, Reference, turns
 from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
-from ..joint import beam_lift
+from ..model.joint import beam_lift
+from ..model.weighting import Variances
 from ..solvers.incremental import BeamState
-from ..weighting import Variances
+from .drift import History, Reference, turns
 from .fitted import FittedPlane
 
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..diagnosis.drift import MOVES, History
-from ..recording import Recording
-from ..sensor import FLAT, within_incidence
+from ..data.recording import Recording
+from ..model.sensor import FLAT, within_incidence
 from ..solvers.incremental import BeamState, PlaneFactors
 from .contents import Contents
+from .drift import MOVES, History
 from .fitted import FittedPlane, fit_plane, outliers
 from .setting import Setting
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from ..diagnosis.drift import History, Moved
+from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..keys import pose_key
-from ..parameters import Beams, Parameters
 from ..solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions, PlaneFactors
 from .batch import Inside
 from .contents import Contents
+from .drift import History, Moved
 from .fitted import FittedPlane, fit_plane
 from .integration import ScaleSums
 from .joining import Joining, join_planes

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from ..arrays import FloatArray
-from ..diagnosis.drift import Moved
-from ..sensor import Rejected
+from ..model.sensor import Rejected
+from .drift import Moved
 
 
 @dataclass(frozen=True, slots=True)

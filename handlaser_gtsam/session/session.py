@@ -11,22 +11,22 @@ from threading import RLock
 
 import numpy as np
 
-from ..calibration import Calibration
 from ..checks import require_kind
-from ..diagnosis.drift import Moved
+from ..data.noise import Noise
+from ..data.parameters import Beams, Parameters
+from ..data.recording import Readings, Recording, join
+from ..data.screen import screened
 from ..errors import CalibrationWarning, GrazingBeamError, InputError
-from ..mounts import Mounts
-from ..noise import Noise
-from ..options import CalibrationOptions
-from ..parameters import Beams, Parameters
+from ..estimation.options import CalibrationOptions
+from ..model.sensor import Rejected
 from ..pipeline import calibrate
-from ..recording import Readings, Recording, join
-from ..screening.screen import screened
-from ..sensor import Rejected
+from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from ..solvers.incremental import IncrementalOptions
 from .beginning import begun, refuse, setting_of
 from .checking import apart, checked
 from .contents import Contents
+from .drift import Moved
 from .now import Now, begin
 from .reports import Comparison, Update
 from .setting import Link, Setting

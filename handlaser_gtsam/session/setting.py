@@ -7,18 +7,18 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..diagnosis.drift import History, Reference
+from ..data.noise import Noise
+from ..data.parameters import Beams, RangeErrorPrior
+from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..estimation.learned import LearnedScales
 from ..factors import beam_drift
-from ..graph import range_error_priors
 from ..keys import BeamKeys, beam_keys
-from ..noise import Noise
-from ..parameters import Beams, RangeErrorPrior
-from ..recording import Readings, Recording
-from ..sensor import Sensor
+from ..model.sensor import Sensor
+from ..model.weighting import Variances
+from ..solvers.graph import range_error_priors
 from ..solvers.incremental import BeamStart, BeamState
-from ..weighting import Variances
+from .drift import History, Reference
 
 MOST_SIGMA = 0.1
 """Beams are determined when all their standard deviations are below this part of their units."""

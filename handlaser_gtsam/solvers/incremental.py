@@ -23,10 +23,10 @@ from scipy.linalg import block_diag
 
 from ..arrays import FloatArray
 from ..checks import require_count, require_number
+from ..data.parameters import Beams, Parameters
 from ..factors import RangeBlock, gathered, range_factor
-from ..joint import beam_lift
 from ..keys import BeamKeys, plane_key
-from ..parameters import Beams, Parameters
+from ..model.joint import beam_lift
 
 BEAMS_LAST = 1
 ROUNDS = 15

@@ -22,8 +22,8 @@ from ..arrays import FloatArray
 from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
-from ..graph import CalibrationGraph
-from ..values import require_values
+from .graph import CalibrationGraph
+from .values import require_values
 from .work import Alone, Point, Together, Work
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]

@@ -21,9 +21,9 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
-from ..weighting import Whitening
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.weighting import Whitening
 
 
 @dataclass(frozen=True, slots=True)

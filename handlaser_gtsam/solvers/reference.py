@@ -22,8 +22,8 @@ from scipy.sparse import block_diag, csr_array, vstack
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters, RangeErrorPrior
-from ..recording import Recording
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.recording import Recording
 
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..losses import GAUSSIAN, Loss
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.losses import GAUSSIAN, Loss
 from .reduction import apply_step, damped_step, normal_equations
 
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..factors import Evaluation, SharedEvaluation
-from ..graph import CalibrationGraph
+from .graph import CalibrationGraph
 from .stopping import Stopping
 
 ROUNDING_SIGMAS = 1e-9

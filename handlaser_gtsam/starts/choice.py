@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..model import plausible_range_errors
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.equation import plausible_range_errors
 from ..solvers.refine import refine_many
 from .directions import direction_starts, random_starts
 from .lifted import lifted_starts

@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..recording import Readings
+from ..data.recording import Readings
 from .partial import PartialStart
 
 TURNS = 3

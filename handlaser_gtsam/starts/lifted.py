@@ -13,7 +13,7 @@ second singular value as small determines nothing this way.
 import numpy as np
 
 from ..arrays import IntArray
-from ..recording import Readings
+from ..data.recording import Readings
 from .partial import PartialStart
 
 LEAST_READINGS = 24

@@ -13,8 +13,8 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
 
 TRIPLES = 60
 """So many draws of three hold three good ones in all but 1e-4 of the cases where half the spots are."""

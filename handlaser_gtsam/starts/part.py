@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import IntArray
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
 from .partial import PartialStart, grow
 
 ENOUGH = 1500

@@ -10,8 +10,8 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
 
 FLATNESS = 1e-3
 """A plane needs points whose second spread is at least this part of the first."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..losses import Loss
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..model.losses import Loss
 from ..solvers.refine import Scale, refine_many
 from .directions import direction_starts, random_starts
 from .mending import mended

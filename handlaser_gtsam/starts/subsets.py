@@ -10,7 +10,7 @@ readings of that plane. A direction is as good as the nearer part of all reading
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..recording import Readings
+from ..data.recording import Readings
 from .directions import (
     along_beams,
     as_starts,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..parameters import Parameters
-from ..recording import Readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings
 from ..solvers.refine import refine_many
 from .partial import PartialStart
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..recording import Readings
+from ..data.recording import Readings
 from .partial import PartialStart
 
 ROTATION_CELL = 2e-3

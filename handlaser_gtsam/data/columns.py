@@ -1,0 +1,125 @@
+"""Columns that are one channel logged twice: equal, rounded, jittered, or in another unit.
+
+Two sensors never read the same. Their mounts differ, so that their readings differ from station to
+station as the hand turns, and their noise is independent. Columns d and d' are taken for one channel
+where, at nearly all stations at which both read, d' = a d to within the smaller of what rounding leaves
+and what two sensors could never do. Whose readings they are the recording cannot tell: it is refused.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from .recording import Recording
+
+NEARLY_ALL = 0.9
+"""The part of the common stations at which two columns must read the same."""
+LEAST_STATIONS = 3
+"""Columns that share fewer stations may agree by chance."""
+ENOUGH_STATIONS = 8
+"""From so many on, agreement within rounding or a part of the noise is no accident either."""
+RELATIVE = 2e-6
+"""Readings that agree to this part are equal to rounding."""
+JITTER = 5e-7
+"""So are those that agree to this [m]."""
+PART_OF_SIGMA = 0.4
+"""The difference of two sensors has sqrt(2) sigma: within 0.4 sigma it stays once in four."""
+PART_OF_SPREAD, ROUNDED_PART = 2e-3, 5e-3
+"""A generous sigma, or coarse rounding, makes no columns alike that differ by more of their spread."""
+FINEST, COARSEST = 7, 2
+"""Decimals of metres to which a column may have been rounded."""
+SAME_UNIT = 0.01
+"""Columns whose ratio is this near to one are in one unit."""
+FIRST_LOOK = 16
+"""Stations at which all pairs are compared; only pairs that agree there are looked at further."""
+
+
+class RepeatedColumnError(InputError):
+    """Two columns are one channel logged twice.
+
+    Attributes
+    ----------
+    code : str
+    beams : (str, str)
+    stations, common : int
+        At how many stations they read the same, and at how many both read.
+    factor : float
+        Unit of the second column over that of the first.
+    """
+
+    code = "column-twice"
+
+    def __init__(self, beams: tuple[str, str], stations: int, common: int, factor: float) -> None:
+        self.beams, self.stations, self.common, self.factor = beams, stations, common, factor
+        times = "" if factor == 1.0 else f", times {factor:.6g},"
+        super().__init__(
+            f"beams {beams[0]} and {beams[1]} that{times} read the same at {stations} of {common} "
+            f"stations: one channel logged twice",
+            "every beam once; find out whose readings they are, and leave the other out",
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process."""
+        return RepeatedColumnError, (self.beams, self.stations, self.common, self.factor)
+
+
+def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
+    """Refuse a recording with a channel that was logged twice.
+
+    Parameters
+    ----------
+    recording : Recording
+    sigma : float, optional
+        Standard deviation of a reading, if given [m].
+
+    Raises
+    ------
+    RepeatedColumnError
+    """
+    d = recording.ranges
+    for i, j in combinations(range(d.shape[1]), 2):
+        both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
+        if len(both) < LEAST_STATIONS:
+            continue
+        look = both[:: max(len(both) // FIRST_LOOK, 1)]
+        a, b = d[look, i], d[look, j]
+        factor = _factor(a, b)
+        if _agreeing(a, b, factor, sigma) < 0.5 * len(look):
+            continue
+        a, b = d[both, i], d[both, j]
+        same = _agreeing(a, b, factor, sigma)
+        if same >= NEARLY_ALL * len(both):
+            names = recording.beam_names[i], recording.beam_names[j]
+            raise RepeatedColumnError(names, same, len(both), factor)
+
+
+def _factor(a: FloatArray, b: FloatArray) -> float:
+    """Return the unit of b over that of a: one where they are nearly equal."""
+    large = np.abs(a) >= 0.1 * float(np.median(np.abs(a)))
+    if not large.any() or not a[large].any():
+        return 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = float(np.nanmedian(b[large] / a[large]))
+    return factor if np.isfinite(factor) and abs(factor - 1.0) > SAME_UNIT else 1.0
+
+
+def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
+    """Return at how many stations b is `factor` times a."""
+    off = np.abs(b - factor * a)
+    limit = np.maximum(JITTER * abs(factor), RELATIVE * np.abs(b))
+    if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
+        spread = float(np.ptp(a))
+        limit = np.maximum(limit, min(max(_rounding(a), _rounding(b)), ROUNDED_PART * spread))
+        limit = np.maximum(limit, min(PART_OF_SIGMA * (sigma or 0.0), PART_OF_SPREAD * spread))
+    return int((off <= limit).sum())
+
+
+def _rounding(d: FloatArray) -> float:
+    """Return half the last decimal of a column that was rounded [m]; zero for one that was not."""
+    for decimals in range(COARSEST, FINEST + 1):
+        step = 10.0**-decimals
+        if (np.abs(d - np.round(d, decimals)) < 1e-3 * step).all():
+            return 0.5 * step
+    return 0.0

@@ -1,0 +1,99 @@
+"""The unknowns of a calibration as plain arrays, shared by starts, solvers and results."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, frozen
+
+Terms = int | tuple[int, ...]
+"""Range-error terms, 0 (none), 1 (k1) or 2 (k1, k2): of every beam, or one number a beam."""
+
+Beams = tuple[FloatArray, FloatArray, FloatArray]
+"""Locations (B, 3) [m], directions (B, 3) and range errors (B, 2) of some beams."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeErrorPrior:
+    """What is known of range errors before any reading: independent Gaussians.
+
+    Attributes
+    ----------
+    sigma : (B, 2)
+        Standard deviations of k1 [1] and k2 [1/m]; infinite where nothing is known.
+    mean : (B, 2) or None
+        Means; zero where not given.
+    """
+
+    sigma: FloatArray
+    mean: FloatArray | None = None
+
+    def chi2(self, range_errors: FloatArray) -> float:
+        """Return the sum of squares of range errors (B, 2) in units of the prior."""
+        off = range_errors if self.mean is None else range_errors - self.mean
+        return float(((off / self.sigma) ** 2).sum())
+
+    def rows(self, terms: int) -> int:
+        """Return how many of the first `terms` range errors of all beams something is known of."""
+        return int(np.isfinite(self.sigma[:, :terms]).sum())
+
+
+def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
+    """Return the range-error terms of each of `beams` beams."""
+    return (terms,) * beams if isinstance(terms, int) else terms
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Beams and planes, index by index; arrays are copied and made read-only.
+
+    Attributes
+    ----------
+    locations : (B, 3)
+        Beam locations r [m], hand frame.
+    directions : (B, 3)
+        Unit beam directions v, hand frame.
+    range_errors : (B, 2)
+        Range errors (k1 [1], k2 [1/m]); zero where a term is not modelled.
+    normals : (P, 3)
+        Unit plane normals n, world frame; they point away from the sensor.
+    offsets : (P,)
+        Plane offsets b [m]: every point x of a plane has n . x + b = 0.
+    """
+
+    locations: FloatArray
+    directions: FloatArray
+    range_errors: FloatArray
+    normals: FloatArray
+    offsets: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("locations", "directions", "range_errors", "normals", "offsets"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        beams, planes = len(self.locations), len(self.offsets)
+        shapes = [(beams, 3), (beams, 3), (beams, 2), (planes, 3), (planes,)]
+        arrays = (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
+        if [a.shape for a in arrays] != shapes:
+            raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
+
+    @property
+    def beams(self) -> Beams:
+        """The beams without the planes."""
+        return self.locations, self.directions, self.range_errors
+
+    def seen_from(self, origins: FloatArray) -> "Parameters":
+        """Return the parameters with every plane in a frame whose origin is at `origins` (P, 3)."""
+        return replace(self, offsets=self.offsets + (self.normals * origins).sum(axis=1))
+
+    def finite(self) -> bool:
+        """Tell whether every number is finite."""
+        return all(
+            bool(np.isfinite(a).all())
+            for a in (
+                self.locations,
+                self.directions,
+                self.range_errors,
+                self.normals,
+                self.offsets,
+            )
+        )

@@ -1,0 +1,219 @@
+"""Stations that repeat the pose of another, before the same plane.
+
+Poses that agree to `SAME_POSE` are one pose: the robot did not move between them, so its error is
+common to all their readings. They are merged into the first of them: it keeps the mean of what each
+beam read, and the others keep nothing. What the mean is worth depends on how the readings scatter:
+
+- Readings that are equal, or differ by less than any sensor's noise, are one sample logged more than
+  once (a held value, a file pasted twice). They count as one.
+- Readings that scatter by the noise are samples of their own. The mean of n of them has the variance
+  sigma^2 / n; where a given sigma^2 exceeds the scatter w^2, the rest is common to all samples, and the
+  variance is sigma^2 - w^2 + w^2 / n.
+
+Samples that are far from the others of their pose are not averaged: they stay where they are, and are
+tested like all readings.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..errors import CalibrationWarning
+from .recording import Recording, typical_range
+
+SAME_POSE = 1e-6
+"""Poses whose coordinates differ by no more than this [m, rad] are one: no robot is so fine."""
+WIDEST = 4.0
+"""Poses that extend over more of these steps move, if slowly."""
+HELD = 1e-6
+"""Readings of one pose that differ by less [m] are one sample: no sensor is so quiet and so fine."""
+HELD_PART = 0.02
+"""So are those that differ by less than this part of a given range sigma."""
+FAR = 12.0
+"""A sample so many robust standard deviations from the others of its pose is not averaged."""
+MOST_NOISE = 0.01
+"""Nor is one that is farther from them than this part of the typical range, or than `FAR` given sigmas:
+the hand has moved on, and its pose was logged again."""
+SCATTERING = 0.8
+"""Samples that scatter by this part of the given sigma or more are taken to be independent."""
+MEDIAN_TO_SIGMA = 1.4826
+ROUNDS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """A recording in which every pose stands once, and what was found.
+
+    Attributes
+    ----------
+    recording : Recording
+    warnings : tuple of CalibrationWarning
+    """
+
+    recording: Recording
+    warnings: tuple[CalibrationWarning, ...] = ()
+
+
+def merged_stations(recording: Recording, sigma: float | None) -> Merged:
+    """Merge stations that repeat a pose before the same plane.
+
+    Parameters
+    ----------
+    recording : Recording
+    sigma : float, optional
+        Standard deviation of a reading, if given [m].
+    """
+    group = pose_groups(recording)
+    shared = np.bincount(group)[group] > 1
+    if not shared.any():
+        return Merged(recording)
+    samples = _Samples.of(recording, np.flatnonzero(shared), group)
+    mean, worth, agree, held = samples.averaged(sigma)
+    ranges = recording.ranges.copy()
+    count = np.ones(ranges.shape) if recording.samples is None else recording.samples.copy()
+    ranges[samples.station[agree], samples.beam[agree]] = np.nan
+    first = samples.first_of(agree)
+    ranges[samples.station[first], samples.beam[first]] = mean[samples.key[first]]
+    count[samples.station[first], samples.beam[first]] = worth[samples.key[first]]
+    left = replace(recording, ranges=ranges, samples=count if (count != 1.0).any() else None)
+    return Merged(left, _warnings(recording, left, group, samples, held))
+
+
+def pose_groups(recording: Recording) -> IntArray:
+    """Return a number (M,) that stations of one plane share where their poses are one.
+
+    Stations are split at every gap above `SAME_POSE` of every coordinate in turn, until nothing
+    splits any more: sorting is all that it costs.
+    """
+    R = recording.world_R_hand.reshape(-1, 9)
+    coordinates = np.hstack((recording.world_t_hand, R)).T
+    group = recording.plane_of_station
+    count = 0
+    for _ in range(ROUNDS):
+        for x in coordinates:
+            order = np.lexsort((x, group))
+            new = (np.diff(group[order]) != 0) | (np.diff(x[order]) > SAME_POSE)
+            group = np.empty(len(group), dtype=np.intp)
+            group[order] = np.concatenate(([0], np.cumsum(new)))
+        if group.max() + 1 == count:
+            break
+        count = int(group.max()) + 1
+    wide = np.zeros(count, dtype=bool)
+    for x in coordinates:
+        least, most = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(least, group, x)
+        np.maximum.at(most, group, x)
+        wide |= most - least > WIDEST * SAME_POSE
+    alone = wide[group]
+    group = np.where(alone, count + np.arange(len(group)), group)
+    return np.unique(group, return_inverse=True)[1].astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Readings at shared poses, sorted by (pose, beam) and value.
+
+    Attributes
+    ----------
+    station, beam : (n,)
+    key : (n,)
+        Number of the (pose, beam).
+    value : (n,)
+        [m]
+    start, count : (K,)
+        First row and number of rows of each (pose, beam).
+    """
+
+    station: IntArray
+    beam: IntArray
+    key: IntArray
+    value: FloatArray
+    start: IntArray
+    count: IntArray
+
+    @classmethod
+    def of(cls, recording: Recording, stations: IntArray, group: IntArray) -> "_Samples":
+        """Return the readings of some stations."""
+        row, beam = np.nonzero(~np.isnan(recording.ranges[stations]))
+        station = stations[row]
+        value = recording.ranges[station, beam]
+        _, key = np.unique(group[station] * len(recording.beam_names) + beam, return_inverse=True)
+        order = np.lexsort((station, value, key))
+        key = key[order].astype(np.intp)
+        start = np.flatnonzero(np.concatenate(([True], np.diff(key) != 0)))
+        count = np.diff(np.append(start, len(key)))
+        return cls(station[order], beam[order], key, value[order], start, count)
+
+    def averaged(self, sigma: float | None) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+        """Return mean and worth (K,), which samples (n,) it is of, and which (K,) are one sample."""
+        low, high = (self.count - 1) // 2, self.count // 2
+        median = 0.5 * (self.value[self.start + low] + self.value[self.start + high])
+        off = np.abs(self.value - median[self.key])
+        limit = max(HELD, HELD_PART * (sigma or 0.0))
+        held = np.maximum.reduceat(off, self.start) <= limit
+        agree = np.ones(len(off), dtype=bool)
+        free = ~held[self.key] & (self.count[self.key] > 1)
+        if free.any():
+            robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
+            most = MOST_NOISE * typical_range(self.value) if sigma is None else FAR * sigma
+            agree = off <= (min(FAR * robust, most) if robust > 0.0 else most)
+        number = np.add.reduceat(agree.astype(np.float64), self.start)
+        total = np.add.reduceat(np.where(agree, self.value, 0.0), self.start)
+        mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
+        square = np.add.reduceat(np.where(agree, self.value - mean[self.key], 0.0) ** 2, self.start)
+        some = ~held & (number > 1.0)
+        worth = np.ones(len(mean))
+        if some.any():
+            w2 = float(square[some].sum() / (number[some] - 1.0).sum())
+            worth[some] = _worth(number[some], w2, sigma)
+        return mean, worth, agree, held & (self.count > 1)
+
+    def first_of(self, agree: BoolArray) -> IntArray:
+        """Return the row of the earliest station among those that agree, one a (pose, beam)."""
+        rows = np.flatnonzero(agree)
+        rows = rows[np.lexsort((self.station[rows], self.key[rows]))]
+        return np.asarray(rows[np.diff(self.key[rows], prepend=-1) != 0])
+
+
+def _worth(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
+    """Return how many independent readings the mean of `number` samples of a variance is worth."""
+    if sigma is None or scatter >= (SCATTERING * sigma) ** 2:
+        return number
+    return np.asarray(sigma**2 / (sigma**2 - scatter + scatter / number))
+
+
+def _warnings(
+    recording: Recording, left: Recording, group: IntArray, samples: _Samples, held: BoolArray
+) -> tuple[CalibrationWarning, ...]:
+    """Say which stations lost their readings to another: those that repeat it, and the rest."""
+    gone = np.flatnonzero(
+        np.isnan(left.ranges).all(axis=1) & ~np.isnan(recording.ranges).all(axis=1)
+    )
+    if not gone.size:
+        return ()
+    same = np.zeros(len(group), dtype=bool)
+    same[samples.station] = True
+    same[samples.station[~held[samples.key]]] = False
+    found = []
+    names, total = recording.station_names, len(recording.station_names)
+    for code, rows, what in (
+        (
+            "repeated-stations",
+            gone[same[gone]],
+            "repeat the pose and the readings of another: a held sample or a part of the file that "
+            "stands twice tells nothing new, and counts once; write every station once",
+        ),
+        (
+            "repeated-poses",
+            gone[~same[gone]],
+            "repeat the pose of another with readings of their own: these are averaged, for the "
+            "robot's error is common to them; more stations elsewhere would tell more",
+        ),
+    ):
+        if rows.size:
+            other = int(np.flatnonzero(group == group[rows[0]])[0])
+            first = f"the first: {names[rows[0]]}, like {names[other]}"
+            words = f"{len(rows)} of {total} stations ({first}) "
+            found.append(CalibrationWarning(code, words + what))
+    return tuple(found)

@@ -1,1 +1,0 @@
-"""What a calibration can and cannot know, and how to check it."""

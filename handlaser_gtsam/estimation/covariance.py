@@ -1,0 +1,132 @@
+"""The joint covariance of a solution.
+
+Where everything is determined it comes from GTSAM: poses and planes are eliminated from the linear
+graph, and what is left is the information of the beams. Where rank is short, or where GTSAM's Cholesky
+calls a sound system indeterminate (it compares pivots of different units), it comes from the reduced
+information of `diagnosis.observability`, restricted to what is determined: the covariance of
+a determined coordinate does not depend on how the open ones are fixed.
+"""
+
+import gtsam
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..model.joint import JointCovariance
+from ..observability.rank import Observability
+from ..solvers.graph import CalibrationGraph
+from ..solvers.levenberg import linearize
+
+
+def covariance(
+    problem: CalibrationGraph, values: gtsam.Values, origins: FloatArray | None = None
+) -> JointCovariance:
+    """Return the covariance of beams and planes by elimination in GTSAM, in its tangent bases.
+
+    Parameters
+    ----------
+    problem : CalibrationGraph
+    values : gtsam.Values
+        The solution.
+    origins : (P, 3), optional
+        Origin of every plane's frame in the world [m]; offsets are then those of the world frame.
+
+    Raises
+    ------
+    RuntimeError
+        GTSAM calls the system indeterminate; the variable it names is a bystander.
+    """
+    first = _ordering([*problem.poses, *problem.planes])
+    net, rest = linearize(problem, values).eliminatePartialSequential(first)
+    columns = _columns(problem)
+    S = _inverse(rest.hessian(_ordering(list(columns)))[0])
+    own, response = (
+        np.zeros((len(problem.planes), 3, 3)),
+        np.zeros((len(problem.planes), 3, len(S))),
+    )
+    number = {key: p for p, key in enumerate(problem.planes)}
+    for conditional in (net.at(i) for i in range(net.size())):
+        plane, *parents = list(conditional.keys())
+        if plane in number:
+            root = np.linalg.inv(conditional.R())
+            at = np.concatenate([columns[key] for key in parents])
+            response[number[plane]][:, at] = root @ conditional.S()
+            own[number[plane]] = root @ root.T
+    planes = [values.atOrientedPlane3(key).normal() for key in problem.planes]
+    return JointCovariance(
+        tuple(map(str, range(len(problem.beams)))),
+        tuple(map(str, range(len(planes)))),
+        problem.terms,
+        S,
+        response,
+        own,
+        np.array([values.atUnit3(beam.direction).basis() for beam in problem.beams]),
+        np.array([normal.basis() for normal in planes]),
+        np.zeros((len(planes), 3)) if origins is None else origins,
+    )
+
+
+def covariance_of_determined(
+    found: Observability, parameters: Parameters, sigma: float, origins: FloatArray
+) -> JointCovariance:
+    """Return the covariance over what is determined; the rest counts as fixed.
+
+    Parameters
+    ----------
+    found : Observability
+        At `parameters`.
+    parameters : Parameters
+    sigma : float
+        Standard deviation of a whitened residual [m].
+    origins : (P, 3)
+        Origin of every plane's frame in the world [m].
+    """
+    reduced, variance = found.reduced, sigma**2
+    axes = reduced.axes[:, reduced.determined]
+    root = (axes / np.sqrt(reduced.information[reduced.determined])) * reduced.beam_unit[:, None]
+    active = np.flatnonzero(reduced.active)
+    response = reduced.plane_unit[:, None] * reduced.plane_response / reduced.beam_unit
+    own = reduced.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
+    return JointCovariance(
+        tuple(map(str, range(len(parameters.locations)))),
+        tuple(map(str, range(len(parameters.offsets)))),
+        found.terms,
+        variance * (root @ root.T)[np.ix_(active, active)],
+        response[:, :, active],
+        variance * own,
+        model.tangent_basis(parameters.directions),
+        model.tangent_basis(parameters.normals),
+        reduced.centres + origins,
+    )
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse of a positive matrix, by its correlations: units do not matter."""
+    scale = np.sqrt(np.diagonal(information))
+    if not (np.isfinite(scale).all() and scale.all()):
+        raise RuntimeError("the information of the beams is singular")
+    root = np.linalg.cholesky(information / np.outer(scale, scale))
+    inverse = np.linalg.inv(root) / scale
+    covariance_: FloatArray = inverse.T @ inverse
+    return covariance_
+
+
+def _columns(problem: CalibrationGraph) -> dict[int, IntArray]:
+    """Return the rows of each variable of the beams in a stack of all."""
+    found: dict[int, IntArray] = {}
+    first = 0
+    for beam, terms in zip(problem.beams, problem.terms, strict=True):
+        sizes = ((beam.location, 3), (beam.direction, 2), (beam.range_error, terms))
+        for key, size in sizes:
+            if key is not None:
+                found[key] = np.arange(first, first + size)
+                first += size
+    return found
+
+
+def _ordering(keys: list[int]) -> gtsam.Ordering:
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    return ordering

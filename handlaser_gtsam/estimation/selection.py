@@ -1,0 +1,164 @@
+"""Which readings a calibration uses, and the joint solution of those.
+
+Readings outside the sensor's range are left out first, then outliers, then those that meet their plane
+too flat. Outliers are tested again with the final model, for range errors may have looked like them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from ..arrays import BoolArray, IntArray
+from ..data.noise import Noise
+from ..data.parameters import Parameters
+from ..data.recording import Readings, Recording
+from ..model import sensor as limits
+from ..model.weighting import reading_sigmas
+from ..outliers.consensus import Consensus, find_consensus
+from ..outliers.snooping import cut, enough, judge, residuals, test
+from ..starts import Effort, Start, find_start
+from .options import CalibrationOptions
+from .solution import Progress, Solution, solve
+
+ROUNDS = 5
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation over the median absolute residual, if Gaussian."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The readings that were used, and the solution of those.
+
+    Attributes
+    ----------
+    used : (N,) of bool
+    outside, flat : (N,) of bool
+        Left out by the sensor's limits; what else is left out is an outlier.
+    start : Start
+    method : str
+        Of the start that led to the solution.
+    solution : Solution
+        Of the readings `used`, in their order.
+    """
+
+    used: BoolArray
+    outside: BoolArray
+    flat: BoolArray
+    start: Start
+    method: str
+    solution: Solution
+
+    def outliers(self) -> BoolArray:
+        """Return which readings (N,) were left out because the others contradict them."""
+        return ~(self.used | self.outside | self.flat)
+
+
+def select(
+    recording: Recording,
+    readings: Readings,
+    noise: Noise,
+    options: CalibrationOptions,
+    progress: Progress = None,
+) -> Selection:
+    """Choose readings and solve them jointly.
+
+    Raises
+    ------
+    InputError
+        The sensor's limits leave a beam or a plane without readings.
+    """
+    inside = np.zeros(len(readings), dtype=bool)
+    inside[limits.within_range(readings, options.sensor)] = True
+    limits.require_all(recording, readings.subset(np.flatnonzero(inside)))
+    rows = np.flatnonzero(inside)
+    first = _first(readings.subset(rows), noise, options)
+    used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
+    used[rows] = first.kept
+
+    def solved(start: Parameters) -> Solution:
+        chosen = readings.subset(np.flatnonzero(used))
+        limits.require_all(recording, chosen)
+        return solve(chosen, start, noise, options, progress, first.scale)
+
+    solution = solved(first.parameters)
+    for _ in range(ROUNDS):
+        before = used.copy()
+        if options.outliers == "reject":
+            used = _tested(readings, inside & ~flat, used, solution, noise)
+        steep = limits.within_incidence(readings, solution.parameters, options.sensor)
+        flat = inside.copy()
+        flat[steep] = False
+        used &= ~flat
+        if (used == before).all():
+            break
+        solution = solved(solution.parameters)
+    return Selection(used, ~inside, flat, first.start, first.method, solution)
+
+
+@dataclass(frozen=True, slots=True)
+class _First:
+    """Where the joint solution starts, and which readings it takes."""
+
+    start: Start
+    kept: BoolArray
+    parameters: Parameters
+    method: str
+    scale: float | None
+
+
+def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
+    terms = options.terms
+    reject = options.outliers == "reject"
+    # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
+    certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
+    sigma = noise.range_sigma
+    effort: Effort = "quick" if reject else "thorough"
+    start = find_start(readings, sigma, terms, effort=effort, certain=certain)
+    if reject:
+        found = find_consensus(readings, start, sigma if certain else None, terms)
+    else:
+        everything = np.ones(len(readings), dtype=bool)
+        found = Consensus(everything, start.parameters, start.method, None)
+    steep = np.isfinite(residuals(found.parameters, readings))
+    scale = found.range_sigma or _scale(readings, found.parameters)
+    return _First(start, found.kept & steep, found.parameters, found.method, scale)
+
+
+def _scale(readings: Readings, parameters: Parameters) -> float | None:
+    """Return a standard deviation of the residuals [m] that outliers do not spoil."""
+    e = np.abs(residuals(parameters, readings))
+    total = len(e)
+    unknowns = 5 * readings.beams + 3 * readings.planes
+    found = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
+    return float(found) if np.isfinite(found) and found > 0.0 else None
+
+
+def _tested(
+    readings: Readings, allowed: BoolArray, used: BoolArray, solution: Solution, noise: Noise
+) -> BoolArray:
+    """Return which allowed readings agree with the solution of those `used`."""
+    rows: IntArray = np.flatnonzero(allowed)
+    part, kept = readings.subset(rows), used[rows]
+    terms = max(solution.problem.terms)
+    if not solution.observability.full or not enough(part, kept, terms):
+        return used
+    if solution.variances is None:
+        _, sigma, t = test(part, kept, solution.parameters, terms, noise.range_sigma)
+    else:
+        # The last stations may have no reading among those used.
+        variances = solution.variances.for_stations(int(part.station.max()) + 1)
+        sigmas = reading_sigmas(solution.parameters, part, variances)
+        known = not solution.scales_estimated
+        sigma, t = judge(part, kept, solution.parameters, terms, sigmas, known=known)
+    far = cut(part, kept, sigma)
+    if noise.range_sigma is None or solution.scales_estimated:
+        # Few readings make their own scale small: what is far in units of it need not be an outlier.
+        far = float(student.isf(norm.sf(far), max(solution.redundancy, 1)))
+    agreeing = np.abs(t) <= far
+    if not enough(part, agreeing, terms):
+        return used
+    tested = np.zeros_like(used)
+    tested[rows] = agreeing
+    return tested

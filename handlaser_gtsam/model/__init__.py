@@ -1,0 +1,38 @@
+"""The mathematics in NumPy, without GTSAM: equation, geometry, weights, losses."""
+
+from .equation import (
+    GRAZING_LIMIT,
+    LEAST_FACTOR,
+    MOST_FACTOR,
+    Linearization,
+    Scene,
+    corrected,
+    cosines,
+    linearize,
+    plausible_corrections,
+    plausible_range_errors,
+    predicted_ranges,
+    residuals,
+    residuals_or_infinite,
+    scene,
+)
+from .geometry import normalized, tangent_basis
+
+__all__ = [
+    "GRAZING_LIMIT",
+    "LEAST_FACTOR",
+    "MOST_FACTOR",
+    "Linearization",
+    "Scene",
+    "corrected",
+    "cosines",
+    "linearize",
+    "normalized",
+    "plausible_corrections",
+    "plausible_range_errors",
+    "predicted_ranges",
+    "residuals",
+    "residuals_or_infinite",
+    "scene",
+    "tangent_basis",
+]

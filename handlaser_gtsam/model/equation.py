@@ -1,0 +1,176 @@
+r"""The measurement equation, vectorised over readings; the only place where it is written.
+
+Symbols, as everywhere in this package: beam location r [m] and unit direction v, hand frame;
+plane n . x + b = 0, world frame; hand pose R, t (world_T_hand); reading d [m]; range error k.
+Seen from the hand the plane is n_H = R'n, b_H = b + n . t. Predicted range [m]:
+
+    s = -(n_H . r + b_H) / (n_H . v)                     (equation 6 of Wei and Hirzinger)
+
+and the residual [m], where the corrected reading is g(d) = d + k1 d + k2 d^2 (equations 7, 8):
+
+    e = s - g(d)
+
+A constant range offset is no parameter: it is the same as moving r along v.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..errors import GrazingBeamError
+
+LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
+"""A true range below or above this part of its reading is a wrong solution, not a sensor."""
+GRAZING_LIMIT = 1e-3
+"""Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearization:
+    """Residuals and their derivatives; directions and normals in ambient coordinates.
+
+    Attributes
+    ----------
+    residual : (N,)
+        e [m].
+    location, direction, normal : (N, 3)
+        de/dr, de/dv, de/dn. Multiply the latter two by a tangent basis (3, 2).
+    offset : (N,)
+        de/db.
+    range_error : (N, 2)
+        de/dk = (-d, -d^2).
+    pose : (N, 6)
+        de for a hand pose moved on the right by (omega, u), the order of `gtsam.Pose3`; (0, 6) where
+        it was not asked for.
+    """
+
+    residual: FloatArray
+    location: FloatArray
+    direction: FloatArray
+    normal: FloatArray
+    offset: FloatArray
+    range_error: FloatArray
+    pose: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The arguments of the measurement equation, one row a reading.
+
+    Shapes: R (N, 3, 3); t, r, v, n (N, 3); b (N,); k (N, 2).
+    """
+
+    R: FloatArray
+    t: FloatArray
+    r: FloatArray
+    v: FloatArray
+    n: FloatArray
+    b: FloatArray
+    k: FloatArray
+
+
+def scene(parameters: Parameters, readings: Readings) -> Scene:
+    """Gather the beam, plane and pose of every reading."""
+    beam, plane = readings.beam, readings.plane
+    return Scene(
+        readings.world_R_hand,
+        readings.world_t_hand,
+        parameters.locations[beam],
+        parameters.directions[beam],
+        parameters.normals[plane],
+        parameters.offsets[plane],
+        parameters.range_errors[beam],
+    )
+
+
+def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
+    """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (N,) and range errors k (N, 2)."""
+    true: FloatArray = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    return true
+
+
+def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
+    """Tell whether every true range lies between `LEAST_FACTOR` and `MOST_FACTOR` of its reading.
+
+    Near k1 = -1 all corrected readings are alike, and many a wrong beam fits them.
+    """
+    return bool(plausible_corrections(parameters, readings).all())
+
+
+def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArray:
+    """Tell of every reading (N,) whether the true range is of its order."""
+    k = parameters.range_errors[readings.beam]
+    factor = 1.0 + k[:, 0] + k[:, 1] * readings.distance
+    return np.asarray((factor >= LEAST_FACTOR) & (factor <= MOST_FACTOR))
+
+
+def cosines(x: Scene) -> FloatArray:
+    """Return n_H . v, the cosine between plane normal and beam, shape (N,)."""
+    return _dot(np.matmul(x.n[:, None, :], x.R)[:, 0], x.v)
+
+
+def predicted_ranges(x: Scene) -> FloatArray:
+    """Return the range s [m] along every beam to its plane, shape (N,).
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    n_hand, cosine = _seen_from_hand(x)
+    return -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
+
+
+def residuals(x: Scene, d: FloatArray) -> FloatArray:
+    """Return e = s - g(d) [m] for readings d (N,); raises like `predicted_ranges`."""
+    return predicted_ranges(x) - corrected(d, x.k)
+
+
+def residuals_or_infinite(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return residuals (N,) [m] of readings; infinite where a beam grazes its plane."""
+    x = scene(parameters, readings)
+    steep = np.abs(cosines(x)) >= GRAZING_LIMIT
+    if steep.all():
+        return residuals(x, readings.distance)
+    e = np.full(len(readings), np.inf)
+    part = Scene(*(getattr(x, name)[steep] for name in x.__dataclass_fields__))
+    e[steep] = residuals(part, readings.distance[steep])
+    return e
+
+
+def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearization:
+    """Return residuals and derivatives at readings d (N,); raises like `predicted_ranges`."""
+    n_hand, cosine = _seen_from_hand(x)
+    c = -1.0 / cosine
+    s = (_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) * c
+    spot = x.r + s[:, None] * x.v
+    spot_world = np.matmul(x.R, spot[:, :, None])[:, :, 0] + x.t
+    location = c[:, None] * n_hand
+    pose = np.hstack((np.cross(spot, location), location)) if with_pose else np.empty((0, 6))
+    return Linearization(
+        residual=s - corrected(d, x.k),
+        location=location,
+        direction=s[:, None] * location,
+        normal=c[:, None] * spot_world,
+        offset=c,
+        range_error=-np.stack((d, d * d), axis=1),
+        pose=pose,
+    )
+
+
+def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
+    n_hand = np.matmul(x.n[:, None, :], x.R)[:, 0]
+    cosine = _dot(n_hand, x.v)
+    if cosine.size:
+        worst = cosine[np.argmin(np.abs(cosine))]
+        if not abs(worst) >= GRAZING_LIMIT:
+            raise GrazingBeamError(float(worst), GRAZING_LIMIT)
+    return n_hand, cosine
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    return product

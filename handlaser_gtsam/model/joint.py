@@ -1,0 +1,193 @@
+"""The covariance of everything: all beams and planes together, and what follows from it.
+
+A plane appears in its own readings only. Given the beams, planes are therefore independent, and with
+the response W_p of plane p to the beams, x_p = -W_p x_beams + noise, every block follows from the
+covariance S of the beams and the covariance P_p of each plane for known beams:
+
+    cov(p, beams) = -W_p S,    cov(p, q) = W_p S W_q' + (P_p if p = q)
+
+In a graph in which more ties planes together (hand poses with odometry between them), what couples them
+for known beams is added.
+
+Coordinates are tangent (location 3, direction 2, range-error terms a beam; normal 2, offset a plane)
+or ambient (x, y, z, vx, vy, vz, k1, k2 a beam; nx, ny, nz, b a plane), B S B' with the bases B.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ..arrays import FloatArray, IntArray
+from ..errors import InputError
+
+BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
+PLANE_COORDINATES = ("nx", "ny", "nz", "b")
+
+
+@dataclass(frozen=True, slots=True)
+class JointCovariance:
+    """Covariance of beams and planes in SI units.
+
+    Attributes
+    ----------
+    beam_names, plane_names : tuple of str
+    terms : tuple of int
+        Range-error terms of each beam.
+    beams : (nb, nb)
+        Tangent covariance S of all beams, 5 + terms coordinates each.
+    response : (P, 3, nb)
+        W_p.
+    planes : (P, 3, 3)
+        P_p.
+    beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
+        Tangent bases of directions and normals.
+    origins : (P, 3)
+        Where the offset of each plane is taken [m]; ambient offsets are those at the world's origin.
+    coupling : (P, 3, P, 3) or None
+        Covariance of the planes with each other for known beams, zero for each with itself; None where
+        they are independent then.
+    """
+
+    beam_names: tuple[str, ...]
+    plane_names: tuple[str, ...]
+    terms: tuple[int, ...]
+    beams: FloatArray
+    response: FloatArray
+    planes: FloatArray
+    beam_bases: FloatArray
+    plane_bases: FloatArray
+    origins: FloatArray
+    coupling: FloatArray | None = None
+
+    def scaled(self, factor: float) -> "JointCovariance":
+        """Return the covariance multiplied by a number."""
+        coupling = None if self.coupling is None else factor * self.coupling
+        return replace(
+            self, beams=factor * self.beams, planes=factor * self.planes, coupling=coupling
+        )
+
+    def grown(self, beams: float, planes: float) -> "JointCovariance":
+        """Return the covariance with standard deviations that are larger.
+
+        Those of the beams `beams` times, those of the planes for known beams `planes` times.
+        """
+        found = self.scaled(beams**2)
+        return replace(found, planes=planes**2 * self.planes)
+
+    def arranged(
+        self, beams: Sequence[tuple[str, int]], planes: Sequence[tuple[str, int]]
+    ) -> "JointCovariance":
+        """Return the same with all beams, and planes, given by name and present index."""
+        i, p = [index for _, index in beams], [index for _, index in planes]
+        at = np.concatenate([self._columns(index) for index in i])
+        return JointCovariance(
+            tuple(name for name, _ in beams),
+            tuple(name for name, _ in planes),
+            tuple(self.terms[index] for index in i),
+            self.beams[np.ix_(at, at)],
+            self.response[p][:, :, at],
+            self.planes[p],
+            self.beam_bases[i],
+            self.plane_bases[p],
+            self.origins[p],
+            None if self.coupling is None else self.coupling[p][:, :, p],
+        )
+
+    def matrix(
+        self,
+        beams: Sequence[str] | None = None,
+        planes: Sequence[str] | None = None,
+        *,
+        ambient: bool = True,
+    ) -> FloatArray:
+        """Return the joint covariance of the named beams, then planes; of all where not given.
+
+        Ambient 8 coordinates a beam and 4 a plane; tangent 5 + terms and 3.
+
+        Raises
+        ------
+        InputError
+            A name that is not there.
+        """
+        i = _indices(self.beam_names, beams, "beam")
+        p = _indices(self.plane_names, planes, "plane")
+        columns = np.concatenate([np.empty(0, dtype=np.intp), *(self._columns(k) for k in i)])
+        follow = -self.response[p].reshape(-1, len(self.beams))
+        along = np.vstack((np.eye(len(self.beams))[columns], follow))
+        joint: FloatArray = along @ self.beams @ along.T
+        first = len(columns)
+        for number, index in enumerate(p):
+            own = slice(first + 3 * number, first + 3 * number + 3)
+            joint[own, own] += self.planes[index]
+        if self.coupling is not None and p:
+            joint[first:, first:] += self.coupling[p][:, :, p].reshape(3 * len(p), -1)
+        if not ambient:
+            return joint
+        lifts = [self.beam_lift(k) for k in i] + [self.plane_lift(k) for k in p]
+        lift = block_diag(*lifts)
+        lifted: FloatArray = lift @ joint @ lift.T
+        return lifted
+
+    def labels(
+        self, beams: Sequence[str] | None = None, planes: Sequence[str] | None = None
+    ) -> tuple[tuple[str, str], ...]:
+        """Return (owner, coordinate) of every row of the ambient `matrix`."""
+        i = _indices(self.beam_names, beams, "beam")
+        p = _indices(self.plane_names, planes, "plane")
+        rows = [(f"beam {self.beam_names[k]}", name) for k in i for name in BEAM_COORDINATES]
+        rows += [(f"plane {self.plane_names[k]}", name) for k in p for name in PLANE_COORDINATES]
+        return tuple(rows)
+
+    def beam_lift(self, index: int) -> FloatArray:
+        """Return (8, 5 + terms) from tangent to ambient coordinates of a beam."""
+        return beam_lift(self.beam_bases[index], self.terms[index])
+
+    def plane_lift(self, index: int) -> FloatArray:
+        """Return (4, 3) from (tangent of n, offset at the origin of the plane) to (n, b)."""
+        return plane_lift(self.plane_bases[index], self.origins[index])
+
+    def all_beams(self) -> list[FloatArray]:
+        """Return the ambient covariance (8, 8) of every beam."""
+        found = []
+        for index in range(len(self.terms)):
+            at, lift = self._columns(index), self.beam_lift(index)
+            found.append(lift @ self.beams[np.ix_(at, at)] @ lift.T)
+        return found
+
+    def all_planes(self) -> list[FloatArray]:
+        """Return the ambient covariance (4, 4) of every plane."""
+        tangent = self.planes + self.response @ self.beams @ np.swapaxes(self.response, 1, 2)
+        lifts = [self.plane_lift(index) for index in range(len(tangent))]
+        return [lift @ S @ lift.T for lift, S in zip(lifts, tangent, strict=True)]
+
+    def _columns(self, index: int) -> IntArray:
+        first = sum(5 + terms for terms in self.terms[:index])
+        return np.arange(first, first + 5 + self.terms[index])
+
+
+def beam_lift(basis: FloatArray, terms: int) -> FloatArray:
+    """Return (8, 5 + terms) from tangent to ambient coordinates of a beam with direction `basis`."""
+    lift = np.zeros((8, 5 + terms))
+    lift[:3, :3] = np.eye(3)
+    lift[3:6, 3:5] = basis
+    lift[6 : 6 + terms, 5:] = np.eye(terms)
+    return lift
+
+
+def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return (4, 3) from (tangent of n, offset at `origin`) to (n, b)."""
+    lift = np.zeros((4, 3))
+    lift[:3, :2] = basis
+    lift[3] = (*(-origin @ basis), 1.0)
+    return lift
+
+
+def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, kind: str) -> list[int]:
+    if wanted is None:
+        return list(range(len(names)))
+    for name in wanted:
+        if name not in names:
+            raise InputError(f"{kind} {name!r}", f"one of {', '.join(names)}")
+    return [names.index(name) for name in wanted]

@@ -1,0 +1,122 @@
+"""What a sensor can measure, how linear it is, and which readings that leaves."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..checks import require_number
+from ..data.parameters import Parameters
+from ..data.recording import LARGEST, Readings, Recording
+from ..errors import InputError
+from . import equation
+
+LEAST_LINEARITY, MOST_LINEARITY = 1e-6, 0.3
+"""No sensor is more or less linear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Limits of a sensor, and its linearity.
+
+    Attributes
+    ----------
+    range_min, range_max : float
+        Readings outside are no readings [m]. The least is negative for sensors that read the distance
+        from a reference amid their range; else only positive readings are distances.
+    max_incidence : float
+        Largest angle between beam and plane normal at which a reading counts [rad].
+    linearity : float
+        What its data sheet calls linearity, as a part of the reading: the scale of the half-Cauchy
+        prior of what range errors typically are.
+    """
+
+    range_min: float = 0.0
+    range_max: float = math.inf
+    max_incidence: float = math.pi / 2.0
+    linearity: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("range_min", "range_max"):
+            if getattr(self, name) != math.inf:  # which says that there is no limit
+                require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
+        for name in ("max_incidence", "linearity"):
+            require_number(name, getattr(self, name), -LARGEST, LARGEST)
+        if not -LARGEST <= self.range_min < self.range_max:
+            found = f"sensor range {self.range_min:g} to {self.range_max:g} m"
+            raise InputError(found, f"-{LARGEST:.0f} <= least < largest")
+        if not 0.0 < self.max_incidence <= math.pi / 2.0:
+            found = f"max_incidence {math.degrees(self.max_incidence):g} deg"
+            raise InputError(found, "an angle above 0 and up to 90 degrees")
+        if not LEAST_LINEARITY <= self.linearity <= MOST_LINEARITY:
+            expected = f"{LEAST_LINEARITY:g} to {MOST_LINEARITY:g}: a part of the reading"
+            raise InputError(f"linearity {self.linearity:g}", expected)
+
+    @property
+    def range_stated(self) -> bool:
+        """Whether the range is stated at all."""
+        return self.range_min != 0.0 or math.isfinite(self.range_max)
+
+    def can_read(self, d: FloatArray) -> BoolArray:
+        """Tell which readings [m] the sensor can give."""
+        positive = (d > 0.0) | (self.range_min < 0.0)
+        return np.asarray(positive & (d >= self.range_min) & (d <= self.range_max))
+
+
+OUTSIDE = "outside the sensor's range"
+FLAT = "incidence above the sensor's limit"
+BY_LIMITS = (OUTSIDE, FLAT)
+"""Reasons that the sensor's limits give; all others mean that the readings contradict each other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A reading that was left out: names, the reason, and its residual [m] where there is one."""
+
+    station: str
+    beam: str
+    reason: str
+    residual: float | None
+
+
+def within(recording: Recording, sensor: Sensor) -> Recording:
+    """Return a recording without the readings outside the sensor's range.
+
+    Raises
+    ------
+    InputError
+        A plane or beam is left without readings.
+    """
+    d = recording.ranges
+    return replace(recording, ranges=np.where(sensor.can_read(d), d, np.nan))
+
+
+def within_range(readings: Readings, sensor: Sensor) -> IntArray:
+    """Return the rows whose reading the sensor can give."""
+    return np.flatnonzero(sensor.can_read(readings.distance))
+
+
+def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor) -> IntArray:
+    """Return the rows whose beam meets its plane no flatter than the sensor allows."""
+    cosine = np.abs(equation.cosines(equation.scene(parameters, readings)))
+    return np.flatnonzero(cosine >= math.cos(sensor.max_incidence) - 1e-12)
+
+
+def require_all(recording: Recording, readings: Readings) -> None:
+    """Refuse readings that leave a plane or a beam without any.
+
+    Raises
+    ------
+    InputError
+    """
+    for kind, names, index in (
+        ("beam", recording.beam_names, readings.beam),
+        ("plane", recording.plane_names, readings.plane),
+    ):
+        missing = np.flatnonzero(np.bincount(index, minlength=len(names)) == 0)
+        if missing.size:
+            raise InputError(
+                f"no reading of {kind} {names[missing[0]]} within the sensor's limits",
+                f"at least one; check the limits or leave the {kind} out",
+            )

@@ -1,0 +1,218 @@
+r"""How readings err together: the covariance of a station's readings, and its inverse root.
+
+The residuals of the readings d of one station have, to first order, the covariance
+
+    C = diag((g'(d) sigma)^2 / m + (tau tan a)^2) + J S J'
+
+with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, m the number of independent readings that d is
+the mean of (else one), sigma the range sigma of the beam, tau the
+incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand pose and J the derivative
+of the residuals by it. J S J' couples the beams of a station. Stations are independent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from . import equation
+
+LEAST_VARIANCE = 1e-12
+"""Of a direction of C, as a part of the largest: below, it is rounding."""
+CURVED = 0.005
+"""Range errors that change a reading's sigma by less than this part leave all weights equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variances:
+    """What makes up the covariance of the readings.
+
+    Attributes
+    ----------
+    range_sigma : (B,)
+        Of each beam [m].
+    incidence_sigma : float
+        [m]
+    pose : (M, 6, 6) or None
+        Covariance of the hand pose of every station (rx, ry, rz, x, y, z); None for exact poses.
+    """
+
+    range_sigma: FloatArray
+    incidence_sigma: float = 0.0
+    pose: FloatArray | None = None
+
+    def for_stations(self, count: int) -> "Variances":
+        """Return the same for so many stations: those beyond have the covariance that all share."""
+        if self.pose is None or len(self.pose) >= count:
+            return self
+        more = np.broadcast_to(self.pose[:1], (count - len(self.pose), 6, 6))
+        return replace(self, pose=np.concatenate((self.pose, more)))
+
+    def without_poses(self) -> "Variances":
+        """Return the same for readings whose hand poses are known."""
+        return replace(self, pose=None)
+
+
+@dataclass(frozen=True, slots=True)
+class Whitening:
+    """Makes the residuals of readings independent and equally precise.
+
+    Attributes
+    ----------
+    root : (S, K, K)
+        Symmetric inverse roots of C / sigma^2, a station, over K beams; beams without a reading
+        there stand by themselves.
+    station, beam : (N,)
+        Where each row of the readings stands in them.
+    sigma : float
+        Standard deviation of a whitened residual [m]: the typical one of a reading.
+    """
+
+    root: FloatArray
+    station: IntArray
+    beam: IntArray
+    sigma: float
+
+    def of_rows(self, rows: IntArray) -> "Whitening":
+        """Return the whitening of whole stations, given by their rows, over the beams read there."""
+        stations, station = np.unique(self.station[rows], return_inverse=True)
+        beams, beam = np.unique(self.beam[rows], return_inverse=True)
+        root = self.root[np.ix_(stations, beams, beams)]
+        return Whitening(root, station.astype(np.intp), beam.astype(np.intp), self.sigma)
+
+    def reordered(self, rows: IntArray) -> "Whitening":
+        """Return the whitening of the same readings in another order."""
+        return replace(self, station=self.station[rows], beam=self.beam[rows])
+
+    def coefficients(self) -> FloatArray:
+        """Return what each row (N,) takes of the K readings of its station, (N, K)."""
+        rows: FloatArray = self.root[self.station, self.beam]
+        return rows
+
+    def gathered(self, rows: FloatArray) -> FloatArray:
+        """Return, for every row of (N, ...), those of the K readings of its station, (N, K, ...)."""
+        grid = np.zeros((*self.root.shape[:2], *rows.shape[1:]))
+        grid[self.station, self.beam] = rows
+        near: FloatArray = grid[self.station]
+        return near
+
+    def squares(self) -> FloatArray:
+        """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 / C."""
+        squares: FloatArray = (self.coefficients() ** 2).sum(axis=1)
+        return squares
+
+    def apply_rows(self, rows: FloatArray) -> FloatArray:
+        """Return whitened rows (N, D)."""
+        white: FloatArray = np.einsum("nk,nkd->nd", self.coefficients(), self.gathered(rows))
+        return white
+
+    def apply(self, residual: FloatArray) -> FloatArray:
+        """Return whitened residuals (N,) [m]."""
+        white: FloatArray = np.einsum("nk,nk->n", self.coefficients(), self.gathered(residual))
+        return white
+
+
+def joined(whitenings: Sequence[Whitening]) -> Whitening:
+    """Return one whitening of the rows of several, one after the other; sigma of the first.
+
+    Every row keeps its slot among the beams of its own station.
+    """
+    stations = [len(one.root) for one in whitenings]
+    slots = max(one.root.shape[1] for one in whitenings)
+    first = np.cumsum([0, *stations[:-1]])
+    root = np.zeros((sum(stations), slots, slots))
+    for a, one in zip(first, whitenings, strict=True):
+        count = one.root.shape[1]
+        root[a : a + len(one.root), :count, :count] = one.root
+    return Whitening(
+        root,
+        np.concatenate([a + one.station for a, one in zip(first, whitenings, strict=True)]),
+        np.concatenate([one.beam for one in whitenings]),
+        whitenings[0].sigma,
+    )
+
+
+def whitening(parameters: Parameters, readings: Readings, variances: Variances) -> Whitening:
+    """Return the whitening of `readings` at `parameters`.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    station = stations_from_zero(readings)
+    where = (station, readings.beam)
+    C = np.zeros((int(station.max()) + 1, readings.beams, readings.beams))
+    C[(*where, readings.beam)] = own_variances(parameters, readings, variances)
+    if variances.pose is not None:
+        at = equation.linearize(
+            equation.scene(parameters, readings), readings.distance, with_pose=True
+        )
+        J = np.zeros((*C.shape[:2], 6))
+        J[where] = at.pose
+        S = np.zeros((len(C), 6, 6))
+        S[station] = variances.pose[readings.station]
+        C += J @ S @ np.swapaxes(J, 1, 2)
+    typical = float(np.median(C[(*where, readings.beam)]))
+    unread = np.ones(C.shape[:2], dtype=bool)
+    unread[where] = False
+    which, beam = np.nonzero(unread)
+    C[which, beam, beam] = typical
+    values, axes = np.linalg.eigh(C / typical)
+    values = np.maximum(values, LEAST_VARIANCE * values[:, -1:])
+    root = (axes / np.sqrt(values)[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    return Whitening(root, station, readings.beam, float(np.sqrt(typical)))
+
+
+def reading_sigmas(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:
+    """Return the standard deviation (N,) [m] of each reading's residual, pose included.
+
+    Where a beam grazes its plane, and there is none, 1 m.
+    """
+    steep = np.abs(equation.cosines(equation.scene(parameters, readings))) >= equation.GRAZING_LIMIT
+    rows = np.flatnonzero(steep)
+    part = readings.subset(rows)
+    variance = own_variances(parameters, part, variances)
+    if variances.pose is not None:
+        J = equation.linearize(equation.scene(parameters, part), part.distance, with_pose=True).pose
+        S = variances.pose[part.station]
+        variance = variance + np.einsum("ni,nij,nj->n", J, S, J)
+    sigmas = np.ones(len(readings))
+    sigmas[rows] = np.sqrt(variance)
+    return sigmas
+
+
+def own_variances(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:
+    """Return the variance (N,) [m^2] of each reading's residual, without that of the pose."""
+    slope = slopes(parameters, readings)
+    own: FloatArray = (slope * variances.range_sigma[readings.beam]) ** 2
+    if variances.incidence_sigma > 0.0:
+        cosine = equation.cosines(equation.scene(parameters, readings))
+        own = own + variances.incidence_sigma**2 * (1.0 / cosine**2 - 1.0)
+    return own
+
+
+def slopes(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return g'(d) / sqrt(m) (N,): by how much the noise of one reading changes a residual."""
+    k = parameters.range_errors[readings.beam]
+    slope: FloatArray = 1.0 + k[:, 0] + 2.0 * k[:, 1] * readings.distance
+    return slope if readings.samples is None else slope / np.sqrt(readings.samples)
+
+
+def unequal(parameters: Parameters, readings: Readings, variances: Variances) -> bool:
+    """Tell whether readings differ in their weights or are correlated."""
+    return bool(
+        variances.pose is not None
+        or variances.incidence_sigma > 0.0
+        or np.ptp(variances.range_sigma) > 0.0
+        or np.abs(slopes(parameters, readings) - 1.0).max() > CURVED
+    )
+
+
+def stations_from_zero(readings: Readings) -> IntArray:
+    """Return the number (N,) of every reading's station among those that have readings."""
+    _, station = np.unique(readings.station, return_inverse=True)
+    return station.astype(np.intp)

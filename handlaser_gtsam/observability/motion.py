@@ -1,0 +1,195 @@
+r"""What a motion can determine, before anything is solved.
+
+The paper's lemmas, plane by plane: translations at one orientation that span space give the plane's
+normal (Lemma 1); re-orientations about two different axes give the direction of a beam, and with it the
+rest (Lemma 2). A motion that satisfies no lemma may still do, so the rank is tested as well, for beams
+and planes in general position: what stays open there stays open for any.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..data.ordering import sorted_readings
+from ..data.parameters import Parameters
+from ..data.recording import Readings, Recording
+from ..errors import GrazingBeamError
+from .rank import observability
+from .wording import MIRROR, MIRROR_ADVICE, Names, OpenPart, advice, open_parts, undetermined
+
+SAME_ROTATION = 2e-3
+"""Orientations within this angle [rad] count as one."""
+LEAST_MOVE = 1e-3
+"""Hands that move less than this part of the typical range before a plane stand still."""
+LEAST_TURN = np.radians(1.0)
+"""Turns that spread less than this about an axis [rad] do not count."""
+LEAST_SPREAD = 1e-2
+"""Translations span a direction in which they spread by at least this part of the widest."""
+DRAWS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneMotion:
+    """The motion before one plane.
+
+    Attributes
+    ----------
+    name : str
+    stations, orientations : int
+    translations : int
+        Independent directions that translations at one orientation span; 3 satisfies Lemma 1.
+    translating : tuple of str
+        The stations that serve for it.
+    axes : int
+        Independent axes of the turns between orientations; 2 or more satisfy Lemma 2.
+    readings : tuple of int
+        Of every beam, in the order of the recording.
+    """
+
+    name: str
+    stations: int
+    orientations: int
+    translations: int
+    translating: tuple[str, ...]
+    axes: int
+    readings: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MotionCheck:
+    """What a motion determines.
+
+    Attributes
+    ----------
+    planes : PlaneMotions
+    unknowns, readings : int
+        Without range errors.
+    open_parts : tuple of OpenPart
+        What is left open whatever the beams and planes are.
+    undetermined, advice : tuples of str
+        The same in words, and what would determine it.
+    """
+
+    planes: tuple[PlaneMotion, ...]
+    unknowns: int
+    readings: int
+    open_parts: tuple[OpenPart, ...]
+    undetermined: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def check_motion(recording: Recording) -> MotionCheck:
+    """Check the motion of `recording`; what the beams read there does not matter, only that they do."""
+    planes = tuple(_plane_motion(recording, p) for p in range(len(recording.plane_names)))
+    readings, order = sorted_readings(recording)
+    beams, numbers = np.argsort(order.beams), np.argsort(order.planes)
+    names = Names(
+        tuple((name, int(beams[i])) for i, name in enumerate(recording.beam_names)),
+        tuple((name, int(numbers[p])) for p, name in enumerate(recording.plane_names)),
+    )
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    parts = _open_in_general(readings, names)
+    unknowns = 5 * readings.beams + 3 * readings.planes
+    words, help_ = undetermined(parts), advice(parts)
+    moved = float(np.abs(readings.world_t_hand).max())
+    if not parts and moved < LEAST_MOVE * readings.typical_range():
+        words, help_ = (MIRROR,), (MIRROR_ADVICE,)
+    return MotionCheck(planes, unknowns, len(readings), parts, words, help_)
+
+
+def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
+    rows = np.flatnonzero(recording.plane_of_station == plane)
+    R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
+    group = _groups(R)
+    local = [t[group == g] - t[group == g].mean(axis=0) for g in range(int(group.max()) + 1)]
+    spread = np.linalg.svd(np.concatenate(local), compute_uv=False)
+    rank = int((spread > LEAST_SPREAD * max(spread[0], 1e-12)).sum()) if spread[0] > 0.0 else 0
+    translating = [rows[j] for j in range(len(rows)) if (group == group[j]).sum() > 1]
+    turns = Rotation.from_matrix(np.swapaxes(R[:1], 1, 2) @ R).as_rotvec()
+    turned = np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
+    read = ~np.isnan(recording.ranges[rows])
+    return PlaneMotion(
+        recording.plane_names[plane],
+        len(rows),
+        int(group.max()) + 1,
+        rank,
+        tuple(recording.station_names[j] for j in translating) if rank else (),
+        int((turned > LEAST_TURN).sum()),
+        tuple(int(count) for count in read.sum(axis=0)),
+    )
+
+
+def _groups(R: FloatArray) -> IntArray:
+    """Return a number for every orientation (M, 3, 3), the same for equal ones."""
+    cells = np.floor(R.reshape(-1, 9) / SAME_ROTATION + 0.377).astype(np.int64)
+    group = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    return group.astype(np.intp)
+
+
+def _open_in_general(readings: Readings, names: Names) -> tuple[OpenPart, ...]:
+    """Return what is open for random beams and planes; the draw that leaves least open counts."""
+    rng = np.random.default_rng(0)
+    best: tuple[OpenPart, ...] | None = None
+    least = np.inf
+    for _ in range(20 * DRAWS):
+        at = _general_position(readings, rng)
+        try:
+            found = observability(at, readings, 0, 0.0)
+        except GrazingBeamError:
+            continue
+        if found.unknowns - found.rank < least:
+            least = found.unknowns - found.rank
+            best = open_parts(found, at, names)
+        if least == 0:
+            break
+    return best or ()
+
+
+def _general_position(readings: Readings, rng: np.random.Generator) -> Parameters:
+    """Return random beams, and planes a typical range in front of the first beam."""
+    length = readings.typical_range()
+    main = rng.standard_normal(3)
+    v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
+    along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])
+    n = model.normalized(
+        readings.plane_means(along) + 0.3 * rng.standard_normal((readings.planes, 3))
+    )
+    return Parameters(
+        length * rng.standard_normal((readings.beams, 3)),
+        v,
+        np.zeros((readings.beams, 2)),
+        n,
+        -length * rng.uniform(0.5, 1.5, readings.planes),
+    )
+
+
+def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:
+    """Say of every plane which stations serve which unknown."""
+    words = []
+    for plane in check.planes:
+        if plane.translations == 3:
+            first = (
+                f"normal in closed form (Lemma 1) from the translations of stations "
+                f"{_listed(plane.translating)}"
+            )
+        else:
+            first = (
+                f"no normal by itself (Lemma 1): translations at one orientation span "
+                f"{plane.translations} of 3 directions"
+            )
+        if plane.axes >= 2:
+            second = f"directions (Lemma 2) from {plane.orientations} orientations"
+        else:
+            second = f"no direction by itself (Lemma 2): turns about {plane.axes} of 2 axes"
+        few = [name for name, n in zip(beams, plane.readings, strict=True) if n == 0]
+        unread = f"; not read by beam {', '.join(few)}" if few else ""
+        words.append(f"plane {plane.name}, {plane.stations} stations: {first}; {second}{unread}")
+    return tuple(words)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

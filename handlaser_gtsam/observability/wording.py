@@ -1,0 +1,206 @@
+"""What is undetermined or weak, by name and in words an engineer understands, and what would help."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray
+from ..data.parameters import Parameters
+from .rank import NullSpace, Observability
+
+SHARE = 0.02
+"""A part of a null vector below this length is not worth a word."""
+WEAK_SHARE = 0.4
+"""Of the longest part of the weakest direction: what is shorter is not named."""
+LEAK = 1e-6
+"""A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
+
+
+MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
+MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Names of beams and planes, each with its index, in the order in which they are listed."""
+
+    beams: tuple[tuple[str, int], ...]
+    planes: tuple[tuple[str, int], ...]
+
+    def sorted_beams(self) -> tuple[str, ...]:
+        """Return the names of the beams in the order of their indices."""
+        return tuple(name for name, _ in sorted(self.beams, key=lambda beam: beam[1]))
+
+    def sorted_planes(self) -> tuple[str, ...]:
+        """Return the names of the planes in the order of their indices."""
+        return tuple(name for name, _ in sorted(self.planes, key=lambda plane: plane[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class OpenPart:
+    """A quantity that the readings leave open, wholly or along some axes.
+
+    Attributes
+    ----------
+    kind : "beam" or "plane"
+    name : str
+        Of the beam or plane.
+    quantity : str
+        `location`, `direction`, `range error`, `normal` or `offset`.
+    axes : (D, K)
+        Orthonormal columns: location and direction in the hand frame, normal in the world frame;
+        range error over (k1, k2), offset 1.
+    """
+
+    kind: Literal["beam", "plane"]
+    name: str
+    quantity: str
+    axes: FloatArray
+
+
+def open_parts(found: Observability, parameters: Parameters, names: Names) -> tuple[OpenPart, ...]:
+    """Return what the null space leaves open: beams first, in the order of `names`."""
+    return _parts(found.null_space, parameters, names)
+
+
+def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
+    """Say what is left open, one sentence a beam or kind of plane."""
+    words = []
+    of_beams = [part for part in parts if part.kind == "beam"]
+    for name in dict.fromkeys(part.name for part in of_beams):
+        own = [_part_words(part) for part in of_beams if part.name == name]
+        words.append(f"beam {name}: {', '.join(own)}")
+    for quantity in ("normal", "offset"):
+        planes = [part.name for part in parts if part.quantity == quantity]
+        if planes:
+            words.append(f"{_planes(planes)}: {quantity}")
+    return tuple(words)
+
+
+def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
+    """Say which motion or option would determine what is open."""
+    if not parts:
+        return ()
+    quantities = {part.quantity for part in parts}
+    axes = [part.axes for part in parts if part.quantity == "location"]
+    location = _span(np.concatenate(axes, axis=1)) if axes else np.empty((3, 0))
+    words = []
+    if "direction" in quantities:
+        words.append(
+            "turn the hand about two different axes, neither along the plane's normal, and translate "
+            "in three directions that are not coplanar; or add planes with other normals"
+        )
+    elif location.shape[1] > 1:
+        words.append("turn the hand about two different axes in front of each plane")
+    elif location.shape[1] == 1:
+        words.append(f"turn the hand about an axis across {_vector(location[:, 0])}")
+    if quantities >= {"range error"} and not words:
+        words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
+    if not words:
+        listed = _planes(list(dict.fromkeys(part.name for part in parts)))
+        words.append(f"measure {listed} at three or more spots that are not on a line")
+    return tuple(words)
+
+
+def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
+    """Say in words along what the solution is known worst; nothing where rank is short."""
+    if not found.full:
+        return ""
+    reduced = found.reduced
+    axis = reduced.axes[:, :1]
+    width = len(reduced.beam_unit) // len(parameters.locations)
+    planes = -(reduced.plane_response @ axis)
+    space = NullSpace(axis.reshape(-1, width, 1), planes)
+    lengths = [np.linalg.norm(rows) for *_, rows in _rows(space, parameters, names)]
+    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(lengths)))
+    return "; ".join(undetermined(parts))
+
+
+def open_coordinates(found: Observability, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4)."""
+    if found.full:
+        return np.zeros((len(parameters.locations), 8)), np.zeros((len(parameters.offsets), 4))
+    beams, planes = _normalized(found.null_space)
+    count, width, columns = beams.shape
+    lifted = np.zeros((count, 8, columns))
+    lifted[:, :3] = beams[:, :3]
+    lifted[:, 3:6] = model.tangent_basis(parameters.directions) @ beams[:, 3:5]
+    lifted[:, 6 : 1 + width] = beams[:, 5:]
+    flat = np.zeros((len(planes), 4, columns))
+    flat[:, :3] = model.tangent_basis(parameters.normals) @ planes[:, :2]
+    flat[:, 3] = np.linalg.norm(planes, axis=1)  # the offset at the origin follows the normal
+    return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
+
+
+def _parts(
+    space: NullSpace, parameters: Parameters, names: Names, share: float = SHARE
+) -> tuple[OpenPart, ...]:
+    if space.beams.shape[-1] == 0:
+        return ()
+    found = (
+        OpenPart(kind, name, quantity, _span(rows, share))
+        for kind, name, quantity, rows in _rows(space, parameters, names)
+    )
+    return tuple(part for part in found if part.axes.shape[1])
+
+
+def _rows(
+    space: NullSpace, parameters: Parameters, names: Names
+) -> Iterator[tuple[Literal["beam", "plane"], str, str, FloatArray]]:
+    """Yield kind, name and quantity of every part, and its rows (D, K) of the null space."""
+    beams, planes = _normalized(space)
+    bases = model.tangent_basis(parameters.directions)
+    for name, i in names.beams:
+        yield "beam", name, "location", beams[i, :3]
+        yield "beam", name, "direction", bases[i] @ beams[i, 3:5]
+        yield "beam", name, "range error", beams[i, 5:]
+    normals = model.tangent_basis(parameters.normals)
+    for name, p in names.planes:
+        yield "plane", name, "normal", normals[p] @ planes[p, :2]
+        # The offset is that at the world's origin: where the normal is open, it is too.
+        yield "plane", name, "offset", np.linalg.norm(planes[p], axis=0, keepdims=True)
+
+
+def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
+    """Return the null space with columns orthonormal over beams and planes together."""
+    beams, planes = space.beams, space.planes
+    columns = beams.shape[-1]
+    stacked = np.vstack((beams.reshape(-1, columns), planes.reshape(-1, columns)))
+    basis = np.linalg.qr(stacked)[0]
+    split = beams.shape[0] * beams.shape[1]
+    return basis[:split].reshape(beams.shape), basis[split:].reshape(planes.shape)
+
+
+def _part_words(part: OpenPart) -> str:
+    axes, count = part.axes, part.axes.shape[1]
+    if part.quantity == "location" and count < 3:
+        across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
+        return f"location {'across' if count == 2 else 'along'} {_vector(across)}"
+    if part.quantity == "direction" and count == 1:
+        return f"direction towards {_vector(axes[:, 0])}"
+    if part.quantity == "range error":
+        open_ = np.linalg.norm(axes, axis=1) > SHARE
+        return (
+            f"range error {' and '.join(n for n, o in zip(('k1', 'k2'), open_, strict=False) if o)}"
+        )
+    return part.quantity
+
+
+def _span(rows: FloatArray, share: float = SHARE) -> FloatArray:
+    """Return an orthonormal basis, as columns, of what the columns of `rows` (D, K) span."""
+    U, s, _ = np.linalg.svd(rows, full_matrices=False)
+    return U[:, s > share]
+
+
+def _vector(axis: FloatArray) -> str:
+    axis = axis / np.linalg.norm(axis)
+    sign = np.sign(axis[np.argmax(np.abs(axis))])
+    return "(" + ", ".join(f"{x:.2f}" for x in np.round(sign * axis, 2) + 0.0) + ")"
+
+
+def _planes(names: list[str]) -> str:
+    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    return f"plane{'s' if len(names) > 1 else ''} {shown}"

@@ -1,0 +1,182 @@
+"""Why a reading was left out as an outlier, as far as the solution can tell."""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..observability.rank import Observability, observability
+from ..observability.wording import Names
+from .leverage import leverages
+from .snooping import residuals
+
+OUTLIER = "outlier"
+REPEATED = "pose of another station repeated"
+STATION = "whole station off"
+FLAT = 0.17
+"""A beam that meets its plane with a smaller cosine (80 degrees) is likely to have missed it."""
+FITS, FITS_PLANE = 4.0, 6.0
+"""Most sigmas by which readings are off that fit when exchanged, or that fit another plane: there the
+error of the station's own pose counts too, which the sigma holds on average only."""
+AHEAD = 13.8
+"""By so much the squares of a station must be larger before the next best plane: odds of 1000."""
+CHANCE = 0.05
+"""Another plane is suggested when a random reading would fit one with less than this probability."""
+SAME_POSE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Reasons:
+    """A reason for every reading that was left out, and stations that fit another plane.
+
+    Attributes
+    ----------
+    words : tuple of str
+        One for each row that was left out.
+    other_plane : dict
+        Station index to the index of the plane that it fits.
+    residual : (N,)
+        Of all readings [m]; infinite where a beam grazes its plane.
+    """
+
+    words: tuple[str, ...]
+    other_plane: dict[int, int]
+    residual: FloatArray
+
+    def residual_of(self, row: int) -> float | None:
+        """Return the residual of a row [m]; None where it has none."""
+        e = float(self.residual[row])
+        return e if np.isfinite(e) else None
+
+
+def reasons(
+    readings: Readings,
+    kept: BoolArray,
+    parameters: Parameters,
+    range_sigma: float,
+    names: Names,
+) -> Reasons:
+    """Explain every reading that is not `kept`.
+
+    Parameters
+    ----------
+    readings : Readings
+    kept : (N,) of bool
+    parameters : Parameters
+    range_sigma : float
+        Standard deviation of a good reading [m].
+    names : Names
+    """
+    beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
+    rows = np.flatnonzero(~kept)
+    left = np.bincount(readings.station[kept], minlength=int(readings.station.max()) + 1)
+    x = model.scene(parameters, readings)
+    flat = np.abs(model.cosines(x)) < FLAT
+    repeated = _repeated_poses(readings)
+    other: dict[int, int] = {}
+    if readings.planes > 1 and rows.size:
+        part = readings.subset(np.flatnonzero(kept))
+        found = observability(parameters, part, 0, 0.0)
+        predict = _Prediction(readings, kept, parameters, range_sigma, found)
+        out = np.bincount(readings.station[rows], minlength=len(left))
+        for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
+            plane = _fitting_plane(readings, one, predict)
+            if plane is not None:
+                other[one] = plane
+    swapped = _swapped(readings, rows, parameters, range_sigma)
+    words = []
+    for row in rows:
+        station = int(readings.station[row])
+        count = int((readings.station == station).sum())
+        if row in swapped:
+            words.append(f"swapped with the reading of beam {beam_names[swapped[int(row)]]}")
+        elif station in other:
+            words.append(f"wrong plane label: fits plane {plane_names[other[station]]}")
+        elif flat[row]:
+            words.append("grazing")
+        elif repeated[station]:
+            words.append(REPEATED)
+        elif left[station] == 0 and count > 1:
+            words.append(STATION)
+        else:
+            words.append(OUTLIER)
+    return Reasons(tuple(words), other, residuals(parameters, readings))
+
+
+def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> int | None:
+    """Return the plane that all readings of a station fit, if one does far better, and by no chance."""
+    rows = np.flatnonzero(readings.station == station)
+    own = int(readings.plane[rows[0]])
+    span = float(np.ptp(readings.distance[predict.kept]))
+    squares, fits = np.full(readings.planes, np.inf), np.zeros(readings.planes, dtype=bool)
+    for plane in range(readings.planes):
+        if plane == own:
+            continue
+        e, sigma = predict.residuals(rows, plane)
+        chance = readings.planes * np.minimum(2.0 * FITS_PLANE * sigma / span, 1.0).prod()
+        squares[plane] = float(((e / sigma) ** 2).sum())
+        fits[plane] = bool((np.abs(e) <= FITS_PLANE * sigma).all()) and chance <= CHANCE
+    best = int(np.argmin(squares))
+    return best if fits[best] and np.sort(squares)[1] > squares[best] + AHEAD else None
+
+
+def _swapped(
+    readings: Readings, rows: IntArray, parameters: Parameters, range_sigma: float
+) -> dict[int, int]:
+    """Return, for rows left out that fit when two of a station are exchanged, the other's beam."""
+    found: dict[int, int] = {}
+    s = residuals(parameters, readings) + model.corrected(
+        readings.distance, parameters.range_errors[readings.beam]
+    )
+    for station in np.unique(readings.station[rows]):
+        own = rows[readings.station[rows] == station]
+        for a, b in combinations(own.tolist(), 2):
+            d = readings.distance[[b, a]]
+            k = parameters.range_errors[readings.beam[[a, b]]]
+            e = s[[a, b]] - model.corrected(d, k)
+            if (np.abs(e) <= FITS * range_sigma).all():
+                found[a], found[b] = int(readings.beam[b]), int(readings.beam[a])
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Prediction:
+    """What a solution says of readings that were not used, before any plane.
+
+    All planes of `parameters` must be seen from one origin, that of the hand poses.
+    """
+
+    readings: Readings
+    kept: BoolArray
+    parameters: Parameters
+    range_sigma: float
+    found: Observability
+
+    def residuals(self, rows: IntArray, plane: int) -> tuple[FloatArray, FloatArray]:
+        """Return residuals of rows before another plane and their sigmas [m].
+
+        A residual is infinite behind the sensor, or where a beam is parallel to the plane.
+        """
+        moved = replace(self.readings.subset(rows), plane=np.full(len(rows), plane, dtype=np.intp))
+        e = residuals(self.parameters, moved)
+        k = self.parameters.range_errors[moved.beam]
+        ahead = e + model.corrected(moved.distance, k) > 0.0
+        if not (np.isfinite(e) & ahead).all():
+            return np.full(len(rows), np.inf), np.full(len(rows), self.range_sigma)
+        h = leverages(self.parameters, moved, self.found)
+        return e, self.range_sigma * np.sqrt(1.0 + h)
+
+
+def _repeated_poses(readings: Readings) -> BoolArray:
+    """Tell of every station whether another one has the same pose."""
+    count = int(readings.station.max()) + 1
+    poses = np.full((count, 12), np.nan)
+    poses[readings.station, :9] = readings.world_R_hand.reshape(-1, 9)
+    poses[readings.station, 9:] = readings.world_t_hand
+    cells = np.round(poses / SAME_POSE)
+    _, index, size = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray((size[index.ravel()] > 1) & ~np.isnan(poses[:, 0]))

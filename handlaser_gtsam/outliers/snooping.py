@@ -1,0 +1,266 @@
+r"""Which readings to leave out: those that the others contradict.
+
+From a candidate that fits most readings, the far ones are left out, the rest is fitted again, and all
+readings are tested anew against that fit, until nothing changes. Candidates are compared by the
+evidence for "Gaussian among m readings, anything within the span W for the others":
+
+    m ln sigma^2 + RSS / sigma^2 + 2 (N - m) ln(W / sqrt(2 pi)) - 2 ln(share of each)
+
+so that leaving a reading out has its price: about 4 standard deviations.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln
+
+from .. import model
+from ..arrays import BoolArray, FloatArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..errors import GrazingBeamError
+from ..observability.rank import observability
+from ..solvers.refine import refine
+from .leverage import leverages, standardized
+
+LEAST_CUT, MOST_CUT = 3.0, 4.0
+"""A reading further off than a cut between these, in its standard deviations, is an outlier."""
+CAUTION = 0.5
+"""So much below even odds is the cut: garbage that stays costs more than a good reading that goes."""
+FIRST_CUT = 4.0
+"""The same for the candidate's own scale, in the first round."""
+MOST_SPAN = 0.5
+"""A reading that was left out is not taken back where the cut about its prediction is wider than this
+part of the span of the good readings: far from the spots of its plane, or along it, that test passes
+what is grossly wrong, and the fit would follow."""
+ROUNDS, STEPS = 20, 25
+LEAST_SHARE = 0.6
+"""At least this part of the readings must remain: a bare majority may agree by chance."""
+PRICE = 2.0
+"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
+ROUNDING = 1e-12
+"""Residuals below this part of the readings are rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """Which readings agree on one solution.
+
+    Attributes
+    ----------
+    kept : (N,) of bool
+    parameters : Parameters
+        Fitted to the readings that were kept.
+    range_sigma : float
+        Standard deviation behind the test [m]: the larger of the given and the estimated one.
+    evidence : float
+        Criterion above; lower is better.
+    """
+
+    kept: BoolArray
+    parameters: Parameters
+    range_sigma: float
+    evidence: float
+
+
+def screen(
+    readings: Readings,
+    candidate: Parameters,
+    terms: int,
+    range_sigma: float | None,
+    scale: float | None = None,
+) -> Screening | None:
+    """Leave out what contradicts the rest, from `candidate` on.
+
+    Parameters
+    ----------
+    readings : Readings
+    candidate : Parameters
+    terms : int
+    range_sigma : float, optional
+        Given standard deviation of a reading [m].
+    scale : float, optional
+        Standard deviation of the good readings about `candidate` [m]; all count as good at first
+        where it is not given.
+
+    Returns
+    -------
+    Screening or None
+        None where too few readings agree, or a plane or a beam is left without any.
+    """
+    kept = np.ones(len(readings), dtype=bool)
+    if scale is not None:
+        kept = np.abs(residuals(candidate, readings)) <= FIRST_CUT * scale
+    parameters, sigma = candidate, 0.0
+    seen: set[bytes] = set()
+    for _ in range(ROUNDS):
+        if not enough(readings, kept, terms):
+            return None
+        try:
+            parameters, sigma, t = test(readings, kept, parameters, terms, range_sigma)
+        except GrazingBeamError:
+            return None
+        before, kept = kept, np.abs(t) <= cut(readings, kept, sigma)
+        if (kept == before).all() or kept.tobytes() in seen:
+            kept = before
+            break
+        seen.add(kept.tobytes())
+    if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
+        return None
+    return Screening(kept, parameters, sigma, _evidence(readings, kept, parameters, sigma))
+
+
+def quick_evidence(
+    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
+) -> float:
+    """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
+    e = np.abs(residuals(parameters, readings))
+    best = np.inf
+    for cut in (FIRST_CUT * scale, 2.0 * FIRST_CUT * scale):
+        kept = e <= cut
+        good = readings.subset(np.flatnonzero(kept))
+        if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
+            sigma = _sigma_of(readings, e[kept], terms, range_sigma)
+            best = min(best, _evidence(readings, kept, parameters, sigma))
+    return float(best)
+
+
+def beyond_chance(
+    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
+) -> float:
+    r"""Return by how many nats the readings that agree on a candidate are beyond chance.
+
+    As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
+    agree within sigma by chance, where each would lie anywhere within the span W of those, has the
+    expected number of cases (compare Moisan and Stival, IJCV 2004)
+
+        (N over m) (sqrt(2 pi e) sigma / W)^(m - u) exp(price u)
+
+    of which this is the negative logarithm, for readings within a cut of the `scale`.
+    """
+    e = np.abs(residuals(parameters, readings))
+    kept = e <= FIRST_CUT * scale
+    total, good, unknowns = len(e), int(kept.sum()), _unknowns(readings, terms)
+    if good <= unknowns:
+        return -np.inf
+    sigma = _sigma_of(readings, e[kept], terms, range_sigma)
+    span = max(float(np.ptp(readings.distance[kept])), sigma)
+    each = float(np.log(span / (np.sqrt(2.0 * np.pi * np.e) * sigma)))
+    choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
+    return float((good - unknowns) * each - choices - PRICE * unknowns)
+
+
+def _sigma_of(
+    readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
+) -> float:
+    """Return the sigma [m] of the residuals of those that agree, not below the given one."""
+    free = max(len(residual) - _unknowns(readings, terms), 1)
+    estimated = float(np.sqrt((residual @ residual) / free))
+    return max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
+
+
+def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
+    """Return how many standard deviations off an outlier is, by the share of those left out so far.
+
+    A residual of z standard deviations is as likely garbage as good where
+    z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
+    """
+    share = (int((~kept).sum()) + 1) / (len(kept) + 2)
+    span = max(float(np.ptp(readings.distance)), range_sigma)
+    odds = span * (1.0 - share) / (np.sqrt(2.0 * np.pi) * range_sigma * share)
+    even = float(np.sqrt(2.0 * np.log(max(odds, 1.0))))
+    return min(max(even - CAUTION, LEAST_CUT), MOST_CUT)
+
+
+def test(
+    readings: Readings,
+    kept: BoolArray,
+    start: Parameters,
+    terms: int,
+    range_sigma: float | None,
+) -> tuple[Parameters, float, FloatArray]:
+    """Fit the `kept` readings from `start`; return parameters, sigma and residuals in their sigmas."""
+    part = readings.subset(np.flatnonzero(kept))
+    refined = refine(start, part, terms, STEPS)
+    parameters = start if refined is None else refined.parameters
+    sigma, t = judge(readings, kept, parameters, terms, np.full(len(readings), range_sigma or 0.0))
+    return parameters, sigma, t
+
+
+def judge(
+    readings: Readings,
+    kept: BoolArray,
+    parameters: Parameters,
+    terms: int,
+    sigmas: FloatArray,
+    *,
+    known: bool = True,
+) -> tuple[float, FloatArray]:
+    """Return a typical sigma [m], and the residuals (N,) in their own sigmas.
+
+    Parameters
+    ----------
+    readings : Readings
+    kept : (N,) of bool
+        Those that `parameters` were fitted to.
+    parameters : Parameters
+    terms : int
+    sigmas : (N,)
+        Standard deviation of each reading [m]; zero where it is unknown. Larger residuals than
+        these explain scale them.
+    known : bool
+        Whether smaller residuals do not scale them.
+    """
+    e = residuals(parameters, readings)
+    unit = np.where(sigmas > 0.0, sigmas, 1.0)
+    free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
+    z = e[kept] / unit[kept]
+    estimated = float(np.sqrt((z @ z) / free))
+    typical = float(np.median(unit[kept]))
+    least = 1.0 if known and (sigmas > 0.0).all() else 0.0
+    scale = max(least, estimated, ROUNDING * readings.largest_range() / typical)
+    found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
+    steep = np.flatnonzero(np.isfinite(e))
+    h = np.zeros(len(readings))
+    h[steep] = leverages(parameters, readings.subset(steep), found)
+    t = standardized(e / unit, h, kept, scale)
+    t[~kept & _vague(readings, kept, scale * unit * np.sqrt(1.0 + h))] = np.inf
+    # Far beyond the others a reading decides k2 alone, and would be consistent with any.
+    t[~model.plausible_corrections(parameters, readings)] = np.inf
+    return scale * typical, t
+
+
+def _vague(readings: Readings, kept: BoolArray, predicted: FloatArray) -> BoolArray:
+    """Tell of readings (N,) whether their prediction sigmas [m] would let almost any reading pass."""
+    return np.asarray(MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept])))
+
+
+def _unknowns(readings: Readings, terms: int) -> int:
+    return (5 + terms) * readings.beams + 3 * readings.planes
+
+
+def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
+    """Tell whether the `kept` readings are a majority, and enough for every beam and plane."""
+    if kept.sum() < max(LEAST_SHARE * len(readings), _unknowns(readings, terms) + 1):
+        return False
+    beams = np.bincount(readings.beam[kept], minlength=readings.beams)
+    planes = np.bincount(readings.plane[kept], minlength=readings.planes)
+    return bool(beams.all() and planes.all())
+
+
+def _evidence(
+    readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float
+) -> float:
+    e = residuals(parameters, readings)[kept]
+    total, good = len(kept), int(kept.sum())
+    bad = total - good
+    span = max(float(np.ptp(readings.distance)), range_sigma)
+    inside = good * np.log(range_sigma**2) + float(e @ e) / range_sigma**2
+    outside = 2.0 * bad * np.log(span / np.sqrt(2.0 * np.pi))
+    shares = sum(m * np.log(m / total) for m in (good, bad) if m)
+    return float(inside + outside - 2.0 * shares)
+
+
+def residuals(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return residuals (N,) [m]; infinite where a beam grazes its plane."""
+    return model.residuals_or_infinite(parameters, readings)

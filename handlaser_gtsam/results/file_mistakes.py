@@ -1,0 +1,202 @@
+"""Would the file fit if it were read another way? Asked only where it does not fit as it stands.
+
+Each hypothesis is a mistake that people make when they write poses and ranges to a file. The recording
+is changed as if the mistake were undone, a start is found, and the residuals are compared. The result
+is a sentence for the user, never a change of the data.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..data.ordering import sorted_readings
+from ..data.recording import LARGEST, Recording
+from ..starts import find_start
+
+MUCH_BETTER = 100.0
+"""A hypothesis is worth a word when it lowers the mean squared residual by this factor."""
+DEGREE = np.pi / 180.0
+MOST_SWAPS = 40
+Sequence = Literal["xyz", "XYZ", "ZYX"]
+"""Of angles, in SciPy's spelling: lower case about fixed axes, upper case about moving ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """A mistake in words, and the recording as it would be without it."""
+
+    words: str
+    undone: Callable[[Recording], Recording]
+
+
+def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
+    """Say how else the file could be read so that it fits a hundredfold better, the best first.
+
+    Parameters
+    ----------
+    recording : Recording
+    terms : int
+        Most range-error terms.
+    """
+    now = _mean_square(recording, terms)
+    found: list[tuple[float, str]] = []
+    for hypothesis in (*HYPOTHESES, *_swaps(recording)):
+        changed = hypothesis.undone(recording)
+        ratio = _relative(now, recording) / max(
+            _relative(_mean_square(changed, terms), changed), 1e-30
+        )
+        if ratio >= MUCH_BETTER:
+            found.append((ratio, hypothesis.words))
+    return tuple(
+        f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
+        for ratio, words in sorted(found, reverse=True)
+    )
+
+
+def _swaps(recording: Recording) -> list[Hypothesis]:
+    """Two beams exchanged before one plane; exchanged everywhere they would only change names."""
+    pairs = list(combinations(range(len(recording.beam_names)), 2))
+    cases = [(p, i, j) for p in range(len(recording.plane_names)) for i, j in pairs]
+    if len(recording.plane_names) < 2 or len(cases) > MOST_SWAPS:
+        return []
+    found = []
+    for plane, i, j in cases:
+        names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
+        words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
+        found.append(Hypothesis(words, partial(_swapped, plane=plane, i=i, j=j)))
+    return found
+
+
+def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
+    ranges = recording.ranges.copy()
+    rows = recording.plane_of_station == plane
+    ranges[rows, i], ranges[rows, j] = recording.ranges[rows, j], recording.ranges[rows, i]
+    return replace(recording, ranges=ranges)
+
+
+def _mean_square(recording: Recording, terms: int) -> float:
+    readings, _ = sorted_readings(recording)
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    rms = find_start(readings, None, terms, effort="normal").tried[0][1]
+    return float(rms**2)
+
+
+def _relative(mean_square: float, recording: Recording) -> float:
+    """Return a mean square in parts of the variance of the readings: units must not matter."""
+    return mean_square / max(float(np.nanvar(recording.ranges)), 1e-300)
+
+
+def _turned(change: Callable[[Rotation], Rotation]) -> Callable[[Recording], Recording]:
+    def undone(recording: Recording) -> Recording:
+        R = change(Rotation.from_matrix(recording.world_R_hand)).as_matrix()
+        return replace(recording, world_R_hand=R)
+
+    return undone
+
+
+def _inverted(recording: Recording) -> Recording:
+    R = np.swapaxes(recording.world_R_hand, 1, 2)
+    t = -np.einsum("mij,mj->mi", R, recording.world_t_hand)
+    return replace(recording, world_R_hand=R, world_t_hand=t)
+
+
+def _scaled(positions: float, ranges: float) -> Callable[[Recording], Recording]:
+    def undone(recording: Recording) -> Recording:
+        t, d = positions * recording.world_t_hand, ranges * recording.ranges
+        if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
+            return recording
+        return replace(recording, world_t_hand=t, ranges=d)
+
+    return undone
+
+
+def _scalar_first(rotation: Rotation) -> Rotation:
+    q = rotation.as_quat()
+    return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
+
+
+def _other_angles(written: Sequence, read: Sequence) -> Callable[[Rotation], Rotation]:
+    """Angles of the sequence `written` were read as those of `read`."""
+
+    def undone(rotation: Rotation) -> Rotation:
+        return Rotation.from_euler(written, _angles(rotation, read))
+
+    return undone
+
+
+def _longer_vector(factor: float) -> Callable[[Rotation], Rotation]:
+    def undone(rotation: Rotation) -> Rotation:
+        return Rotation.from_rotvec(factor * rotation.as_rotvec())
+
+    return undone
+
+
+def _other_unit(factor: float, sequence: Sequence) -> Callable[[Rotation], Rotation]:
+    def undone(rotation: Rotation) -> Rotation:
+        return Rotation.from_euler(sequence, factor * _angles(rotation, sequence))
+
+    return undone
+
+
+def _vector_read_as_angles(rotation: Rotation) -> Rotation:
+    return Rotation.from_rotvec(_angles(rotation, "xyz"))
+
+
+def _angles(rotation: Rotation, sequence: Sequence) -> FloatArray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
+        angles: FloatArray = rotation.as_euler(sequence)
+    return angles
+
+
+HYPOTHESES = (
+    Hypothesis("the poses look inverted (hand_T_world instead of world_T_hand)", _inverted),
+    Hypothesis(
+        "the rotations look inverted (hand_R_world instead of world_R_hand)",
+        _turned(lambda rotation: rotation.inv()),
+    ),
+    Hypothesis(
+        "the quaternions look like qw qx qy qz written as qx qy qz qw", _turned(_scalar_first)
+    ),
+    Hypothesis("the positions look like millimetres", _scaled(1e-3, 1.0)),
+    Hypothesis("the ranges look like millimetres", _scaled(1.0, 1e-3)),
+    Hypothesis(
+        "the rotation vectors look like degrees taken as radians",
+        _turned(_longer_vector(DEGREE)),
+    ),
+    Hypothesis(
+        "the angles about x, y, z look like degrees taken as radians",
+        _turned(_other_unit(DEGREE, "xyz")),
+    ),
+    Hypothesis(
+        "the rotation vectors look like radians taken as degrees",
+        _turned(_longer_vector(1.0 / DEGREE)),
+    ),
+    Hypothesis(
+        "the angles about x, y, z look like radians taken as degrees",
+        _turned(_other_unit(1.0 / DEGREE, "xyz")),
+    ),
+    Hypothesis(
+        "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)",
+        _turned(_other_angles("ZYX", "xyz")),
+    ),
+    Hypothesis(
+        "the angles of fixed axes x, y, z look as if read as those of moving axes",
+        _turned(_other_angles("xyz", "XYZ")),
+    ),
+    Hypothesis(
+        "the angles of moving axes x, y, z look as if read as those of fixed axes",
+        _turned(_other_angles("XYZ", "xyz")),
+    ),
+    Hypothesis(
+        "the rotation vectors look as if read as angles about x, y, z",
+        _turned(_vector_read_as_angles),
+    ),
+)

@@ -1,0 +1,128 @@
+"""Pass or fail: a calibration against the limits its user set."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from ..checks import require_number
+from ..data.noise import MOST_SIGMA
+from .calibration import Calibration
+
+Quantity = Literal["rms", "location_sigma", "direction_sigma"]
+WORDS: dict[Quantity, str] = {
+    "rms": "rms",
+    "location_sigma": "location sigma",
+    "direction_sigma": "direction sigma",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest values that pass; None where there is no limit.
+
+    Attributes
+    ----------
+    rms : float, optional
+        Root mean square residual [m].
+    location_sigma : float, optional
+        Standard deviation of any coordinate of a beam location [m].
+    direction_sigma : float, optional
+        Standard deviation of a beam direction [rad].
+    """
+
+    rms: float | None = None
+    location_sigma: float | None = None
+    direction_sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rms", "location_sigma", "direction_sigma"):
+            value = getattr(self, name)
+            if value is not None:
+                require_number(f"limit {name}", value, 0.0, MOST_SIGMA, above=True)
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCheck:
+    """A value beside its limit.
+
+    Attributes
+    ----------
+    quantity : str
+        The field of `Limits`.
+    subject : str
+        "beam NAME", or "without plane NAME"; empty where it concerns everything.
+    value, limit : float
+        [m], or [rad] of a direction.
+    """
+
+    quantity: Quantity
+    subject: str
+    value: float
+    limit: float
+
+    @property
+    def held(self) -> bool:
+        """Whether the value is within its limit."""
+        return not self.value > self.limit
+
+    @property
+    def ratio(self) -> float:
+        """The value in units of its limit."""
+        return self.value / self.limit
+
+    @property
+    def failure(self) -> str:
+        """The words for a limit that is exceeded."""
+        owner = f"{self.subject}: " if self.subject else ""
+        scale, unit = self._scale
+        return (
+            f"{owner}{WORDS[self.quantity]} {self.value * scale:.4g} {unit} above "
+            f"{self.limit * scale:.4g} {unit}"
+        )
+
+    @property
+    def comparison(self) -> str:
+        """The value beside its limit, in words: "rms 0.11 of 0.2 mm"."""
+        scale, unit = self._scale
+        return f"{WORDS[self.quantity]} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
+
+    @property
+    def _scale(self) -> tuple[float, str]:
+        if self.quantity == "direction_sigma":
+            return 180.0 / math.pi, "deg"
+        return 1e3, "mm"
+
+
+def checked(calibration: Calibration, limits: Limits) -> tuple[LimitCheck, ...]:
+    """Compare a converged calibration with every limit that is given, beam by beam."""
+    found = list(rms_checked("", calibration.fit.rms, limits))
+    for beam in calibration.beams.values():
+        location, direction = beam.location_sigma, beam.direction_sigma
+        if location is None or direction is None:
+            continue
+        owner = f"beam {beam.name}"
+        if limits.location_sigma is not None:
+            value = float(location.max())
+            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma))
+        if limits.direction_sigma is not None:
+            found.append(LimitCheck("direction_sigma", owner, direction, limits.direction_sigma))
+    return tuple(found)
+
+
+def rms_checked(subject: str, rms: float, limits: Limits) -> tuple[LimitCheck, ...]:
+    """Compare an rms residual [m] with its limit, where there is one."""
+    return () if limits.rms is None else (LimitCheck("rms", subject, rms, limits.rms),)
+
+
+def worst_of_each(checks: tuple[LimitCheck, ...]) -> tuple[LimitCheck, ...]:
+    """Return the check nearest to its limit, or furthest beyond, of every quantity."""
+    worst: dict[Quantity, LimitCheck] = {}
+    for one in checks:
+        if one.quantity not in worst or one.ratio > worst[one.quantity].ratio:
+            worst[one.quantity] = one
+    return tuple(worst.values())
+
+
+def exceeded(calibration: Calibration, limits: Limits) -> tuple[str, ...]:
+    """Say which limits a converged calibration exceeds; nothing where it passes."""
+    return tuple(one.failure for one in checked(calibration, limits) if not one.held)

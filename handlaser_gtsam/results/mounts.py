@@ -1,0 +1,157 @@
+"""Calibrated beams without the planes behind them: what a calibration leaves for later use."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray, frozen
+from ..checks import require_count, require_covariance, require_names, require_number
+from ..data.noise import LEAST_SIGMA, MOST_SIGMA, Noise
+from ..data.recording import LARGEST, first_repeated
+from ..errors import InputError
+from ..text import shown
+from .calibration import Calibration
+
+UNIT = 1e-6
+"""What the length of a direction may differ from 1 by."""
+ROUNDING = 1e-6
+"""Asymmetry and negative eigenvalues of a computed covariance, as a part of its variances."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mounts:
+    """Beams in the hand frame, with their joint covariance.
+
+    Attributes
+    ----------
+    names : tuple of str
+    locations, directions : (B, 3)
+        [m], unit vectors.
+    range_errors : (B, 2)
+        k1 [1], k2 [1/m].
+    terms : tuple of int
+        Range-error terms of each beam that were estimated.
+    covariance : (8 B, 8 B)
+        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
+    range_sigma : float
+        Standard deviation of a reading behind it [m].
+    pose_covariance : (6, 6) or None
+        What hand poses err by behind it (rx, ry, rz, x, y, z); None for exact poses.
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, names that cannot be printed or repeat, numbers beyond sense, directions
+        that are no unit vectors, or a covariance that is none.
+    """
+
+    names: tuple[str, ...]
+    locations: FloatArray
+    directions: FloatArray
+    range_errors: FloatArray
+    terms: tuple[int, ...]
+    covariance: FloatArray
+    range_sigma: float
+    pose_covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("locations", "directions", "range_errors", "covariance"):
+            object.__setattr__(self, name, _array(getattr(self, name), name))
+        count = len(self.names)
+        shapes = [(count, 3), (count, 3), (count, 2), (8 * count, 8 * count)]
+        arrays = (self.locations, self.directions, self.range_errors, self.covariance)
+        if [a.shape for a in arrays] != shapes or len(self.terms) != count:
+            raise InputError(f"arrays of shapes {[a.shape for a in arrays]}", f"{shapes}")
+        _check_names(self)
+        _check_numbers(self)
+        if self.pose_covariance is not None:
+            checked = Noise(pose_covariance=self.pose_covariance).pose_covariance
+            object.__setattr__(self, "pose_covariance", checked)
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> "Mounts":
+        """Return the mounts of a calibration.
+
+        Raises
+        ------
+        InputError
+            It did not converge.
+        """
+        if calibration.covariance is None or calibration.status != "converged":
+            raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+        beams = list(calibration.beams.values())
+        return cls(
+            tuple(beam.name for beam in beams),
+            np.array([beam.location for beam in beams]),
+            np.array([beam.direction for beam in beams]),
+            np.array([beam.range_error for beam in beams]),
+            tuple(beam.terms for beam in beams),
+            calibration.covariance.matrix(planes=[]),
+            calibration.fit.range_sigma,
+            calibration.pose_covariance,
+        )
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (B, 8) of (x, y, z, vx, vy, vz, k1, k2)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+
+    def arranged(self, names: tuple[str, ...]) -> "Mounts":
+        """Return the mounts of the named beams, in that order.
+
+        Raises
+        ------
+        InputError
+            A name that is not there.
+        """
+        for name in names:
+            if name not in self.names:
+                raise InputError(f"beam {shown(name)}", f"one of {', '.join(self.names)}")
+        at = [self.names.index(name) for name in names]
+        rows = np.concatenate([np.arange(8 * i, 8 * i + 8) for i in at])
+        return Mounts(
+            names,
+            self.locations[at],
+            self.directions[at],
+            self.range_errors[at],
+            tuple(self.terms[i] for i in at),
+            self.covariance[np.ix_(rows, rows)],
+            self.range_sigma,
+            self.pose_covariance,
+        )
+
+
+def _array(values: ArrayLike, name: str) -> FloatArray:
+    try:
+        return frozen(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
+
+
+def _check_names(mounts: Mounts) -> None:
+    require_names("the name of a beam", mounts.names)
+    twice = first_repeated(mounts.names)
+    if twice is not None:
+        raise InputError(f"beam {mounts.names[twice]!r} twice", "every beam name once")
+    for name, terms in zip(mounts.names, mounts.terms, strict=True):
+        require_count(f"range-error terms of beam {name}", terms, 0, 2)
+
+
+def _check_numbers(mounts: Mounts) -> None:
+    for name, values, unit in (
+        ("location", mounts.locations, " m"),
+        ("range error", mounts.range_errors, ""),
+    ):
+        wrong = ~(np.abs(values) <= LARGEST)
+        if wrong.any():
+            found = f"a {name} of {values[wrong][0]:g}{unit}"
+            raise InputError(found, f"finite numbers, at most {LARGEST:g}")
+    v = mounts.directions
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other
+        length = np.linalg.norm(v, axis=1)
+    wrong = ~(np.abs(length - 1.0) <= UNIT)
+    if wrong.any():
+        raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
+    require_covariance("a covariance of the beams", mounts.covariance, MOST_SIGMA, ROUNDING)
+    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, MOST_SIGMA, unit="m")

@@ -1,0 +1,208 @@
+r"""What the covariance means at the robot: the laser spot, and a plane measured by all beams at once.
+
+A reading d of a beam puts its spot at x = r + g(d) v in the hand frame, with the corrected reading
+g(d) = d + k1 d + k2 d^2, so that
+
+    dx = dr + g dv + (d dk1 + d^2 dk2) v + g'(d) v dd.
+
+Three or more spots span a plane, n . x + b = 0: the least-squares one through the spots.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..checks import require_number
+from ..data.recording import LARGEST, Recording
+from ..errors import InputError
+from .calibration import Beam, Calibration
+
+LEAST_SPREAD = 1e-6
+"""Spots nearer to a line than this part of their extent span no plane."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a reading puts the laser spot, hand frame.
+
+    Attributes
+    ----------
+    position : (3,)
+        [m]
+    covariance : (3, 3)
+        Of the position from the calibration alone [m^2].
+    along, across : float
+        Standard deviations along the beam, and the largest across it [m].
+    direction_sigma : float
+        Largest standard deviation of the beam's direction [rad].
+    reading_sigma : float
+        What the noise of one reading adds along the beam [m].
+    """
+
+    position: FloatArray
+    covariance: FloatArray
+    along: float
+    across: float
+    direction_sigma: float
+    reading_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPlane:
+    """A plane through the spots of several beams, hand frame.
+
+    Attributes
+    ----------
+    normal : (3,)
+        Unit vector; points away from the sensors.
+    offset : float
+        n . x + b = 0 on the plane, b [m].
+    covariance : (4, 4)
+        Of (n, b), from the calibration and the noise of the readings.
+    distance_sigma : float
+        Standard deviation of the distance of the plane at the middle of the spots [m].
+    angle_sigma : float
+        Largest standard deviation of the normal [rad].
+    """
+
+    normal: FloatArray
+    offset: float
+    covariance: FloatArray
+    distance_sigma: float
+    angle_sigma: float
+
+
+def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
+    """Return the spot of `beam` for a reading [m], with what the calibration leaves unsure.
+
+    Raises
+    ------
+    InputError
+        No such beam, a reading that is not positive, or a calibration without covariance.
+    """
+    one = _beam(calibration, beam)
+    joint = calibration.covariance
+    if joint is None or one.direction_sigma is None:
+        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
+    x, J, slope = _spot(calibration, one, reading)
+    S = J @ joint.matrix([beam], []) @ J.T
+    v = one.direction
+    along = float(np.sqrt(max(float(v @ S @ v), 0.0)))
+    project = np.eye(3) - np.outer(v, v)
+    across = float(np.sqrt(np.linalg.eigvalsh(project @ S @ project)[-1]))
+    noise = slope * _range_sigma(calibration, beam)
+    return Spot(x, S, along, across, one.direction_sigma, noise)
+
+
+def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> MeasuredPlane:
+    """Return the plane that `readings` [m] by beam name put before the hand, and its covariance.
+
+    Raises
+    ------
+    InputError
+        Fewer than three beams, spots on one line, or what `spot` refuses.
+    """
+    names: list[str] = list(readings)
+    joint = calibration.covariance
+    if len(names) < 3:
+        raise InputError(f"readings of {len(names)} beams", "three or more: they span the plane")
+    if joint is None:
+        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
+    spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
+    X = np.array([x for x, _, _ in spots])
+    middle = X.mean(axis=0)
+    _, size, axes = np.linalg.svd(X - middle)
+    if size[1] <= LEAST_SPREAD * size[0]:
+        raise InputError("laser spots on one line", "spots that span a plane")
+    n = axes[2]
+    beams = np.array([_beam(calibration, name).direction for name in names])
+    n = n if beams.mean(axis=0) @ n > 0.0 else -n
+    # Rows of the spots' heights above the plane over all coordinates, then of the readings.
+    heights = np.zeros((len(names), 8 * len(names)))
+    noise = np.zeros(len(names))
+    for i, (name, (_, J, slope)) in enumerate(zip(names, spots, strict=True)):
+        heights[i, 8 * i : 8 * i + 8] = n @ J
+        noise[i] = (n @ beams[i]) * slope * _range_sigma(calibration, name)
+    S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
+    basis = axes[:2].T
+    A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
+    fit = -np.linalg.pinv(A)
+    tangent = fit @ S @ fit.T
+    lift = np.zeros((4, 3))
+    lift[:3, :2] = basis
+    lift[3] = (*(-middle @ basis), 1.0)
+    return MeasuredPlane(
+        n,
+        float(-n @ middle),
+        lift @ tangent @ lift.T,
+        float(np.sqrt(tangent[2, 2])),
+        float(np.sqrt(np.linalg.eigvalsh(tangent[:2, :2])[-1])),
+    )
+
+
+def typical_plane(
+    calibration: Calibration, recording: Recording
+) -> tuple[str, MeasuredPlane] | None:
+    """Return a station near the median reading with all that its beams say of their plane.
+
+    None where no station has three used readings that span a plane.
+    """
+    d = np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
+    count = (~np.isnan(d)).sum(axis=1)
+    if calibration.covariance is None or count.max() < 3:
+        return None
+    full = np.flatnonzero(count == count.max())
+    off = np.abs(np.nanmean(d[full], axis=1) - calibration.fit.median_reading)
+    station = int(full[int(off.argmin())])
+    pairs = zip(recording.beam_names, d[station].tolist(), strict=True)
+    try:
+        found = measured_plane(calibration, {name: x for name, x in pairs if np.isfinite(x)})
+    except InputError:
+        return None
+    return recording.station_names[station], found
+
+
+def spot_jacobian(calibration: Calibration, beam: str, reading: float) -> FloatArray:
+    """Return the derivative (3, 8) of a beam's spot at a reading [m] by its ambient coordinates."""
+    return _spot(calibration, _beam(calibration, beam), reading)[1]
+
+
+def _beam(calibration: Calibration, name: str) -> Beam:
+    if name not in calibration.beams:
+        raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")
+    return calibration.beams[name]
+
+
+def _require_reading(calibration: Calibration, reading: float) -> None:
+    least = 0.0 if calibration.recording is None else calibration.recording.range_min
+    if not (np.isfinite(reading) and (reading > 0.0 or (least <= reading and least < 0.0))):
+        expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
+        raise InputError(f"a reading of {reading:g} m", expected)
+
+
+def _spot(
+    calibration: Calibration, beam: Beam, reading: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the spot (3,), its derivative (3, 8) by the ambient coordinates, and g'(d)."""
+    require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+    _require_reading(calibration, reading)
+    k1, k2 = beam.range_error
+    g = reading * (1.0 + k1 + k2 * reading)
+    J = np.hstack(
+        (
+            np.eye(3),
+            g * np.eye(3),
+            reading * beam.direction[:, None],
+            reading**2 * beam.direction[:, None],
+        )
+    )
+    return beam.location + g * beam.direction, J, float(1.0 + k1 + 2.0 * k2 * reading)
+
+
+def _range_sigma(calibration: Calibration, name: str) -> float:
+    """Return the standard deviation of a reading of a beam [m]."""
+    if calibration.variances is None:
+        return calibration.fit.range_sigma
+    return float(calibration.variances.range_sigma[list(calibration.beams).index(name)])

@@ -1,0 +1,255 @@
+"""Signs that a result should not be believed, each in a sentence with what to look at."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from ..data.noise import Noise
+from ..data.parameters import Parameters
+from ..data.recording import Readings, Recording
+from ..errors import CalibrationWarning
+from ..model.equation import plausible_range_errors
+from ..model.sensor import BY_LIMITS
+from ..model.weighting import Variances
+from .calibration import Fit
+
+SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
+"""An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
+POOR_FIT = 0.1
+"""An rms residual above this part of the readings' spread is no fit."""
+FAR_TOGETHER = 4.0
+"""Residuals of one station that go together by so many standard deviations are no accident."""
+SAME_PLACE, SAME_WAY = 1e-3, 0.01
+"""Beams that lie nearer [m] and point more alike [rad] are one: no two sensors fit there."""
+FEW = 10
+"""Readings beyond the unknowns from which a noise that is not given is known to a quarter or so."""
+FAR_READING = 4.0
+"""A residual of so many sigmas is worth a look."""
+MANY_LEFT_OUT = 0.1
+"""More outliers than this part of the readings are no accident."""
+UNLIKELY = 1e-3
+"""Probability below which chi2 contradicts the given range sigma."""
+FAR_BEAM = 3.0
+"""A beam further from the hand's origin than this [m] is no robot's."""
+LONG_RANGE = 100.0
+"""A median reading above this [m] is probably in millimetres."""
+CHECKS = (
+    "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
+    "inverse, plane labels are right, and look for outliers"
+)
+
+
+def misfit(
+    recording: Recording, readings: Readings, parameters: Parameters, fit: Fit
+) -> CalibrationWarning | None:
+    """Say that the readings do not fit at all, where that is so; None otherwise.
+
+    Parameters
+    ----------
+    recording : Recording
+    readings : Readings
+        Those that were used.
+    parameters : Parameters
+    fit : Fit
+    """
+    lost = _lost_beam(recording, fit)
+    if lost is not None:
+        return lost
+    if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > FAR_OFF:
+        return CalibrationWarning(
+            "no-fit",
+            f"the readings do not fit: residuals are {fit.sigma0:.3g} times as large as the sigmas "
+            f"say; {CHECKS}, and for a sigma in the wrong unit",
+        )
+    if not plausible_range_errors(parameters, readings):
+        return CalibrationWarning(
+            "implausible-range-error",
+            "the readings fit only with true ranges below half or above three times of them, which no "
+            f"sensor has; {CHECKS}",
+        )
+    spread = readings.spread()
+    if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
+        return None
+    return CalibrationWarning(
+        "no-fit",
+        f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
+        f"{spread * 1e3:.3g} mm; {CHECKS}",
+    )
+
+
+def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
+    """Name a beam most of whose readings contradict the rest; None where there is none."""
+    out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
+    kept = (~np.isnan(fit.residuals)).sum(axis=0)
+    for name, count in zip(recording.beam_names, kept, strict=True):
+        if out[name] > count:
+            return CalibrationWarning(
+                "contradicting-beam",
+                f"{out[name]} of the {out[name] + int(count)} readings of beam {name} contradict the "
+                f"others: look for another unit, a swapped column or a loose sensor, or leave beam "
+                f"{name} out; {CHECKS}",
+            )
+    return None
+
+
+def suspicious(readings: Readings, fit: Fit) -> bool:
+    """Tell whether the fit is so poor that the file may have been read the wrong way."""
+    if fit.dof <= 0:
+        return False
+    far = fit.range_sigma_given and fit.sigma0 > FAR_OFF
+    return bool(far or fit.rms > SUSPICIOUS_FIT * readings.spread())
+
+
+def doubts(
+    readings: Readings,
+    parameters: Parameters,
+    fit: Fit,
+    noise: Noise,
+    variances: Variances | None,
+    names: Sequence[str],
+) -> tuple[CalibrationWarning, ...]:
+    """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
+    found = []
+    left_out = sum(r.reason not in BY_LIMITS for r in fit.rejected)
+    if left_out > MANY_LEFT_OUT * (fit.readings + left_out):
+        found.append(
+            CalibrationWarning(
+                "many-outliers",
+                f"{left_out} of {fit.readings + left_out} readings were left out as outliers: look "
+                "for their cause before you use the result",
+            )
+        )
+    median = float(np.median(readings.distance))
+    if median > LONG_RANGE:
+        words = f"the median reading is {median:.0f} m; is the file in millimetres?"
+        found.append(CalibrationWarning("long-ranges", words))
+    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+    if far > FAR_BEAM:
+        words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
+        found.append(CalibrationWarning("far-beam", words))
+    found += _same_mounts(parameters, fit, names)
+    found += _doubts_of_noise(fit, noise, variances)
+    if fit.dof > 0 and fit.farthest > FAR_READING:
+        station, beam = fit.farthest_at
+        found.append(
+            CalibrationWarning(
+                "far-reading",
+                f"the reading of beam {beam} at station {station} is {fit.farthest:.1f} "
+                "sigmas off; leave it out if it is an outlier",
+            )
+        )
+    return tuple(found)
+
+
+def _same_mounts(
+    parameters: Parameters, fit: Fit, names: Sequence[str]
+) -> list[CalibrationWarning]:
+    """Warn of two beams in one place: a channel logged twice, with noise of its own."""
+    order = np.argsort(parameters.locations[:, 0], kind="stable")
+    found = []
+    for number, i in enumerate(order.tolist()):
+        for j in order[number + 1 :].tolist():
+            apart = parameters.locations[j] - parameters.locations[i]
+            if apart[0] > SAME_PLACE:
+                break
+            turned = parameters.directions[j] - parameters.directions[i]
+            near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
+            if near and np.linalg.norm(turned) < SAME_WAY:
+                found.append(
+                    CalibrationWarning(
+                        "column-twice",
+                        f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "
+                        "are one channel logged twice, the standard deviations are too small, and one "
+                        "of the two is not calibrated",
+                    )
+                )
+    return found
+
+
+def few_readings(redundancy: int, fit: Fit) -> tuple[CalibrationWarning, ...]:
+    """Warn where the noise is estimated from few readings more than there are unknowns."""
+    if fit.range_sigma_given or redundancy >= FEW:
+        return ()
+    return (
+        CalibrationWarning(
+            "few-readings",
+            f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
+            "neither are the standard deviations; add stations, or give the range sigma",
+        ),
+    )
+
+
+def noise_advice(fit: Fit) -> str:
+    """Say what to do where the motion would be enough, but not for residuals of this size."""
+    return (
+        f"the motion would be enough if the readings fitted better than {fit.rms * 1e3:.3g} mm rms: "
+        f"{CHECKS}; otherwise add stations with more varied orientations"
+    )
+
+
+def _going_together(fit: Fit) -> float:
+    """Return how far the products of residuals of one station are from a mean of zero, in sigmas.
+
+    Independent readings have products of mean zero, or a little below as all fit the same planes; an
+    error of the pose moves all beams of its station.
+    """
+    e = np.nan_to_num(fit.residuals)
+    seen = (~np.isnan(fit.residuals)).sum(axis=1)
+    pairs = float((seen * (seen - 1) // 2).sum())
+    variance = float((e**2).sum() / max(seen.sum(), 1))
+    if pairs == 0.0 or variance <= 0.0:
+        return 0.0
+    products = 0.5 * float((e.sum(axis=1) ** 2 - (e**2).sum(axis=1)).sum())
+    return products / (variance * float(np.sqrt(pairs)))
+
+
+def _doubts_of_noise(
+    fit: Fit, noise: Noise, variances: Variances | None
+) -> list[CalibrationWarning]:
+    found = []
+    treated = variances is not None and variances.pose is not None
+    if fit.range_sigma_given and fit.dof > 0:
+        if chi2_distribution.sf(fit.chi2, fit.dof) < UNLIKELY:
+            remedy = (
+                "estimate the noise"
+                if treated
+                else "state the robot's sigmas or estimate the noise"
+            )
+            found.append(
+                CalibrationWarning(
+                    "sigmas-too-small",
+                    f"residuals are {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
+                    "sigma is too small or the model does not hold, and the standard deviations are "
+                    f"too small; {remedy}",
+                )
+            )
+        elif chi2_distribution.cdf(fit.chi2, fit.dof) < UNLIKELY:
+            found.append(
+                CalibrationWarning(
+                    "sigmas-too-large",
+                    f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 "
+                    "test): a sigma is too large, and so are the standard deviations",
+                )
+            )
+    if variances is None or variances.pose is None:
+        together = _going_together(fit)
+        if together > FAR_TOGETHER:
+            found.append(
+                CalibrationWarning(
+                    "poses-err",
+                    f"residuals of one station go together ({together:.0f} standard deviations): the "
+                    "hand poses err, and the standard deviations are too small; state the robot's "
+                    "sigmas or estimate the noise",
+                )
+            )
+    if noise.poses_uncertain and not treated:
+        found.append(
+            CalibrationWarning(
+                "poses-taken-as-exact",
+                "hand poses were taken as exact although their sigma is not zero: the standard "
+                "deviations are too small",
+            )
+        )
+    return found

@@ -1,1 +1,0 @@
-"""What the readings of a recording are, found before anything is solved."""

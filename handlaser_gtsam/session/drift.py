@@ -1,0 +1,330 @@
+r"""Whether a beam has moved while planes came in, which one, and since when.
+
+Near the present beams plane p, with itself fitted, knows of the beams x the information L_p and
+h_p = L_p x_p. Over all planes, and what is known beside them, x = inv(T) h. If beam i has moved by d
+before the planes A that came after some epoch, the score of d at x and its variance are
+
+    s = h_A - L_A x,    M = L_A - L_A inv(T) L_A    (rows and columns of beam i),
+
+and chi2 falls by s' M^+ s: chi-square distributed if nothing has moved, with as many degrees of freedom
+as M has rank. Sums over A are differences of running totals, so that an epoch costs the same however
+many planes there are. Every epoch and beam is a test; the smallest probability counts, times their
+number.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from scipy.special import betaln, gammaln
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import f as f_distribution
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..data.parameters import Beams
+from ..solvers.reduction import NormalEquations
+
+RANK = 1e-12
+MOST_SIGMA = 0.1
+"""What is known worse than to this part of its natural unit, is not tested."""
+MOVES = 5
+"""Of the unknowns of a beam, those of a mount: its range error belongs to the sensor."""
+FALSE_ALARMS = 2e-5
+"""How often a search may find something where nothing has moved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A beam that has moved.
+
+    Attributes
+    ----------
+    beam : str
+    since : str
+        The first plane that saw it moved.
+    statistic : float
+        By how much chi2 falls.
+    p_value : float
+        Probability of so clear a sign if nothing has moved, all epochs and beams considered.
+    shift : (3,)
+        By how much its location would have moved [m]; NaN where it has moved so far that planes fit
+        only without it.
+    turn : float
+        By how much its direction would have [rad]; NaN likewise.
+    """
+
+    beam: str
+    since: str
+    statistic: float
+    p_value: float
+    shift: FloatArray
+    turn: float
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Beams that unknowns are counted from, in natural units: the typical range, 1 rad.
+
+    Attributes
+    ----------
+    names : tuple of str
+    beams : Beams
+    terms : tuple of int
+    length : float
+        [m]
+    """
+
+    names: tuple[str, ...]
+    beams: Beams
+    terms: tuple[int, ...]
+    length: float
+
+    @property
+    def active(self) -> IntArray:
+        """Which of 7 unknowns a beam are estimated."""
+        mask = np.concatenate([np.arange(7) < MOVES + terms for terms in self.terms])
+        return np.flatnonzero(mask)
+
+    @property
+    def unit(self) -> FloatArray:
+        """Natural units of the active unknowns."""
+        one = [self.length] * 3 + [1.0] * 3 + [1.0 / self.length]
+        return np.tile(one, len(self.terms))[self.active]
+
+    def moves(self) -> IntArray:
+        """Return which of the active unknowns are those of each mount, (B, 5)."""
+        active = self.active
+        return np.flatnonzero(active % 7 < MOVES).reshape(-1, MOVES)
+
+    def coordinates(self, beams: Beams) -> FloatArray:
+        """Return the unknowns of other beams."""
+        basis = model.tangent_basis(self.beams[1])
+        x = np.hstack(
+            (
+                beams[0] - self.beams[0],
+                np.einsum("bij,bi->bj", basis, beams[1] - self.beams[1]),
+                beams[2] - self.beams[2],
+            )
+        )
+        coordinates: FloatArray = x.ravel()[self.active] / self.unit
+        return coordinates
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What is known of the beams: cost x' matrix x - 2 vector' x + ..., natural units and sigmas."""
+
+    matrix: FloatArray
+    vector: FloatArray
+
+    def __add__(self, other: "Information") -> "Information":
+        return Information(self.matrix + other.matrix, self.vector + other.vector)
+
+    def __sub__(self, other: "Information") -> "Information":
+        return Information(self.matrix - other.matrix, self.vector - other.vector)
+
+
+def plane_information(
+    normal: NormalEquations, sigma: float, beams: Beams, reference: Reference
+) -> Information:
+    """Return what one plane knows of the beams.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Of that plane alone, fitted, with 2 range-error terms.
+    sigma : float
+        Of a whitened residual [m].
+    beams : Beams
+        Where they were taken.
+    reference : Reference
+    """
+    active, unit = reference.active, reference.unit
+    plane_unit = np.array([1.0, 1.0, reference.length])
+    E = normal.border[0, 0][active] * unit[:, None] * plane_unit
+    plane = np.linalg.pinv(
+        normal.plane[0, 0] * np.outer(plane_unit, plane_unit), rcond=RANK, hermitian=True
+    )
+    L = (normal.beam[0][np.ix_(active, active)] * np.outer(unit, unit) - E @ plane @ E.T) / sigma**2
+    own = plane @ (normal.plane_gradient[0, 0] * plane_unit)
+    g = (normal.beam_gradient[0][active] * unit - E @ own) / sigma**2
+    turn = turns(beams[1], reference)
+    L = turn.T @ L @ turn
+    return Information(L, L @ reference.coordinates(beams) - turn.T @ g)
+
+
+def turns(directions: FloatArray, reference: Reference) -> FloatArray:
+    """Return the matrix from unknowns in the bases of the reference to those in the bases here."""
+    here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
+    turns = np.tile(np.eye(7), (len(directions), 1, 1))
+    turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
+    whole = np.zeros((len(directions), 7, len(directions), 7))
+    each = np.arange(len(directions))
+    whole[each, :, each, :] = turns
+    size, active = 7 * len(directions), reference.active
+    found: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Running totals of what the planes knew, in the order in which they came.
+
+    Attributes
+    ----------
+    reference : Reference
+    known : Information
+        Beside the planes.
+    planes : tuple of str
+    pieces : tuple of Information
+        Of each plane.
+    totals : tuple of Information
+        Of the first 1, 2, ... planes.
+    """
+
+    reference: Reference
+    known: Information
+    planes: tuple[str, ...] = ()
+    pieces: tuple[Information, ...] = ()
+    totals: tuple[Information, ...] = ()
+
+    @classmethod
+    def empty(cls, reference: Reference, links: Sequence[tuple[int, int, FloatArray]]) -> "History":
+        """Return a history without planes.
+
+        Parameters
+        ----------
+        reference : Reference
+        links : sequence of (beam, beam, sigmas (7,))
+            Process noise between two beams, in SI units.
+        """
+        size = len(reference.unit)
+        matrix, vector = np.zeros((size, size)), np.zeros(size)
+        at = reference.active.tolist()
+        basis = model.tangent_basis(reference.beams[1])
+        for a, b, sigmas in links:
+            own = [at.index(7 * a + i) for i in range(MOVES + reference.terms[a])]
+            other = [at.index(7 * b + i) for i in range(MOVES + reference.terms[b])]
+            J = np.zeros((len(own), size))
+            J[:, own], J[:, other] = -np.eye(len(own)), np.eye(len(own))
+            J[3:5, other[3:5]] = basis[a].T @ basis[b]
+            error = np.concatenate(
+                (
+                    reference.beams[0][b] - reference.beams[0][a],
+                    basis[a].T @ (reference.beams[1][b] - reference.beams[1][a]),
+                    (reference.beams[2][b] - reference.beams[2][a])[: reference.terms[a]],
+                )
+            )
+            J = J * reference.unit / sigmas[: len(own), None]
+            matrix += J.T @ J
+            vector -= J.T @ (error / sigmas[: len(own)])
+        return cls(reference, Information(matrix, vector))
+
+    def with_plane(self, name: str, found: Information) -> "History":
+        """Return the history with one more plane, or with more known of one."""
+        if name not in self.planes:
+            total = found + self.totals[-1] if self.totals else found
+            return History(
+                self.reference,
+                self.known,
+                (*self.planes, name),
+                (*self.pieces, found),
+                (*self.totals, total),
+            )
+        at = self.planes.index(name)
+        return self._summed(self.planes, (*self.pieces[:at], found, *self.pieces[at + 1 :]))
+
+    def without_plane(self, name: str) -> "History":
+        """Return the history without a plane, whether it is there or not."""
+        if name not in self.planes:
+            return self
+        at = self.planes.index(name)
+        planes = self.planes[:at] + self.planes[at + 1 :]
+        return self._summed(planes, self.pieces[:at] + self.pieces[at + 1 :])
+
+    def _summed(self, planes: tuple[str, ...], pieces: tuple[Information, ...]) -> "History":
+        totals = tuple(accumulate(pieces))
+        return History(self.reference, self.known, planes, pieces, totals)
+
+    def recent(self) -> IntArray:
+        """Return the epochs 1, 2, 4, ... planes ago, as numbers of planes before them."""
+        count = len(self.planes)
+        back = 2 ** np.arange(max(count, 1).bit_length())
+        return count - back[back < count]
+
+    def search(
+        self, dof: float, epochs: IntArray | None = None, false_alarms: float = FALSE_ALARMS
+    ) -> Moved | None:
+        """Return the beam that has moved; None where there is no clear sign of it.
+
+        Parameters
+        ----------
+        dof : float
+            Degrees of freedom behind the range sigma; infinite where it was given.
+        epochs : (E,), optional
+            Numbers of planes before the move; all where not given, and once any of them shows a move.
+        false_alarms : float
+            Probability of finding one where nothing has moved.
+        """
+        count = len(self.planes)
+        if epochs is None:
+            epochs = np.arange(1, count)
+        if not epochs.size:
+            return None
+        whole = self.totals[-1]
+        if np.linalg.eigvalsh(whole.matrix)[0] < MOST_SIGMA**-2:
+            whole = (
+                whole + self.known
+            )  # else what is assumed of a move would count as a sign of one
+        try:
+            x = np.linalg.solve(whole.matrix, whole.vector)
+            covariance = np.linalg.inv(whole.matrix)
+        except np.linalg.LinAlgError:
+            return None
+        late = [self.totals[-1] - self.totals[epoch - 1] for epoch in epochs.tolist()]
+        L = np.stack([one.matrix for one in late])
+        s = np.stack([one.vector for one in late]) - L @ x
+        M = L - L @ covariance @ L
+        found = self._clearest(s, M, dof, epochs)
+        if found.p_value >= false_alarms:
+            return None
+        if len(epochs) == count - 1:
+            return found
+        return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
+
+    def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
+        beams = self.reference.moves()
+        values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
+        along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
+        keep = values > MOST_SIGMA**-2
+        safe = np.where(keep, values, 1.0)
+        rank = keep.sum(axis=2)
+        statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
+        log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
+        at = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
+        d = axes[at] @ np.where(keep[at], along[at] / safe[at], 0.0)
+        d = d * self.reference.unit[beams[at[1]]]
+        return Moved(
+            self.reference.names[at[1]],
+            self.planes[int(epochs[at[0]])],
+            float(statistic[at]),
+            min(float(np.exp(log_p[at])) * log_p.size, 1.0),
+            d[:3],
+            float(np.linalg.norm(d[3:])),
+        )
+
+
+def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
+    """Return the logarithm of the probability of a larger statistic, beyond the smallest number too."""
+    with np.errstate(divide="ignore"):
+        if np.isinf(dof):
+            log_p = chi2_distribution.logsf(statistic, rank)
+            half = np.maximum(0.5 * statistic, 1.0)
+            tail = (0.5 * rank - 1.0) * np.log(half) - half - gammaln(0.5 * rank)
+        else:
+            log_p = f_distribution.logsf(statistic / rank, rank, dof)
+            a = 0.5 * dof
+            tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
+    return np.where(np.isfinite(log_p), log_p, tail)

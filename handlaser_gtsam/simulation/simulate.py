@@ -1,0 +1,152 @@
+"""Make recordings whose truth is known.
+
+A scene says where beams, planes and stations are; noise is added to the readings, and to the true
+hand poses behind the recorded ones. The recorded poses stay the commanded ones, as on a real robot.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..checks import require_number
+from ..data.noise import MOST_SIGMA, Noise
+from ..data.parameters import Parameters
+from ..data.recording import Recording
+from ..errors import InputError
+from ..model.sensor import Sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Stations:
+    """Commanded hand poses: R (M, 3, 3), t (M, 3) [m], and the plane index of each (M,)."""
+
+    world_R_hand: FloatArray
+    world_t_hand: FloatArray
+    plane: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Standard deviations of what is simulated.
+
+    Attributes
+    ----------
+    range_sigma : float
+        Of a reading [m].
+    pose_translation_sigma, pose_rotation_sigma : float
+        Of the hand pose, in its own frame [m], [rad].
+    pose_axes : tuple of axes 0, 1, 2
+        The hand axes along and about which the pose errs; the paper has the Y axis only.
+
+    Raises
+    ------
+    InputError
+        A standard deviation that is negative or beyond sense.
+    """
+
+    range_sigma: float = 3e-5
+    pose_translation_sigma: float = 0.0
+    pose_rotation_sigma: float = 0.0
+    pose_axes: tuple[int, ...] = (0, 1, 2)
+
+    def __post_init__(self) -> None:
+        for name in ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma"):
+            require_number(name, getattr(self, name), 0.0, MOST_SIGMA)
+
+    def stated(self) -> Noise:
+        """Return the noise that a rig file states of these errors: a covariance if not all axes err."""
+        known = self.range_sigma or None
+        sigmas = (self.pose_translation_sigma, self.pose_rotation_sigma)
+        if len(set(self.pose_axes)) == 3 or not any(sigmas):
+            return Noise(known, *sigmas)
+        variances = np.zeros((2, 3))
+        variances[:, list(self.pose_axes)] = np.square(sigmas[::-1])[:, None]
+        return Noise(known, pose_covariance=np.diag(variances.ravel()))
+
+
+def simulate(
+    truth: Parameters,
+    stations: Stations,
+    errors: Errors,
+    rng: np.random.Generator,
+    sensor: Sensor | None = None,
+) -> Recording:
+    """Read every beam at every station; what the sensor cannot measure is no reading.
+
+    Parameters
+    ----------
+    truth : Parameters
+    stations : Stations
+    errors : Errors
+    rng : numpy.random.Generator
+    sensor : Sensor, optional
+        Its range and incidence.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam grazes its plane.
+    InputError
+        A plane or beam is left without readings, or k1 and k2 leave no reading for a range.
+    """
+    R, t = _disturbed(stations, errors, rng)
+    count, beams = len(t), len(truth.locations)
+    station = np.repeat(np.arange(count), beams)
+    beam = np.tile(np.arange(beams), count)
+    plane = stations.plane[station]
+    x = model.Scene(
+        R[station],
+        t[station],
+        truth.locations[beam],
+        truth.directions[beam],
+        truth.normals[plane],
+        truth.offsets[plane],
+        truth.range_errors[beam],
+    )
+    d = read_back(model.predicted_ranges(x), x.k)
+    d = d + errors.range_sigma * rng.standard_normal(len(d))
+    sensor = sensor or Sensor()
+    d[(d <= 0.0) | (d < sensor.range_min) | (d > sensor.range_max)] = np.nan
+    d[np.abs(model.cosines(x)) < np.cos(sensor.max_incidence)] = np.nan
+    return Recording(
+        stations.world_R_hand,
+        stations.world_t_hand,
+        d.reshape(count, beams),
+        tuple(plane_name(p) for p in stations.plane),
+        tuple(str(i + 1) for i in range(beams)),
+    )
+
+
+def read_back(s: FloatArray, k: FloatArray) -> FloatArray:
+    """Return the readings d that the range errors k (N, 2) correct to the ranges s (N,) [m].
+
+    Solves s = d + k1 d + k2 d^2 for the root that goes to s as k goes to zero.
+    """
+    slope = 1.0 + k[:, 0]
+    inside = slope**2 + 4.0 * k[:, 1] * s
+    if not ((slope > 0.0) & (inside > 0.0)).all():
+        raise InputError("range errors that turn the reading back", "k1 > -1 and small k2")
+    root: FloatArray = 2.0 * s / (slope + np.sqrt(inside))
+    return root
+
+
+def plane_name(index: int) -> str:
+    """Return A, B, ..., Z, A1, B1, ... for plane 0, 1, ..."""
+    lap, letter = divmod(int(index), 26)
+    return chr(ord("A") + letter) + (str(lap) if lap else "")
+
+
+def _disturbed(
+    stations: Stations, errors: Errors, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    count = len(stations.world_t_hand)
+    turn, shift = np.zeros((count, 3)), np.zeros((count, 3))
+    axes = list(errors.pose_axes)
+    turn[:, axes] = errors.pose_rotation_sigma * rng.standard_normal((count, len(axes)))
+    shift[:, axes] = errors.pose_translation_sigma * rng.standard_normal((count, len(axes)))
+    R = stations.world_R_hand @ Rotation.from_rotvec(turn).as_matrix()
+    t = stations.world_t_hand + np.einsum("mij,mj->mi", stations.world_R_hand, shift)
+    return R, t

@@ -1,0 +1,252 @@
+"""From readings and a start to a GTSAM factor graph; builds, does not solve."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from ..arrays import IntArray
+from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
+from ..data.recording import Readings
+from ..factors import RangeBlock, range_error_prior, range_factor
+from ..keys import BeamKeys, beam_keys, plane_key, pose_key
+from ..model.losses import GAUSSIAN, Loss
+from ..model.weighting import Whitening
+from .poses import PosePriors
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationGraph:
+    """A factor graph with what a solver needs to know about it.
+
+    Attributes
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Range factors, then the priors of range errors and of hand poses that are variables.
+    values : gtsam.Values
+        The start.
+    blocks : RangeBlocks
+        Error functions of the range factors, all weighted by `range_sigma`.
+    range_sigma : float
+        Standard deviation of a whitened residual [m]; of a reading where all weigh the same.
+    ordering : gtsam.Ordering
+        Poses, then planes, then beams: Brown's reduction as an elimination order, linear in stations.
+    beams, planes, poses
+        Keys in the order of the readings' indices; poses by station, none where they are known.
+    terms : tuple of int
+        Range-error terms of each beam.
+    loss : Loss
+        Of every whitened residual.
+    rows : (N,)
+        Row of the readings for each row of the blocks.
+    whitening : Whitening or None
+        In the order of the blocks' rows.
+    """
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    blocks: tuple[RangeBlock, ...]
+    range_sigma: float
+    ordering: gtsam.Ordering
+    beams: tuple[BeamKeys, ...]
+    planes: tuple[int, ...]
+    poses: tuple[int, ...]
+    terms: tuple[int, ...]
+    loss: Loss
+    rows: IntArray
+    whitening: Whitening | None
+    prior_rows: int = 0
+    """Rows of the priors."""
+
+
+def build_graph(
+    readings: Readings,
+    start: Parameters,
+    terms: Terms,
+    noise: float | Whitening,
+    loss: Loss = GAUSSIAN,
+    priors: PosePriors | None = None,
+    range_errors: RangeErrorPrior | None = None,
+) -> CalibrationGraph:
+    """Return the graph of all readings.
+
+    On exact poses a factor holds the readings of one plane and beam. With a whitening it holds those of
+    a plane and all beams, and where poses are variables those of one station.
+
+    Parameters
+    ----------
+    readings : Readings
+    start : Parameters
+        Where the solver starts; its range errors beyond `terms` are left out.
+    terms : int, or one a beam
+    noise : float or Whitening
+        Standard deviation of every reading [m], or how to whiten them.
+    loss : Loss
+        Weighs every whitened residual by itself.
+    priors : PosePriors, optional
+        Makes the hand pose of every station a variable; needs a whitening.
+    range_errors : RangeErrorPrior, optional
+    """
+    counts = per_beam(terms, readings.beams)
+    beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
+    planes = tuple(plane_key(p) for p in range(readings.planes))
+    rows = np.arange(len(readings))
+    if isinstance(noise, float):
+        whitening, sigma = None, noise
+        blocks = _blocks_by_beam(readings, beams, planes)
+    else:
+        whitening, sigma = noise, noise.sigma
+        group = readings.plane if priors is None else readings.station
+        rows = np.lexsort((readings.beam, readings.station, group))
+        blocks = station_blocks(readings, noise, rows, group, (beams, planes, priors))
+    graph = gtsam.NonlinearFactorGraph()
+    for block in blocks:
+        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+    for factor in range_error_priors(beams, counts, range_errors):
+        graph.push_back(factor)
+    prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
+    values = start_values(start, beams, planes, counts)
+    poses: tuple[int, ...] = ()
+    if priors is not None:
+        poses = tuple(pose_key(j) for j in priors.stations.tolist())
+        priors.join(graph, values, poses)
+        prior_rows += 6 * len(poses)
+    return CalibrationGraph(
+        graph,
+        values,
+        blocks,
+        sigma,
+        _ordering(poses, planes, beams),
+        beams,
+        planes,
+        poses,
+        counts,
+        loss,
+        rows,
+        None if whitening is None else whitening.reordered(rows),
+        prior_rows,
+    )
+
+
+def range_error_priors(
+    beams: Sequence[BeamKeys], terms: Sequence[int], prior: RangeErrorPrior | None
+) -> list[gtsam.NonlinearFactor]:
+    """Return a prior factor for the range error of every beam that has one."""
+    found = []
+    for i, (beam, count) in enumerate(zip(beams, terms, strict=True)):
+        if prior is None or beam.range_error is None or np.isinf(prior.sigma[i, :count]).any():
+            continue
+        mean = np.zeros(count) if prior.mean is None else prior.mean[i, :count]
+        found.append(range_error_prior(beam.range_error, prior.sigma[i, :count], mean))
+    return found
+
+
+def _ordering(
+    poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...]
+) -> gtsam.Ordering:
+    ordering = gtsam.Ordering()
+    for key in (*poses, *planes):
+        ordering.push_back(key)
+    for beam in beams:
+        for beam_key in (beam.location, beam.direction, beam.range_error):
+            if beam_key is not None:
+                ordering.push_back(beam_key)
+    return ordering
+
+
+def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:
+    """Return the noise model of a block; GTSAM would weigh the block as a whole by default."""
+    isotropic = gtsam.noiseModel.Isotropic.Sigma(rows, range_sigma)
+    if loss.name == "gaussian":
+        return isotropic
+    scheme = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Scalar
+    kinds = gtsam.noiseModel.mEstimator
+    if loss.name == "huber":
+        estimator: gtsam.noiseModel.mEstimator.Base = kinds.Huber.Create(loss.tuning, scheme)
+    elif loss.name == "cauchy":
+        estimator = kinds.Cauchy.Create(loss.tuning, scheme)
+    else:
+        estimator = kinds.Tukey.Create(loss.tuning, scheme)
+    return gtsam.noiseModel.Robust.Create(estimator, isotropic)
+
+
+def start_values(
+    start: Parameters, beams: tuple[BeamKeys, ...], planes: tuple[int, ...], terms: Terms
+) -> gtsam.Values:
+    """Return `start` as GTSAM values under the given keys."""
+    counts = per_beam(terms, len(beams))
+    values = gtsam.Values()
+    for i, beam in enumerate(beams):
+        values.insert(beam.location, start.locations[i])
+        values.insert(beam.direction, gtsam.Unit3(start.directions[i]))
+        if beam.range_error is not None:
+            values.insert(beam.range_error, start.range_errors[i, : counts[i]])
+    for p, key in enumerate(planes):
+        values.insert(key, gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p]))
+    return values
+
+
+def read_parameters(problem: CalibrationGraph, values: gtsam.Values) -> Parameters:
+    """Return the beams and planes of `values` as arrays."""
+    k = np.zeros((len(problem.beams), 2))
+    for i, beam in enumerate(problem.beams):
+        if beam.range_error is not None:
+            k[i, : problem.terms[i]] = values.atVector(beam.range_error)
+    planes = [values.atOrientedPlane3(key) for key in problem.planes]
+    return Parameters(
+        np.array([values.atPoint3(beam.location) for beam in problem.beams]),
+        np.array([values.atUnit3(beam.direction).point3() for beam in problem.beams]),
+        k,
+        np.array([plane.normal().point3() for plane in planes]),
+        np.array([plane.distance() for plane in planes]),
+    )
+
+
+def _blocks_by_beam(
+    readings: Readings, beams: tuple[BeamKeys, ...], planes: tuple[int, ...]
+) -> tuple[RangeBlock, ...]:
+    starts = readings.block_starts()
+    ends = np.append(starts[1:], len(readings))
+    return tuple(
+        RangeBlock(
+            beams[readings.beam[a]],
+            planes[readings.plane[a]],
+            readings.distance[a:e],
+            readings.world_R_hand[a:e],
+            readings.world_t_hand[a:e],
+        )
+        for a, e in zip(starts.tolist(), ends.tolist(), strict=True)
+    )
+
+
+def station_blocks(
+    readings: Readings,
+    whitening: Whitening,
+    rows: IntArray,
+    group: IntArray,
+    names: tuple[tuple[BeamKeys, ...], tuple[int, ...], PosePriors | None],
+) -> tuple[RangeBlock, ...]:
+    """Return a block for each run of `rows` of one `group`: a plane, or a station with its pose."""
+    beams, planes, priors = names
+    runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
+    blocks = []
+    for own in runs:
+        seen, beam_of = np.unique(readings.beam[own], return_inverse=True)
+        R, t, pose = readings.world_R_hand[own], readings.world_t_hand[own], None
+        if priors is not None:
+            R, t = np.broadcast_to(np.eye(3), R.shape), np.zeros(t.shape)
+            pose = pose_key(int(readings.station[own[0]]))
+        blocks.append(
+            RangeBlock(
+                [beams[i] for i in seen],
+                planes[readings.plane[own[0]]],
+                readings.distance[own],
+                R,
+                t,
+                pose,
+                beam_of,
+                whitening.of_rows(own),
+            )
+        )
+    return tuple(blocks)

@@ -1,0 +1,46 @@
+"""Values of somebody else's graph: numbers that a solver can square."""
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray
+from ..errors import InputError
+
+MOST = 1e12
+"""Of any number of a value [m, 1/m, 1]: positions on Earth are smaller, and squares do not overflow."""
+
+
+def require_values(values: gtsam.Values) -> None:
+    """Refuse points, vectors, planes and poses with numbers that are not finite or beyond `MOST`.
+
+    Raises
+    ------
+    InputError
+    """
+    readers: tuple[Callable[[int], ArrayLike], ...] = (
+        values.atPoint3,
+        values.atVector,
+        lambda key: values.atOrientedPlane3(key).planeCoefficients(),
+        lambda key: values.atPose3(key).matrix(),
+        lambda key: values.atUnit3(key).point3(),
+    )
+    for key in values.keys():  # noqa: SIM118  (gtsam.Values is no dict)
+        numbers = _numbers(key, readers)
+        wrong = ~(np.abs(numbers) <= MOST)
+        if wrong.any():
+            name = gtsam.DefaultKeyFormatter(key)
+            found = f"{numbers[wrong][0]:g} in the value of {name}"
+            raise InputError(found, f"finite numbers, at most {MOST:g}")
+
+
+def _numbers(key: int, readers: tuple[Callable[[int], ArrayLike], ...]) -> FloatArray:
+    """Return the numbers of a value; none where it is of a type that range factors do not use."""
+    for read in readers:
+        try:
+            return np.asarray(read(key), dtype=np.float64).ravel()
+        except RuntimeError:  # another type
+            continue
+    return np.empty(0)

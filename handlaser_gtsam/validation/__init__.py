@@ -1,0 +1,1 @@
+"""Checks by what was not used: planes left out, other recordings, a second solver, resampling."""

@@ -1,0 +1,120 @@
+"""Does an independent solver agree? Differences in units of the standard deviation."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..checks import require_kind
+from ..data.recording import Recording
+from ..errors import InputError
+from ..results.calibration import Calibration
+from ..solvers.reference import ReferenceNoise, solve_reference
+from ..starts import find_start
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheck:
+    """Largest disagreement between the factor graph and the SciPy reference.
+
+    Attributes
+    ----------
+    largest : float
+        Largest difference of a parameter, in its standard deviations.
+    parameter : str
+        The parameter it belongs to.
+    largest_sigma : float
+        Largest relative difference of a standard deviation.
+    sigma_parameter : str
+        The parameter it belongs to.
+    iterations : int
+        Iterations of the reference.
+    """
+
+    largest: float
+    parameter: str
+    largest_sigma: float
+    sigma_parameter: str
+    iterations: int
+
+
+def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
+    """Solve the readings of `calibration` again with SciPy, from a start found anew.
+
+    Where scales were integrated over, the solution at the most probable ones is compared.
+
+    Raises
+    ------
+    InputError
+        The calibration did not converge, or its loss is robust: SciPy solves least squares.
+    """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("recording", recording, Recording)
+    if calibration.status != "converged":
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    if calibration.fit.loss != "gaussian":
+        raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
+    recording = calibration.recording or recording
+    used = replace(
+        recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
+    )
+    start = find_start(used.readings()).parameters
+    terms = tuple(beam.terms for beam in calibration.beams.values())
+    variances, noise = calibration.variances, None
+    if variances is not None:
+        noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
+    scaled = calibration.at_scales
+    prior = None if scaled is None else scaled.range_error_prior
+    reference = solve_reference(used, start, terms, noise=noise, prior=prior)
+    own = calibration.parameters() if scaled is None else scaled.parameters
+    joint = calibration.covariance if scaled is None else scaled.covariance
+    if joint is None:
+        raise InputError("a calibration without covariance", "a converged one")
+    of_beams, of_planes = joint.all_beams(), joint.all_planes()
+    found = reference.parameters
+    variance = calibration.fit.range_sigma**2 if variances is None else 1.0
+    rows: list[tuple[str, float, float]] = []
+    for i, beam in enumerate(calibration.beams.values()):
+        mine = np.concatenate((own.locations[i], own.directions[i], own.range_errors[i]))
+        other = np.concatenate((found.locations[i], found.directions[i], found.range_errors[i]))
+        covariance = variance * reference.beam_covariances[i]
+        for label, part in (
+            ("location", slice(0, 3)),
+            ("direction", slice(3, 6)),
+            ("range error", slice(6, 6 + beam.terms)),
+        ):
+            rows += _compare(
+                f"beam {beam.name} {label}", mine - other, of_beams[i], covariance, part
+            )
+    for p, plane in enumerate(calibration.planes.values()):
+        difference = np.append(own.normals[p] - found.normals[p], own.offsets[p] - found.offsets[p])
+        covariance = variance * reference.plane_covariances[p]
+        for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
+            rows += _compare(
+                f"plane {plane.name} {label}", difference, of_planes[p], covariance, part
+            )
+    worst = max(rows, key=lambda row: row[1])
+    worst_sigma = max(rows, key=lambda row: row[2])
+    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)
+
+
+def _compare(
+    name: str,
+    difference: FloatArray,
+    mine: FloatArray,
+    other: FloatArray,
+    part: slice,
+) -> list[tuple[str, float, float]]:
+    """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.
+
+    Axes without variance (along a unit vector) are left out.
+    """
+    if part.start == part.stop:
+        return []
+    variances, axes = np.linalg.eigh(mine[part, part])
+    keep = variances > 1e-12 * variances[-1]
+    sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
+    along = np.abs(axes.T @ difference[part]) / sigma
+    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other[part, part], axes))
+    ratio = np.abs(other_sigma / sigma - 1.0)
+    return [(name, float(a), float(r)) for a, r in zip(along, ratio, strict=True)]

@@ -1,0 +1,311 @@
+r"""Whether a calibration holds for another recording.
+
+The planes of that recording are unknown, the beams b known with covariance P. Near them, with the
+planes fitted, the whitened residuals cost (`solvers.reduction`)
+
+    chi2(b + x) = c + 2 g' x + x' S x,
+
+S being what the recording itself knows of the beams. Beams as calibrated leave the least of
+chi2(b + x) + x' inv(P) x; beams that are free leave c - g' S^+ g. The difference is chi-square
+distributed with as many degrees of freedom as S has rank if nothing has moved, and what the free
+beams leave tells whether noise and model are right. One beam at a time has moved: the same with its
+part of P infinite.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import f as f_distribution
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.parameters import Beams, Parameters
+from ..data.recording import Readings, Recording
+from ..model.joint import beam_lift
+from ..model.weighting import Variances, Whitening, whitening
+from ..results.mounts import Mounts
+from ..solvers.reduction import apply_step, whitened_normal_equations
+from ..starts.partial import PartialStart, grow
+
+STEPS, SETTLED = 20, 1e-12
+RANK = 1e-12
+"""Singular values below this part of the largest are rounding, in natural units."""
+MOST_SIGMA = 0.1
+"""What a recording knows worse than to this part of its natural unit, it does not test."""
+ROUNDS = 3
+LEAST_DOF = 10
+"""Degrees of freedom from which a range sigma is estimated from the recording itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamDrift:
+    """Whether one beam has moved since its calibration.
+
+    Attributes
+    ----------
+    name : str
+    statistic : float
+        By how much chi2 falls when this beam alone may have moved.
+    p_value : float
+        Probability of so large a fall if it has not.
+    shift : (3,)
+        By how much its location would have moved [m].
+    turn : float
+        By how much its direction would have [rad].
+    """
+
+    name: str
+    statistic: float
+    p_value: float
+    shift: FloatArray
+    turn: float
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOut:
+    """A recording that a calibration did not see.
+
+    Attributes
+    ----------
+    readings : int
+    rms, largest : float
+        Of the residuals with the calibrated beams and the planes fitted [m].
+    chi2, dof : float, int
+        Of noise and model, the beams free: near dof if they are right.
+    noise_p_value : float
+        Probability of a larger chi2 then; NaN where the range sigma was estimated from it.
+    drift, drift_dof : float, int
+        What the beams as calibrated add to it.
+    p_value : float
+        Probability of a larger drift if the calibration still holds.
+    beams : tuple of BeamDrift
+    """
+
+    readings: int
+    rms: float
+    largest: float
+    chi2: float
+    dof: int
+    noise_p_value: float
+    drift: float
+    drift_dof: int
+    p_value: float
+    beams: tuple[BeamDrift, ...]
+
+
+def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -> HoldOut:
+    """Compare calibrated beams with a recording of the same beams.
+
+    Parameters
+    ----------
+    mounts : Mounts
+    recording : Recording
+        Its beams must be among those of `mounts`; its planes may be any.
+    noise : Noise, optional
+        An unknown range sigma is that of the calibration, and what the recording shows where it has
+        readings enough. Unknown errors of the poses are those of the calibration.
+
+    Raises
+    ------
+    InputError
+        A beam that was not calibrated, or pose covariances of another number of stations.
+    GrazingBeamError
+        A beam grazes the plane that its readings would have.
+    """
+    noise = Noise() if noise is None else noise
+    require_kind("mounts", mounts, Mounts)
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    noise = noise.reordered(np.arange(len(recording.plane_labels)))
+    mounts = mounts.arranged(recording.beam_names)
+    readings = recording.readings()
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    sigma = noise.range_sigma or mounts.range_sigma
+    stations, pose = len(recording.plane_labels), None
+    if noise.poses_uncertain:
+        pose = noise.pose_covariances(stations)
+    elif not noise.poses_exact and mounts.pose_covariance is not None:
+        pose = np.broadcast_to(mounts.pose_covariance, (stations, 6, 6))
+    variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
+    beams = (mounts.locations, mounts.directions, mounts.range_errors)
+    at, how = fit_planes(beams, readings, variances)
+    e = model.residuals(model.scene(at, readings), readings.distance)
+    known = noise.range_sigma is not None
+    return _tested(_Quadratic.of(at, readings, how, mounts, known=known), e, mounts)
+
+
+def fit_planes(
+    beams: Beams, readings: Readings, variances: Variances
+) -> tuple[Parameters, Whitening]:
+    """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
+    start = PartialStart.empty(readings)
+    start.locations[:], start.directions[:], start.range_errors[:] = beams
+    at = grow(start, readings)
+    unit = np.array([1.0, 1.0, readings.typical_range()])
+    still = np.zeros((readings.beams, 7))
+    for _ in range(STEPS):
+        how = whitening(at, readings, variances)
+        normal = whitened_normal_equations(at, readings, 2, how)
+        scaled = normal.plane[0] * np.outer(unit, unit)
+        right = (normal.plane_gradient[0] * unit)[:, :, None]
+        step = -(np.linalg.pinv(scaled, rcond=RANK, hermitian=True) @ right)[:, :, 0] * unit
+        at = apply_step(at, still, step, normal.centres[0], 2)
+        if np.abs(step).max() < SETTLED:
+            break
+    return at, whitening(at, readings, variances)
+
+
+@dataclass(frozen=True, slots=True)
+class _Quadratic:
+    """chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of beams, planes fitted.
+
+    Only along what the recording determines; in natural units and sigmas.
+
+    Attributes
+    ----------
+    cost : float
+    gradient : (n,), information : (n, n)
+    root : (n, n)
+        Of the covariance of the beams as calibrated.
+    unit : (n,)
+        Natural units.
+    beam : (n,)
+        Index of the beam of each unknown.
+    bases : (B, 3, 2)
+        Of the directions.
+    rank : int
+    dof : int
+        Degrees of freedom of the noise, the beams free.
+    readings : int
+    known : bool
+        Whether the range sigma was given.
+    """
+
+    cost: float
+    gradient: FloatArray
+    information: FloatArray
+    root: FloatArray
+    unit: FloatArray
+    beam: IntArray
+    bases: FloatArray
+    rank: int
+    dof: int
+    readings: int
+    known: bool
+
+    @classmethod
+    def of(
+        cls, at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, *, known: bool
+    ) -> "_Quadratic":
+        """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
+        normal = whitened_normal_equations(at, readings, 2, how)
+        length = readings.typical_range()
+        active = np.concatenate([np.arange(7) < 5 + terms for terms in mounts.terms])
+        unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)[active]
+        plane_unit = np.array([1.0, 1.0, length])
+        plane = np.linalg.pinv(
+            normal.plane[0] * np.outer(plane_unit, plane_unit), rcond=RANK, hermitian=True
+        )
+        E = normal.border[0][:, active] * unit[:, None] * plane_unit
+        S = normal.beam[0][np.ix_(active, active)] * np.outer(unit, unit)
+        S = (S - np.einsum("pbi,pij,pcj->bc", E, plane, E)) / how.sigma**2
+        own = np.einsum("pij,pj->pi", plane, normal.plane_gradient[0] * plane_unit)
+        g = normal.beam_gradient[0][active] * unit - np.einsum("pbi,pi->b", E, own)
+        e = how.apply(model.residuals(model.scene(at, readings), readings.distance))
+        cost = float(e @ e) / how.sigma**2
+        values, axes = np.linalg.eigh(0.5 * (S + S.T))
+        free = len(readings) - 3 * readings.planes
+        along = axes.T @ (g / how.sigma**2)
+        scale, keep = 1.0, values > MOST_SIGMA**-2
+        # Few readings cannot tell their own sigma: that of the calibration stands for it.
+        known = known or free - int(keep.sum()) < LEAST_DOF
+        for _ in range(0 if known else ROUNDS):
+            rest = cost - float((along[keep] ** 2 / values[keep]).sum())
+            scale = rest / (free - int(keep.sum()))
+            keep = values / scale > MOST_SIGMA**-2
+        axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
+        bases = model.tangent_basis(mounts.directions)
+        lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]
+        P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
+        variances, sides = np.linalg.eigh(0.5 * (P + P.T))
+        return cls(
+            cost / scale,
+            axes @ along,
+            (axes * values) @ axes.T,
+            sides * np.sqrt(np.maximum(variances, 0.0)),
+            unit,
+            np.repeat(np.arange(readings.beams), 7)[active],
+            bases,
+            int(keep.sum()),
+            free - int(keep.sum()),
+            len(readings),
+            known,
+        )
+
+    def least(self, root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
+        """Return by how much chi2 falls, and for which x.
+
+        x is `root` z + `free` y, with z' z added to chi2.
+        """
+        A = np.hstack((root, free))
+        Q = A.T @ self.information @ A
+        Q[: root.shape[1], : root.shape[1]] += np.eye(root.shape[1])
+        b = A.T @ self.gradient
+        z = -np.linalg.pinv(Q, rcond=RANK, hermitian=True) @ b
+        return float(-b @ z), A @ z
+
+
+def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
+    n = len(of.unit)
+    none = np.empty((n, 0))
+    held, _ = of.least(of.root, none)
+    moved, _ = of.least(none, np.eye(n))
+    chi2, drift = of.cost - moved, moved - held
+    beams = []
+    for index, name in enumerate(mounts.names):
+        mine = of.beam == index
+        others = _root((of.root @ of.root.T)[np.ix_(~mine, ~mine)])
+        root = np.zeros((n, others.shape[1]))
+        root[~mine] = others
+        fall, x = of.least(root, np.eye(n)[:, mine])
+        statistic = max(fall - held, 0.0)
+        dx = (x * of.unit)[mine]
+        beams.append(
+            BeamDrift(
+                name,
+                statistic,
+                _p_value(statistic, min(int(mine.sum()), of.rank), of),
+                dx[:3],
+                float(np.linalg.norm(dx[3:5])),
+            )
+        )
+    return HoldOut(
+        of.readings,
+        float(np.sqrt(np.mean(e**2))),
+        float(np.abs(e).max()),
+        chi2,
+        of.dof,
+        float(chi2_distribution.sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
+        drift,
+        of.rank,
+        _p_value(drift, of.rank, of),
+        tuple(beams),
+    )
+
+
+def _p_value(statistic: float, dof: int, of: _Quadratic) -> float:
+    if dof == 0:
+        return float("nan")
+    if of.known:
+        return float(chi2_distribution.sf(statistic, dof))
+    return float(f_distribution.sf(statistic / dof, dof, max(of.dof, 1)))
+
+
+def _root(P: FloatArray) -> FloatArray:
+    variances, sides = np.linalg.eigh(0.5 * (P + P.T))
+    root: FloatArray = sides * np.sqrt(np.maximum(variances, 0.0))
+    return root
