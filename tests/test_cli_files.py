@@ -7,7 +7,7 @@ import stat
 import subprocess
 import sys
 
-import handlaser_gtsam.diagnosis.validation
+import handlaser_gtsam.validation.leave_out
 import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
