@@ -227,7 +227,7 @@ class ReferenceProblem:
             C = np.diag(own[rows])
             if noise.pose is not None:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
-            blocks.append(np.linalg.inv(np.linalg.cholesky(C)))
+            blocks.append(csr_array(np.linalg.inv(np.linalg.cholesky(C))))
             order.append(rows)
         at = np.concatenate(order)
         inverse = np.argsort(at)

@@ -35,6 +35,9 @@ MANY, MAJORITY = 10, 0.6
 HOPELESS = 5.0
 """Unless residuals exceed so many of the given sigmas: then everything is tried."""
 SAME_COST = 1.01
+TIED_DIGITS = 9
+"""Costs that agree to so many digits are one optimum reached twice; further digits are rounding, which
+differs between machines. Of such candidates the one tried first wins."""
 EXACT = 1e-9
 """Residuals below this part of the range are those of readings without noise."""
 RIVALS = 5
@@ -140,7 +143,7 @@ def _search(
     for seeds in _rounds(readings, terms, effort):
         before = found[0].squares if found else np.inf
         found += _refined(seeds, readings, terms)
-        found.sort(key=lambda candidate: candidate.squares)
+        found.sort(key=lambda candidate: _rank(candidate.squares))
         believed = bool(found) and (
             _fits(found[0].squares, readings, range_sigma, terms)
             or _believed(found, readings, upper, terms)
@@ -198,8 +201,8 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
         return [] if one is None else [Candidate(seeds[0][0], one.parameters, one.squares)]
     first = refine_many(starts, readings, 0, FIRST_STEPS)
     usable = [i for i, one in enumerate(first) if one is not None]
-    squares = {i: one.squares for i in usable if (one := first[i]) is not None}
-    best = sorted(usable, key=lambda i: squares[i])[: max(FINALISTS, len(seeds) // 4)]
+    rank = {i: _rank(one.squares) for i in usable if (one := first[i]) is not None}
+    best = sorted(usable, key=lambda i: rank[i])[: max(FINALISTS, len(seeds) // 4)]
     parameters = [one.parameters for i in best if (one := first[i]) is not None]
     last = refine_many(parameters, readings, terms, LAST_STEPS)
     found = []
@@ -209,6 +212,11 @@ def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
         if one is not None:
             found.append(Candidate(seeds[i][0], one.parameters, one.squares))
     return found
+
+
+def _rank(squares: float) -> float:
+    """Return what candidates are sorted by: equal where their costs differ by rounding alone."""
+    return float(f"{squares:.{TIED_DIGITS}g}")
 
 
 def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
