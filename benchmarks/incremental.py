@@ -19,7 +19,7 @@ from rich.progress import track
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.covariance import covariance
-from handlaser_gtsam.estimation.solution import solve
+from handlaser_gtsam.estimation.solve import solve
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.estimation.options import CalibrationOptions, Poses
-from handlaser_gtsam.estimation.solution import solve
+from handlaser_gtsam.estimation.solve import solve
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.starts import find_start

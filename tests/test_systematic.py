@@ -12,7 +12,7 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.estimation.solution import solve
+from handlaser_gtsam.estimation.solve import solve
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import Names
 from handlaser_gtsam.results.alternatives import WHOLE

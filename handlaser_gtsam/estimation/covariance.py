@@ -17,6 +17,7 @@ from ..model.joint import JointCovariance
 from ..observability.rank import Observability
 from ..solvers.graph import CalibrationGraph
 from ..solvers.levenberg import linearize
+from ..solvers.reduction import inverse_of
 
 
 def covariance(
@@ -36,11 +37,13 @@ def covariance(
     ------
     RuntimeError
         GTSAM calls the system indeterminate; the variable it names is a bystander.
+    numpy.linalg.LinAlgError
+        The information of the beams is singular.
     """
     first = _ordering([*problem.poses, *problem.planes])
     net, rest = linearize(problem, values).eliminatePartialSequential(first)
     columns = _columns(problem)
-    S = _inverse(rest.hessian(_ordering(list(columns)))[0])
+    S = inverse_of(rest.hessian(_ordering(list(columns)))[0])
     own, response = (
         np.zeros((len(problem.planes), 3, 3)),
         np.zeros((len(problem.planes), 3, len(S))),
@@ -83,33 +86,19 @@ def covariance_of_determined(
         Origin of every plane's frame in the world [m].
     """
     reduced, variance = found.reduced, sigma**2
-    axes = reduced.axes[:, reduced.determined]
-    root = (axes / np.sqrt(reduced.information[reduced.determined])) * reduced.beam_unit[:, None]
-    active = np.flatnonzero(reduced.active)
-    response = reduced.plane_unit[:, None] * reduced.plane_response / reduced.beam_unit
-    own = reduced.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
+    planes = reduced.information
+    own = planes.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
     return JointCovariance(
         tuple(map(str, range(len(parameters.locations)))),
         tuple(map(str, range(len(parameters.offsets)))),
         found.terms,
-        variance * (root @ root.T)[np.ix_(active, active)],
-        response[:, :, active],
+        variance * reduced.covariance() * np.outer(reduced.beam_unit, reduced.beam_unit),
+        reduced.plane_unit[:, None] * planes.plane_response / reduced.beam_unit,
         variance * own,
         model.tangent_basis(parameters.directions),
         model.tangent_basis(parameters.normals),
         reduced.centres + origins,
     )
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    """Return the inverse of a positive matrix, by its correlations: units do not matter."""
-    scale = np.sqrt(np.diagonal(information))
-    if not (np.isfinite(scale).all() and scale.all()):
-        raise RuntimeError("the information of the beams is singular")
-    root = np.linalg.cholesky(information / np.outer(scale, scale))
-    inverse = np.linalg.inv(root) / scale
-    covariance_: FloatArray = inverse.T @ inverse
-    return covariance_
 
 
 def _columns(problem: CalibrationGraph) -> dict[int, IntArray]:

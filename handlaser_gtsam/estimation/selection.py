@@ -20,7 +20,8 @@ from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, residuals, test
 from ..starts import Effort, Start, find_start
 from .options import CalibrationOptions
-from .solution import Progress, Solution, solve
+from .solution import Solution
+from .solve import Progress, solve
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826

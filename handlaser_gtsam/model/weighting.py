@@ -64,7 +64,7 @@ class Whitening:
     ----------
     root : (S, K, K)
         Symmetric inverse roots of C / sigma^2, a station, over K beams; beams without a reading
-        there stand by themselves.
+        there stand by themselves. Where poses do not err, every reading is a station of its own.
     station, beam : (N,)
         Where each row of the readings stands in them.
     sigma : float
@@ -76,12 +76,25 @@ class Whitening:
     beam: IntArray
     sigma: float
 
+    @property
+    def is_coupled(self) -> bool:
+        """Whether readings are correlated with others of their station."""
+        return self.root.shape[1] > 1
+
     def of_rows(self, rows: IntArray) -> "Whitening":
         """Return the whitening of whole stations, given by their rows, over the beams read there."""
         stations, station = np.unique(self.station[rows], return_inverse=True)
         beams, beam = np.unique(self.beam[rows], return_inverse=True)
         root = self.root[np.ix_(stations, beams, beams)]
         return Whitening(root, station.astype(np.intp), beam.astype(np.intp), self.sigma)
+
+    def by_station(self, station: IntArray, beam: IntArray, beams: int) -> "Whitening":
+        """Return the same over all beams of a station, given those (N,) of every row."""
+        if self.is_coupled:
+            return self
+        root = np.tile(np.eye(beams), (int(station.max()) + 1, 1, 1))
+        root[station, beam, beam] = self.coefficients()[:, 0]
+        return Whitening(root, station, beam, self.sigma)
 
     def reordered(self, rows: IntArray) -> "Whitening":
         """Return the whitening of the same readings in another order."""
@@ -94,9 +107,7 @@ class Whitening:
 
     def gathered(self, rows: FloatArray) -> FloatArray:
         """Return, for every row of (N, ...), those of the K readings of its station, (N, K, ...)."""
-        grid = np.zeros((*self.root.shape[:2], *rows.shape[1:]))
-        grid[self.station, self.beam] = rows
-        near: FloatArray = grid[self.station]
+        near: FloatArray = self._grid(rows)[self.station]
         return near
 
     def squares(self) -> FloatArray:
@@ -106,13 +117,23 @@ class Whitening:
 
     def apply_rows(self, rows: FloatArray) -> FloatArray:
         """Return whitened rows (N, D)."""
-        white: FloatArray = np.einsum("nk,nkd->nd", self.coefficients(), self.gathered(rows))
+        white: FloatArray = (self.root @ self._grid(rows))[self.station, self.beam]
         return white
 
     def apply(self, residual: FloatArray) -> FloatArray:
         """Return whitened residuals (N,) [m]."""
-        white: FloatArray = np.einsum("nk,nk->n", self.coefficients(), self.gathered(residual))
-        return white
+        return self.apply_rows(residual[:, None])[:, 0]
+
+    def weighed(self, rows: FloatArray) -> FloatArray:
+        """Return sigma^2 inv(C) times rows (N, D)."""
+        heavy: FloatArray = (self.root @ (self.root @ self._grid(rows)))[self.station, self.beam]
+        return heavy
+
+    def _grid(self, rows: FloatArray) -> FloatArray:
+        """Return rows (N, ...) by station and beam, (S, K, ...); zero where there is none."""
+        grid = np.zeros((*self.root.shape[:2], *rows.shape[1:]))
+        grid[self.station, self.beam] = rows
+        return grid
 
 
 def joined(whitenings: Sequence[Whitening]) -> Whitening:
@@ -143,19 +164,21 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     GrazingBeamError
         A beam is parallel to its plane.
     """
+    own = own_variances(parameters, readings, variances)
+    if variances.pose is None:
+        typical, alone = float(np.median(own)), np.arange(len(own))
+        root = np.sqrt(typical / own)[:, None, None]
+        return Whitening(root, alone, np.zeros_like(alone), float(np.sqrt(typical)))
     station = stations_from_zero(readings)
     where = (station, readings.beam)
     C = np.zeros((int(station.max()) + 1, readings.beams, readings.beams))
-    C[(*where, readings.beam)] = own_variances(parameters, readings, variances)
-    if variances.pose is not None:
-        at = equation.linearize(
-            equation.scene(parameters, readings), readings.distance, with_pose=True
-        )
-        J = np.zeros((*C.shape[:2], 6))
-        J[where] = at.pose
-        S = np.zeros((len(C), 6, 6))
-        S[station] = variances.pose[readings.station]
-        C += J @ S @ np.swapaxes(J, 1, 2)
+    C[(*where, readings.beam)] = own
+    at = equation.linearize(equation.scene(parameters, readings), readings.distance, with_pose=True)
+    J = np.zeros((*C.shape[:2], 6))
+    J[where] = at.pose
+    S = np.zeros((len(C), 6, 6))
+    S[station] = variances.pose[readings.station]
+    C += J @ S @ np.swapaxes(J, 1, 2)
     typical = float(np.median(C[(*where, readings.beam)]))
     unread = np.ones(C.shape[:2], dtype=bool)
     unread[where] = False

@@ -6,16 +6,30 @@ every beam and plane through the hand's position predicts the same readings:
     (r, v, n, b)  ->  (-r, -v, -n, b + 2 n . t)   leaves   s = -(n_H . r + b_H) / (n_H . v)
 
 No local analysis of rank can see that: both solutions are determined, and one of them is wrong.
+
+A hand that moves gives the image residuals of 2 n . (t - mean t) / (n_H . v). What the unknowns take of
+these in one linear step is all that they can take, but for what is of second order in the step. So an
+image is ruled out without a search where much is left of its residuals, and far more than the noise.
 """
 
 import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..errors import GrazingBeamError
+from ..solvers.reduction import normal_equations
 from ..solvers.refine import refine
 
 CHI2_MARGIN = 25.0
 """An image within this of the solution's chi2 (five standard deviations) cannot be ruled out."""
+LEFT = 0.02
+"""Where a linear step leaves less of the squares of the image's residuals, what is of second order
+in it may decide: the image is searched for."""
+FAR = 100.0
+"""And where it leaves less than so many times what an image that fits may leave: a search has been seen
+to take up 30 times what the first step leaves."""
+ENOUGH = 1000
+"""Readings of some planes that rule an image out do so for all: the rest can only add to it."""
 
 
 def mirror_image_fits(
@@ -25,13 +39,39 @@ def mirror_image_fits(
 
     Range errors stay as they are: k1 = -2 would turn every reading, and any image, around.
     """
-    image = refine(_image(solution, readings), readings, terms=0, iterations=20)
-    if image is None:
+    image = _image(solution, readings)
+    if ruled_out(image, readings, squares + CHI2_MARGIN * range_sigma**2):
         return False
-    found = image.parameters.directions
+    refined = refine(image, readings, terms=0, iterations=20)
+    if refined is None:
+        return False
+    found = refined.parameters.directions
     same_side = np.einsum("bi,bi->b", found, solution.directions) > 0.0
-    worse = image.squares - squares
+    worse = refined.squares - squares
     return not same_side.any() and worse <= CHI2_MARGIN * range_sigma**2
+
+
+def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
+    """Tell from one linear step that no image near `image` has a sum of squares below `limit` [m^2]."""
+    kept = np.flatnonzero(readings.plane < _planes_of(readings))
+    part = readings.subset(kept)
+    try:
+        normal = normal_equations(image, part, 0)
+    except GrazingBeamError:
+        return False
+    length = readings.typical_range()
+    beam_unit = np.tile([length] * 3 + [1.0] * 2, readings.beams)
+    step = normal.reduced(beam_unit, np.array([1.0, 1.0, length])).step()
+    before = normal.squares[0]
+    left = before - float(step[2])
+    return bool(left > LEFT * before and left > FAR * limit)
+
+
+def _planes_of(readings: Readings) -> int:
+    """Return how many planes have `ENOUGH` readings; all where there are fewer."""
+    if len(readings) <= ENOUGH:
+        return readings.planes
+    return int(readings.plane[ENOUGH - 1]) + 1
 
 
 def _image(solution: Parameters, readings: Readings) -> Parameters:

@@ -8,17 +8,21 @@ undetermined when its standard deviation exceeds `most_sigma`, or when its infor
 rounding. Both follow from the noise: better sensors determine more.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
 from ..model.weighting import Whitening
-from ..solvers.reduction import NormalEquations, normal_equations, whitened_normal_equations
+from ..solvers.reduction import ReducedInformation, normal_equations
 
+LARGE = 400
+"""Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
 WITHIN_PRIOR = 2.0
@@ -65,38 +69,48 @@ class NullSpace:
 
 @dataclass(frozen=True, slots=True)
 class Reduced:
-    """The information of the beams after planes are eliminated, in natural units, for unit weights.
+    """The information of the beams after planes are eliminated, for unit weights.
 
     Attributes
     ----------
-    information : (m,)
-        Eigenvalues, ascending.
-    axes : (B W, m)
-        Eigenvectors, one a column; zero in the rows of range-error terms that a beam does not have.
-    determined : (m,)
-        Which of them the readings determine.
-    plane_inverse : (P, 3, 3)
-        Pseudo-inverses of the planes' own information.
-    plane_response : (P, 3, B W)
-        How planes follow the beams, with the sign of `-plane_response @ beams`.
-    beam_unit : (B W,)
-    plane_unit : (3,)
+    information : ReducedInformation
+        In natural units, over the unknowns that there are.
+    floor : float
+        Information from which on a direction is determined.
+    beam_unit : (n,), plane_unit : (3,)
         Natural units.
     active : (B W,) of bool
-        Rows of unknowns; the others are range-error terms that a beam does not have.
+        Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
     centres : (P, 3)
         Where the offset of each plane is taken [m].
+    least, most : float
+        The extreme eigenvalues.
+    mean_log : float
+        The mean logarithm of the eigenvalues; meaningless where rank is short.
+    weakest : (n,)
+        The unit eigenvector of the least information.
     """
 
-    information: FloatArray
-    axes: FloatArray
-    determined: BoolArray
-    plane_inverse: FloatArray
-    plane_response: FloatArray
+    information: ReducedInformation
+    floor: float
     beam_unit: FloatArray
     plane_unit: FloatArray
     active: BoolArray
     centres: FloatArray
+    least: float
+    most: float
+    mean_log: float
+    weakest: FloatArray
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
+        return self.information.covariance(self.floor)
+
+    def padded(self, columns: FloatArray) -> FloatArray:
+        """Return columns (n, K) of unknowns over all rows (B W, K), those that are none zero."""
+        whole = np.zeros((len(self.active), columns.shape[1]))
+        whole[self.active] = columns
+        return whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +162,9 @@ class Observability:
         """
         if not self.full:
             return None
-        s = np.sqrt(self.reduced.information[::-1]) / self.length
-        mean = float(np.exp(np.log(s).mean() - 0.5 * np.log(self.readings)))
-        return Indices(mean, float(s[-1] / s[0]), float(s[-1]), float(s[-1] ** 2 / s[0]))
+        most, least = (np.sqrt(s) / self.length for s in (self.reduced.most, self.reduced.least))
+        mean = np.exp(0.5 * (self.reduced.mean_log - np.log(self.readings))) / self.length
+        return Indices(float(mean), float(least / most), float(least), float(least**2 / most))
 
     @property
     def full(self) -> bool:
@@ -189,83 +203,85 @@ def observability(
     """
     options = options or ObservabilityOptions()
     counts = per_beam(terms, readings.beams)
-    most = max(counts)
+    most, planes = max(counts), readings.planes
+    length = readings.typical_range()
+    beam_unit, plane_unit = _units(readings, most, options, prior)
+    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
+    normal = normal_equations(parameters, readings, most, whitening=whitening)
+    largest = float((normal.diagonal[0] * beam_unit**2).max())
+    known = _prior_information(prior, beam_unit, most, range_sigma, largest)
+    largest = float((normal.diagonal[0] * beam_unit**2 + known).max())
+    of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
+    found = normal.reduced(
+        beam_unit,
+        plane_unit,
+        active,
+        known,
+        _least_information(of_planes, range_sigma, options),
+    )
+    plane_null = _plane_null(found, _least_information(of_planes, range_sigma, options))
+    floor = _least_information(largest, range_sigma, options)
+    least, top, mean_log, axes = _spectrum(found.matrix, floor)
+    open_beams = axes[:, : int((least < floor).sum())]
+    lost = open_beams.shape[1] + plane_null.shape[2]
+    reduced = Reduced(
+        found,
+        floor,
+        beam_unit[active],
+        plane_unit,
+        active,
+        normal.centres[0],
+        float(least[0]),
+        top,
+        mean_log,
+        axes[:, 0],
+    )
+    beams = reduced.padded(np.hstack((open_beams, np.zeros((len(axes), plane_null.shape[2])))))
+    return Observability(
+        rank=len(axes) + 3 * planes - lost,
+        unknowns=len(axes) + 3 * planes,
+        condition=float(np.sqrt(top / least[0] if lost == 0 else np.inf)),
+        null_space=NullSpace(
+            beams.reshape(readings.beams, 5 + most, lost),
+            np.concatenate((-found.plane_response @ open_beams, plane_null), axis=2),
+        ),
+        length=length,
+        readings=len(readings),
+        terms=counts,
+        reduced=reduced,
+    )
+
+
+def _units(
+    readings: Readings, terms: int, options: ObservabilityOptions, prior: RangeErrorPrior | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the natural units of the beams' (B W,) and a plane's (3,) unknowns."""
     length = readings.typical_range()
     error_unit = np.array([1.0, 1.0 / length])
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)
         error_unit = np.maximum(error_unit, WITHIN_PRIOR / options.most_sigma * sigma)
-    beam_unit = np.tile([length] * 3 + [1.0] * 2 + error_unit[:most].tolist(), readings.beams)
-    plane_unit = np.array([1.0, 1.0, length])
-    if whitening is None:
-        normal = normal_equations(parameters, readings, most)
-    else:
-        normal = whitened_normal_equations(parameters, readings, most, whitening)
-    normal = _scaled(normal, beam_unit, plane_unit)
-    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
-    if prior is not None:
-        normal = _with_prior(normal, prior.sigma[:, :most] / beam_unit[5 : 5 + most], range_sigma)
-    plane_null, eliminate = _eliminate_planes(normal.plane, range_sigma, options)
-    E = np.swapaxes(normal.border, 0, 1).reshape(len(beam_unit), -1)
-    W = eliminate @ np.swapaxes(normal.border, 1, 2)
-    S = normal.beam - E @ W.reshape(-1, len(beam_unit))
-    information, inner = np.linalg.eigh(0.5 * (S + S.T)[np.ix_(active, active)])
-    axes = np.zeros((len(active), len(inner)))
-    axes[active] = inner
-    floor = _least_information(float(np.diagonal(normal.beam).max()), range_sigma, options)
-    determined = information >= floor
-    open_beams = axes[:, ~determined]
-    beams = np.hstack((open_beams, np.zeros((len(beam_unit), plane_null.shape[-1]))))
-    planes = np.concatenate((-W @ open_beams, plane_null), axis=2)
-    lost = beams.shape[1]
-    ratio = information[-1] / information[0] if lost == 0 else np.inf
-    return Observability(
-        rank=len(inner) + 3 * readings.planes - lost,
-        unknowns=len(inner) + 3 * readings.planes,
-        condition=float(np.sqrt(ratio)),
-        null_space=NullSpace(beams.reshape(readings.beams, 5 + most, lost), planes),
-        length=length,
-        readings=len(readings),
-        terms=counts,
-        reduced=Reduced(
-            information,
-            axes,
-            determined,
-            eliminate,
-            W,
-            beam_unit,
-            plane_unit,
-            active,
-            normal.centres,
-        ),
-    )
+    one = [length] * 3 + [1.0] * 2 + error_unit[:terms].tolist()
+    return np.tile(one, readings.beams), np.array([1.0, 1.0, length])
 
 
-def _scaled(
-    normal: NormalEquations, beam_unit: FloatArray, plane_unit: FloatArray
-) -> NormalEquations:
-    """Return the only copy of `normal` in natural units, without the axis of copies."""
-    return NormalEquations(
-        normal.beam[0] * np.outer(beam_unit, beam_unit),
-        normal.border[0] * beam_unit[:, None] * plane_unit,
-        normal.plane[0] * np.outer(plane_unit, plane_unit),
-        normal.beam_gradient[0] * beam_unit,
-        normal.plane_gradient[0] * plane_unit,
-        normal.centres[0],
-    )
-
-
-def _with_prior(normal: NormalEquations, sigma: FloatArray, range_sigma: float) -> NormalEquations:
-    """Add the prior of every beam's range errors, sigmas (B, T) in natural units.
+def _prior_information(
+    prior: RangeErrorPrior | None,
+    beam_unit: FloatArray,
+    terms: int,
+    range_sigma: float,
+    largest: float,
+) -> FloatArray:
+    """Return what the prior of the range errors adds (B W,) for unit weights, natural units.
 
     Beside readings without noise it would be lost; it counts for a little all the same.
     """
-    beam = normal.beam.copy()
-    beams, terms = sigma.shape
-    rows = (np.arange(beams)[:, None] * (5 + terms) + 5 + np.arange(terms)).ravel()
-    least = LEAST_PRIOR * float(np.diagonal(beam).max())
-    beam[rows, rows] += np.maximum((range_sigma / sigma.ravel()) ** 2, least)
-    return replace(normal, beam=beam)
+    known = np.zeros(len(beam_unit))
+    if prior is not None:
+        rows = known.reshape(-1, 5 + terms)
+        sigma = prior.sigma[:, :terms] / beam_unit[5 : 5 + terms]
+        rows[:, 5:] = np.maximum((range_sigma / sigma) ** 2, LEAST_PRIOR * largest)
+    return known
 
 
 def _least_information(largest: float, range_sigma: float, options: ObservabilityOptions) -> float:
@@ -273,16 +289,32 @@ def _least_information(largest: float, range_sigma: float, options: Observabilit
     return max((range_sigma / options.most_sigma) ** 2, options.least_information * largest)
 
 
-def _eliminate_planes(
-    plane: FloatArray, range_sigma: float, options: ObservabilityOptions
-) -> tuple[FloatArray, FloatArray]:
-    """Return null vectors (P, 3, K) of the planes, one a column, and pseudo-inverses (P, 3, 3)."""
-    information, axes = np.linalg.eigh(plane)
-    floor = _least_information(float(information.max()), range_sigma, options)
-    open_ = information < floor
-    inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, information))
-    pseudo = (axes * inverse[:, None, :]) @ np.swapaxes(axes, 1, 2)
-    which, column = np.nonzero(open_)
-    null = np.zeros((len(plane), 3, len(which)))
-    null[which, :, np.arange(len(which))] = axes[which, :, column]
-    return null, pseudo
+def _spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
+    """Return eigenvalues from below, the largest, their mean logarithm, and eigenvectors of the first.
+
+    All of them, or of a large matrix that is determined altogether the least alone.
+    """
+    if len(matrix) > LARGE:
+        try:
+            root = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            root = None
+        if root is not None:
+            solve = LinearOperator(matrix.shape, lambda x: cho_solve((root, True), x), dtype=float)
+            start = np.ones(len(matrix))
+            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start)
+            if small[0] >= floor:
+                top = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False)
+                mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
+                return small, float(top[0]), mean_log, axis
+    values, axes = np.linalg.eigh(matrix)
+    mean_log = float(np.log(np.maximum(values, 1e-300)).mean())
+    return values, float(values[-1]), mean_log, axes
+
+
+def _plane_null(found: ReducedInformation, floor: float) -> FloatArray:
+    """Return what the planes leave undetermined (P, 3, K), one a column."""
+    which, column = np.nonzero(found.plane_values < floor)
+    null = np.zeros((len(found.plane_values), 3, len(which)))
+    null[which, :, np.arange(len(which))] = found.plane_axes[which, :, column]
+    return null

@@ -110,10 +110,9 @@ def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
     if not found.full:
         return ""
     reduced = found.reduced
-    axis = reduced.axes[:, :1]
-    width = len(reduced.beam_unit) // len(parameters.locations)
-    planes = -(reduced.plane_response @ axis)
-    space = NullSpace(axis.reshape(-1, width, 1), planes)
+    axis = reduced.weakest[:, None]
+    beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
+    space = NullSpace(beams, -(reduced.information.plane_response @ axis))
     lengths = [np.linalg.norm(rows) for *_, rows in _rows(space, parameters, names)]
     parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(lengths)))
     return "; ".join(undetermined(parts))

@@ -1,7 +1,13 @@
 r"""How much each reading pulls the solution to itself.
 
 With unit weights the variance of a predicted range is h = J inv(J'J) J', its leverage. The residual of
-a reading that was used has variance sigma^2 (1 - h), that of one left out sigma^2 (1 + h).
+a reading that was used has variance sigma^2 (1 - h), that of one left out sigma^2 (1 + h). With S the
+covariance of the beams, W_p the response of a plane and P_p its covariance for known beams, a reading
+with the derivatives a of its own beam i and c of its plane has
+
+    h = a' S_ii a - 2 a' (S W_p')_i c + c' (W_p S W_p' + P_p) c
+
+so that nothing grows with the readings times the unknowns.
 """
 
 import numpy as np
@@ -12,8 +18,6 @@ from ..data.recording import Readings
 from ..observability.rank import Observability
 from ..solvers.reduction import jacobian_columns
 
-LARGEST_WORK = 50_000_000
-"""Readings times beam unknowns beyond which leverages are taken as zero."""
 LEAST_FREEDOM = 1e-6
 """A reading with less than this part of its variance left checks nothing."""
 
@@ -21,19 +25,25 @@ LEAST_FREEDOM = 1e-6
 def leverages(parameters: Parameters, readings: Readings, found: Observability) -> FloatArray:
     """Return h (N,) of all readings for the information behind `found` (of those that were used)."""
     reduced = found.reduced
-    if len(readings) * len(reduced.beam_unit) > LARGEST_WORK:
-        return np.zeros(len(readings))
-    width = len(reduced.beam_unit) // readings.beams
+    active = reduced.active.reshape(readings.beams, -1)
+    width = active.shape[1]
     columns, _ = jacobian_columns(parameters, readings, width - 5, reduced.centres)
-    own = columns[:width].T * reduced.beam_unit[:width]
+    unit = reduced.padded(reduced.beam_unit[:, None]).reshape(active.shape)
+    own = columns[:width].T * unit[readings.beam]
     plane = columns[width : width + 3].T * reduced.plane_unit
-    rows = -np.einsum("ni,nij->nj", plane, reduced.plane_response[readings.plane])
-    place = readings.beam[:, None] * width + np.arange(width)
-    np.put_along_axis(rows, place, np.take_along_axis(rows, place, 1) + own, 1)
-    keep = reduced.determined
-    along = rows @ (reduced.axes[:, keep] / np.sqrt(reduced.information[keep]))
-    h: FloatArray = np.einsum("nk,nk->n", along, along)
-    h += np.einsum("ni,nij,nj->n", plane, reduced.plane_inverse[readings.plane], plane)
+    S, W = reduced.covariance(), reduced.information.plane_response
+    follow = S @ np.swapaxes(W, 1, 2)
+    rest = reduced.information.plane_inverse + W @ follow
+    beams = np.zeros((readings.beams, width, width))
+    across = np.zeros((readings.planes, readings.beams, width, 3))
+    ends = np.cumsum(active.sum(axis=1))
+    for i, end in enumerate(ends.tolist()):
+        rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
+        beams[i][np.ix_(has, has)] = S[rows, rows]
+        across[:, i, has] = follow[:, rows]
+    h: FloatArray = np.einsum("ni,nij,nj->n", own, beams[readings.beam], own)
+    h -= 2.0 * np.einsum("ni,nij,nj->n", own, across[readings.plane, readings.beam], plane)
+    h += np.einsum("ni,nij,nj->n", plane, rest[readings.plane], plane)
     return h
 
 

@@ -23,7 +23,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import slopes
-from .projection import Rows, weighed
+from .projection import Rows
 
 WHOLE = ("incidence", "cubic", "sag", "lag", "drift", "turn-scale", "translation-scale")
 """Codes of the errors that concern all readings, in the order of `whole_columns`."""
@@ -87,7 +87,7 @@ class Family:
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
             own = self.column if beam < 0 else self.column * (rows.readings.beam == beam)
-            heavy = weighed(rows.how, own[:, None])
+            heavy = rows.how.weighed(own[:, None])
             values = np.hstack((rows.J * heavy, own[:, None] * heavy))[self.rows]
             found = _range_sums(values, self.first[members], self.last[members])
             sums[members] = found[:, :, :-1]

@@ -11,25 +11,12 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import Whitening
-from ..solvers.reduction import (
-    NormalEquations,
-    jacobian_columns,
-    normal_equations,
-    whitened_normal_equations,
-)
+from ..solvers.reduction import NormalEquations, jacobian_columns, normal_equations
 
 WIDTH = 7
 """Unknowns of a beam: location, direction, k1 and k2."""
 ROUNDING = 1e-14
 """Information below this part of the largest is lost in rounding."""
-
-
-def weighed(how: Whitening, columns: FloatArray) -> FloatArray:
-    """Return sigma^2 inv(C) times columns (N, q)."""
-    grid = np.zeros((*how.root.shape[:2], columns.shape[1]))
-    grid[how.station, how.beam] = columns
-    product: FloatArray = how.root @ (how.root @ grid)
-    return product[how.station, how.beam]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +44,7 @@ class Rows:
 def linear_rows(at: Parameters, readings: Readings, how: Whitening) -> Rows:
     """Return the linear problem at a solution; raises GrazingBeamError like the model."""
     columns, _ = jacobian_columns(at, readings, 2)
-    coupled = how.root * (1.0 - np.eye(how.root.shape[1]))
-    if coupled.any():
-        normal = whitened_normal_equations(at, readings, 2, how)
-    else:
-        normal = normal_equations(at, readings, 2, how.squares())
+    normal = normal_equations(at, readings, 2, whitening=how)
     J = np.ascontiguousarray(columns[: WIDTH + 3].T)
     return Rows(readings, how, J, columns[-1], normal)
 
@@ -100,22 +83,18 @@ class Projection:
         self.pull[:, 5:][finite] = self.how.sigma / prior[finite]
         active = np.ones_like(self.pull, dtype=bool)
         active[:, 5:] = prior > 0.0
-        H = normal.beam[0] + np.diag(self.pull.ravel() ** 2)
-        diagonal = np.where(active.ravel(), np.diagonal(H), np.inf)
-        unit = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
-        plane_unit = 1.0 / np.sqrt(np.einsum("pii->pi", normal.plane[0]))
-        squares = normal.plane[0] * plane_unit[:, :, None] * plane_unit[:, None, :]
-        inverse = _inverse(squares)
-        border = normal.border[0] * unit[:, None] * plane_unit[:, None, :]
-        response = inverse @ np.swapaxes(border, 1, 2)
-        S = H * np.outer(unit, unit)
-        S -= np.swapaxes(border, 0, 1).reshape(len(S), -1) @ response.reshape(-1, len(S))
-        self.beam_inverse = _inverse(0.5 * (S + S.T)) * np.outer(unit, unit)
-        self.plane_inverse = inverse * plane_unit[:, :, None] * plane_unit[:, None, :]
-        used = unit > 0.0
-        self.response = np.zeros_like(response)
-        self.response[:, :, used] = response[:, :, used] / unit[used]
-        self.response *= plane_unit[:, :, None]
+        diagonal = normal.diagonal[0] + self.pull.ravel() ** 2
+        used = active.ravel() & (diagonal > 0.0)
+        unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
+        plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.plane[0]) / readings.planes)
+        known = (self.pull.ravel() * unit) ** 2
+        found = normal.reduced(unit, plane_unit, used, known)
+        inverse = found.covariance(ROUNDING * float(used.sum()))
+        self.beam_inverse = np.zeros((len(unit), len(unit)))
+        self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
+        self.plane_inverse = found.plane_inverse * np.outer(plane_unit, plane_unit)
+        self.response = np.zeros((readings.planes, 3, len(unit)))
+        self.response[:, :, used] = plane_unit[:, None] * found.plane_response / unit[used]
 
     def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Left:
         """Return what the unknowns leave of columns (N, q).
@@ -133,12 +112,12 @@ class Projection:
         moved = np.zeros_like(pulled)
         pull = self.pull.reshape(-1, 1)
         for _ in range(2):
-            beams, planes = self._gradient(weighed(self.how, rest))
+            beams, planes = self._gradient(self.how.weighed(rest))
             x, y = self._solved(beams + pull * pulled, planes)
             rest -= self._image(x, y)
             pulled -= pull * x
             moved += x
-        heavy = weighed(self.how, rest)
+        heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
         return Left(heavy, squares, moved)
 
@@ -181,12 +160,3 @@ class Projection:
         image: FloatArray = np.einsum("ni,niq->nq", self.J[:, :WIDTH], own)
         image += np.einsum("ni,niq->nq", self.J[:, WIDTH:], y[self.readings.plane])
         return image
-
-
-def _inverse(matrices: FloatArray) -> FloatArray:
-    """Return pseudo-inverses of symmetric matrices (..., n, n) of unit scale."""
-    values, axes = np.linalg.eigh(matrices)
-    keep = values > ROUNDING * np.maximum(values[..., -1:], 1e-300)
-    inverse = np.where(keep, 1.0 / np.where(keep, values, 1.0), 0.0)
-    product: FloatArray = (axes * inverse[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    return product

@@ -18,7 +18,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import Whitening
 from .alternatives import WHOLE, Family, families, whole_columns
-from .projection import WIDTH, Projection, Rows, linear_rows, weighed
+from .projection import WIDTH, Projection, Rows, linear_rows
 from .wording import WORDING
 
 LEVEL = 0.01
@@ -192,7 +192,7 @@ class ScoreTests:
         scale: float,
     ) -> BoolArray:
         """Tell which members leave enough, even without the prior, to be known at all."""
-        squares = [(self.whole * weighed(rows.how, self.whole)).sum(axis=0)]
+        squares = [(self.whole * rows.how.weighed(self.whole)).sum(axis=0)]
         whole = np.concatenate((*squares, *(own for _, _, own in sums)))
         share = loose.left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": rows.readings.typical_range(), "1": 1.0}

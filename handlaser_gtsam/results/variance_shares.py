@@ -24,7 +24,7 @@ from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
 from ..model.joint import BEAM_COORDINATES
 from ..model.weighting import Variances, whitening
-from ..solvers.reduction import whitened_normal_equations
+from ..solvers.reduction import normal_equations
 from .calibration import Calibration
 from .spots import spot_jacobian
 
@@ -138,7 +138,7 @@ def _spot_variance(
     """Return the trace of the covariance of a spot, for these variances of the readings."""
     at = calibration.parameters()
     how = whitening(at, readings, variances)
-    normal = whitened_normal_equations(at, readings, 2, how)
+    normal = normal_equations(at, readings, 2, whitening=how)
     W = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True) @ np.swapaxes(
         normal.border[0], 1, 2
     )

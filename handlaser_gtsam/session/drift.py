@@ -22,11 +22,10 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..solvers.reduction import NormalEquations
 
-RANK = 1e-12
 MOST_SIGMA = 0.1
 """What is known worse than to this part of its natural unit, is not tested."""
 MOVES = 5
@@ -82,10 +81,14 @@ class Reference:
     length: float
 
     @property
+    def mask(self) -> BoolArray:
+        """Whether each of 7 unknowns a beam is estimated."""
+        return np.concatenate([np.arange(7) < MOVES + terms for terms in self.terms])
+
+    @property
     def active(self) -> IntArray:
         """Which of 7 unknowns a beam are estimated."""
-        mask = np.concatenate([np.arange(7) < MOVES + terms for terms in self.terms])
-        return np.flatnonzero(mask)
+        return np.flatnonzero(self.mask)
 
     @property
     def unit(self) -> FloatArray:
@@ -141,18 +144,13 @@ def plane_information(
         Where they were taken.
     reference : Reference
     """
-    active, unit = reference.active, reference.unit
-    plane_unit = np.array([1.0, 1.0, reference.length])
-    E = normal.border[0, 0][active] * unit[:, None] * plane_unit
-    plane = np.linalg.pinv(
-        normal.plane[0, 0] * np.outer(plane_unit, plane_unit), rcond=RANK, hermitian=True
-    )
-    L = (normal.beam[0][np.ix_(active, active)] * np.outer(unit, unit) - E @ plane @ E.T) / sigma**2
-    own = plane @ (normal.plane_gradient[0, 0] * plane_unit)
-    g = (normal.beam_gradient[0][active] * unit - E @ own) / sigma**2
+    plane_unit, unit = np.array([1.0, 1.0, reference.length]), np.ones(len(reference.mask))
+    unit[reference.mask] = reference.unit
+    found = normal.reduced(unit, plane_unit, reference.mask)
     turn = turns(beams[1], reference)
-    L = turn.T @ L @ turn
-    return Information(L, L @ reference.coordinates(beams) - turn.T @ g)
+    L = turn.T @ found.matrix @ turn / sigma**2
+    gradient = turn.T @ found.gradient / sigma**2
+    return Information(L, L @ reference.coordinates(beams) - gradient)
 
 
 def turns(directions: FloatArray, reference: Reference) -> FloatArray:

@@ -20,13 +20,12 @@ from ..model.weighting import Whitening, whitening
 from ..solvers.graph import station_blocks
 from ..solvers.incremental import BeamState, PlaneFactors
 from ..solvers.poses import pose_priors
-from ..solvers.reduction import NormalEquations, whitened_normal_equations
+from ..solvers.reduction import NormalEquations, normal_equations
 from .drift import Information, Reference, plane_information
 from .setting import Setting
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""
-RANK = 1e-12
 DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 CUT = 4.5
@@ -217,7 +216,7 @@ def fit_plane(
     at = _through_spots(beams, readings)
     try:
         how = whitening(at, readings, variances)
-        normal = whitened_normal_equations(at, readings, 2, how)
+        normal = normal_equations(at, readings, 2, whitening=how)
         at, normal = _stepped(at, normal, readings)
         e = model.residuals(model.scene(at, readings), readings.distance)
     except GrazingBeamError:
@@ -243,18 +242,15 @@ def _stepped(
 ) -> tuple[Parameters, NormalEquations]:
     """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
     unit = np.array([1.0, 1.0, readings.typical_range()])
-    values, axes = np.linalg.eigh(normal.plane[0, 0] * np.outer(unit, unit))
-    known = values > RANK * values[-1]
-    along = np.where(known, axes.T @ (normal.plane_gradient[0, 0] * unit), 0.0)
-    step = -unit * (axes @ (along / np.where(known, values, 1.0)))
+    found = normal.reduced(np.ones(normal.beam_gradient.shape[1]), unit)
+    step = unit * found.plane_step[0]
     n, centre = at.normals, normal.centres[0, 0]
     moved = model.normalized(n + model.tangent_basis(n)[0] @ step[:2])
     offset = at.offsets + n @ centre + step[2] - moved @ centre
-    gradient = normal.beam_gradient + normal.border[0, 0] @ step
     none = np.zeros_like(normal.plane_gradient)
     return (
         replace(at, normals=moved, offsets=offset),
-        replace(normal, beam_gradient=gradient, plane_gradient=none),
+        replace(normal, beam_gradient=found.gradient[None], plane_gradient=none),
     )
 
 

@@ -12,8 +12,9 @@ from ..data.recording import Readings
 from ..factors import RangeBlock, range_error_prior, range_factor
 from ..keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
-from ..model.weighting import Whitening
+from ..model.weighting import Whitening, stations_from_zero
 from .poses import PosePriors
+from .reduction import MANY_BEAMS
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class CalibrationGraph:
         Standard deviation of a whitened residual [m]; of a reading where all weigh the same.
     ordering : gtsam.Ordering
         Poses, then planes, then beams: Brown's reduction as an elimination order, linear in stations.
+        Beams before planes where there are far more beams: they are independent given the planes.
     beams, planes, poses
         Keys in the order of the readings' indices; poses by station, none where they are known.
     terms : tuple of int
@@ -71,8 +73,8 @@ def build_graph(
 ) -> CalibrationGraph:
     """Return the graph of all readings.
 
-    On exact poses a factor holds the readings of one plane and beam. With a whitening it holds those of
-    a plane and all beams, and where poses are variables those of one station.
+    A factor holds the readings of one plane and beam; those of a plane and all beams where errors of
+    the poses couple them, and those of one station where poses are variables.
 
     Parameters
     ----------
@@ -92,14 +94,15 @@ def build_graph(
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     planes = tuple(plane_key(p) for p in range(readings.planes))
     rows = np.arange(len(readings))
-    if isinstance(noise, float):
-        whitening, sigma = None, noise
-        blocks = _blocks_by_beam(readings, beams, planes)
+    whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
+    if whitening is None or (priors is None and not whitening.is_coupled):
+        blocks = _blocks_by_beam(readings, beams, planes, whitening)
     else:
-        whitening, sigma = noise, noise.sigma
         group = readings.plane if priors is None else readings.station
         rows = np.lexsort((readings.beam, readings.station, group))
-        blocks = station_blocks(readings, noise, rows, group, (beams, planes, priors))
+        where = stations_from_zero(readings), readings.beam, readings.beams
+        whitening = whitening.by_station(*where)
+        blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
         graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
@@ -117,7 +120,7 @@ def build_graph(
         values,
         blocks,
         sigma,
-        _ordering(poses, planes, beams),
+        _ordering(poses, planes, beams, whitening is not None and whitening.is_coupled),
         beams,
         planes,
         poses,
@@ -143,15 +146,20 @@ def range_error_priors(
 
 
 def _ordering(
-    poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...]
+    poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...], coupled: bool
 ) -> gtsam.Ordering:
+    of_beams = [
+        key
+        for beam in beams
+        for key in (beam.location, beam.direction, beam.range_error)
+        if key is not None
+    ]
+    keys = [*poses, *planes, *of_beams]
+    if not coupled and len(of_beams) > MANY_BEAMS * len(planes):
+        keys = [*poses, *of_beams, *planes]
     ordering = gtsam.Ordering()
-    for key in (*poses, *planes):
+    for key in keys:
         ordering.push_back(key)
-    for beam in beams:
-        for beam_key in (beam.location, beam.direction, beam.range_error):
-            if beam_key is not None:
-                ordering.push_back(beam_key)
     return ordering
 
 
@@ -204,10 +212,21 @@ def read_parameters(problem: CalibrationGraph, values: gtsam.Values) -> Paramete
 
 
 def _blocks_by_beam(
-    readings: Readings, beams: tuple[BeamKeys, ...], planes: tuple[int, ...]
+    readings: Readings,
+    beams: tuple[BeamKeys, ...],
+    planes: tuple[int, ...],
+    whitening: Whitening | None,
 ) -> tuple[RangeBlock, ...]:
     starts = readings.block_starts()
     ends = np.append(starts[1:], len(readings))
+    weights = None if whitening is None else whitening.coefficients()[:, :, None]
+
+    def own(a: int, e: int) -> Whitening | None:
+        if whitening is None or weights is None:
+            return None
+        alone = np.arange(e - a)
+        return Whitening(weights[a:e], alone, np.zeros_like(alone), whitening.sigma)
+
     return tuple(
         RangeBlock(
             beams[readings.beam[a]],
@@ -215,6 +234,7 @@ def _blocks_by_beam(
             readings.distance[a:e],
             readings.world_R_hand[a:e],
             readings.world_t_hand[a:e],
+            whitening=own(a, e),
         )
         for a, e in zip(starts.tolist(), ends.tolist(), strict=True)
     )
@@ -229,6 +249,7 @@ def station_blocks(
 ) -> tuple[RangeBlock, ...]:
     """Return a block for each run of `rows` of one `group`: a plane, or a station with its pose."""
     beams, planes, priors = names
+    whitening = whitening.by_station(stations_from_zero(readings), readings.beam, readings.beams)
     runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
     blocks = []
     for own in runs:

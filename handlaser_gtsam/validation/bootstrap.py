@@ -21,7 +21,7 @@ from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions, RangeError
-from ..estimation.solution import solve
+from ..estimation.solve import solve
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
 from ..simulation.simulate import read_back

@@ -28,7 +28,7 @@ from ..data.recording import Readings, Recording
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
-from ..solvers.reduction import apply_step, whitened_normal_equations
+from ..solvers.reduction import apply_step, normal_equations
 from ..starts.partial import PartialStart, grow
 
 STEPS, SETTLED = 20, 1e-12
@@ -149,10 +149,8 @@ def fit_planes(
     still = np.zeros((readings.beams, 7))
     for _ in range(STEPS):
         how = whitening(at, readings, variances)
-        normal = whitened_normal_equations(at, readings, 2, how)
-        scaled = normal.plane[0] * np.outer(unit, unit)
-        right = (normal.plane_gradient[0] * unit)[:, :, None]
-        step = -(np.linalg.pinv(scaled, rcond=RANK, hermitian=True) @ right)[:, :, 0] * unit
+        normal = normal_equations(at, readings, 2, whitening=how)
+        step = normal.reduced(np.ones(7 * readings.beams), unit).plane_step * unit
         at = apply_step(at, still, step, normal.centres[0], 2)
         if np.abs(step).max() < SETTLED:
             break
@@ -202,24 +200,17 @@ class _Quadratic:
         cls, at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, *, known: bool
     ) -> "_Quadratic":
         """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
-        normal = whitened_normal_equations(at, readings, 2, how)
+        normal = normal_equations(at, readings, 2, whitening=how)
         length = readings.typical_range()
         active = np.concatenate([np.arange(7) < 5 + terms for terms in mounts.terms])
-        unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)[active]
-        plane_unit = np.array([1.0, 1.0, length])
-        plane = np.linalg.pinv(
-            normal.plane[0] * np.outer(plane_unit, plane_unit), rcond=RANK, hermitian=True
-        )
-        E = normal.border[0][:, active] * unit[:, None] * plane_unit
-        S = normal.beam[0][np.ix_(active, active)] * np.outer(unit, unit)
-        S = (S - np.einsum("pbi,pij,pcj->bc", E, plane, E)) / how.sigma**2
-        own = np.einsum("pij,pj->pi", plane, normal.plane_gradient[0] * plane_unit)
-        g = normal.beam_gradient[0][active] * unit - np.einsum("pbi,pi->b", E, own)
+        every = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)
+        unit = every[active]
+        reduced = normal.reduced(every, np.array([1.0, 1.0, length]), active)
         e = how.apply(model.residuals(model.scene(at, readings), readings.distance))
         cost = float(e @ e) / how.sigma**2
-        values, axes = np.linalg.eigh(0.5 * (S + S.T))
+        values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
         free = len(readings) - 3 * readings.planes
-        along = axes.T @ (g / how.sigma**2)
+        along = axes.T @ reduced.gradient / how.sigma**2
         scale, keep = 1.0, values > MOST_SIGMA**-2
         # Few readings cannot tell their own sigma: that of the calibration stands for it.
         known = known or free - int(keep.sum()) < LEAST_DOF

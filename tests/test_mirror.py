@@ -1,0 +1,73 @@
+"""The mirror image: when the motion alone rules it out, no search may find one that fits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handlaser_gtsam.observability import mirror
+from handlaser_gtsam.simulation.scenes import Layout, arm, paper, unplanned
+from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.solvers.refine import refine
+
+PARTS = (0.0, 1e-3, 1e-2, 0.1, 0.3, 1.0)
+"""Of the motion of a scene that is left: a hand that only turns, to one that moves freely."""
+
+
+def solved(seed):
+    """Return a solution of a random scene, its sum of squares, its readings and their sigma."""
+    rng = np.random.default_rng(seed)
+    layout = Layout(*(int(rng.integers(*span)) for span in ((1, 5), (1, 5), (8, 14))), 0.01, 0.1)
+    truth, stations = (paper, unplanned, arm)[seed % 3](layout, rng)
+    t, plane = stations.world_t_hand, stations.plane
+    middle = np.array([t[plane == p].mean(axis=0) for p in range(layout.planes)])[plane]
+    t = middle + PARTS[seed // 3 % len(PARTS)] * (t - middle)
+    if seed % 2:  # turns about a point off the hand's origin
+        t = t - stations.world_R_hand @ rng.normal(0.0, 0.02, 3)
+    sigma = 10.0 ** rng.uniform(-5.0, -3.5)
+    recording = simulate(truth, replace(stations, world_t_hand=t), Errors(sigma), rng)
+    readings = recording.readings()
+    origins = readings.plane_means(readings.world_t_hand)
+    readings = readings.seen_from(origins)
+    found = refine(truth.seen_from(origins), readings, 0, 30)
+    return None if found is None else (found.parameters, found.squares, readings, sigma)
+
+
+def searched(solution, squares, readings, sigma):
+    """Tell by a search from the image, in any case, whether it fits."""
+    image = refine(mirror._image(solution, readings), readings, terms=0, iterations=20)
+    if image is None:
+        return False
+    same = (image.parameters.directions * solution.directions).sum(axis=1) > 0.0
+    return not same.any() and image.squares - squares <= mirror.CHI2_MARGIN * sigma**2
+
+
+def test_no_image_that_fits_is_ruled_out_by_the_motion():
+    fits = ruled = 0
+    for seed in range(108):
+        try:
+            case = solved(seed)
+        except ValueError:  # a beam of the scene misses its plane
+            continue
+        if case is None:
+            continue
+        solution, squares, readings, sigma = case
+        limit = squares + mirror.CHI2_MARGIN * sigma**2
+        out = mirror.ruled_out(mirror._image(solution, readings), readings, limit)
+        fit = searched(*case)
+        assert not (out and fit), f"seed {seed}"
+        fits, ruled = fits + fit, ruled + out
+    # Half of the scenes hardly move; of those that do, most need no search.
+    assert fits >= 20
+    assert ruled >= 20
+
+
+@pytest.mark.parametrize("seed", [16, 17])
+def test_a_hand_that_moves_freely_needs_no_search(seed, monkeypatch):
+    solution, squares, readings, sigma = solved(seed)
+
+    def search(*_):
+        raise AssertionError("the motion rules it out")
+
+    monkeypatch.setattr(mirror, "refine", search)
+    assert not mirror.mirror_image_fits(solution, readings, squares, sigma)
