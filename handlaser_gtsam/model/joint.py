@@ -20,14 +20,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..arrays import FloatArray, IntArray
+from ..data.value import Value
 from ..errors import InputError
 
 BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
 PLANE_COORDINATES = ("nx", "ny", "nz", "b")
 
 
-@dataclass(frozen=True, slots=True)
-class JointCovariance:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class JointCovariance(Value):
     """Covariance of beams and planes in SI units.
 
     Attributes

@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.recording import LARGEST, Recording
+from ..data.value import Value
 from ..errors import InputError
 from .calibration import Beam, Calibration
 
@@ -23,8 +24,8 @@ LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
 
 
-@dataclass(frozen=True, slots=True)
-class Spot:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Spot(Value):
     """Where a reading puts the laser spot, hand frame.
 
     Attributes
@@ -49,8 +50,8 @@ class Spot:
     reading_sigma: float
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredPlane:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MeasuredPlane(Value):
     """A plane through the spots of several beams, hand frame.
 
     Attributes

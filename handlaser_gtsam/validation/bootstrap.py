@@ -18,6 +18,7 @@ from ..checks import require_count
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
+from ..data.value import Value
 from ..errors import GrazingBeamError, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions, RangeError
@@ -31,8 +32,8 @@ MOST_DRAWS = 10_000_000
 TERMS: dict[int, RangeError] = {0: "none", 1: "k1", 2: "k1k2"}
 
 
-@dataclass(frozen=True, slots=True)
-class Bootstrap:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bootstrap(Value):
     """Draws of the beams, and how far their spread is from the covariance.
 
     Attributes

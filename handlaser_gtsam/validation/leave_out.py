@@ -15,6 +15,7 @@ from ..checks import require_count
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
+from ..data.value import Value
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..model.weighting import Variances, reading_sigmas
@@ -33,8 +34,8 @@ MOST_SPLITS = 10_000
 Step = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Prediction(Value):
     """Errors of predicted ranges.
 
     Attributes
@@ -53,8 +54,8 @@ class Prediction:
     standardized: float
 
 
-@dataclass(frozen=True, slots=True)
-class PlaneLeftOut:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlaneLeftOut(Value):
     """A calibration without one plane, and how its beams fit that plane; None where it failed."""
 
     plane: str
@@ -62,8 +63,8 @@ class PlaneLeftOut:
     message: str
 
 
-@dataclass(frozen=True, slots=True)
-class Validation:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Validation(Value):
     """What a recording says about its own calibration.
 
     Attributes
