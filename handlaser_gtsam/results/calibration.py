@@ -1,8 +1,9 @@
 """The result of a calibration."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.stats import norm
@@ -10,7 +11,7 @@ from scipy.stats import t as student
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
-from ..data.parameters import Parameters
+from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning
@@ -30,6 +31,11 @@ from .reports import (
     StartReport,
 )
 from .systematic import SystematicError
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from ..solvers.graph import CalibrationGraph
 
 __all__ = [
     "Beam",
@@ -91,6 +97,16 @@ class Calibration(Value):
     recording : Recording or None
         What was solved: repeated stations are merged, and readings that are codes taken out. None
         where it is not known.
+    range_error_prior : RangeErrorPrior or None
+        The prior of the range errors at the most probable scales, beams as in the recording.
+    cost : float
+        What the solver minimised, as GTSAM counts it: half the squares (or the robust loss) of the
+        residuals and the priors in units of their standard deviations. NaN where nothing was solved.
+
+    Notes
+    -----
+    A calibration can be pickled, copied and compared, which GTSAM graphs with Python factors cannot.
+    So it does not keep its graph: `problem`, and `graph` and `values` after it, build it again.
     """
 
     status: Status
@@ -113,6 +129,39 @@ class Calibration(Value):
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()
     recording: Recording | None = None
+    range_error_prior: RangeErrorPrior | None = None
+    cost: float = math.nan
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver converged on a solution that the recording determines."""
+        return self.status == "converged"
+
+    def problem(self) -> "CalibrationGraph":
+        """Return the factor graph that was solved, in the world frame, with the keys of everything.
+
+        Rejected readings are not in it. Its values are the estimate, or the solution at the most
+        probable scales where scales were integrated over. Hand poses that are variables stand at
+        their recorded values: `hl.optimize` moves them to their optimum.
+
+        Raises
+        ------
+        InputError
+            The calibration does not hold its recording.
+        """
+        from .solved_graph import solved_graph  # which imports GTSAM
+
+        return solved_graph(self)
+
+    @property
+    def graph(self) -> "gtsam.NonlinearFactorGraph":
+        """The factor graph that was solved, built anew every time; see `problem`."""
+        return self.problem().graph
+
+    @property
+    def values(self) -> "gtsam.Values":
+        """The solution as GTSAM values, for `graph`; see `problem`."""
+        return self.problem().values
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""
