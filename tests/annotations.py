@@ -5,7 +5,13 @@ import inspect
 import typing
 from collections.abc import Callable, Iterator
 
+import gtsam
+import polars
+
 import handlaser_gtsam as hl
+
+LATE = {"gtsam": gtsam, "pl": polars, "CalibrationGraph": hl.CalibrationGraph}
+"""Names that modules import for type checkers only."""
 
 
 def named(hint: object) -> Iterator[type]:
@@ -30,7 +36,7 @@ def callables(thing: object) -> Iterator[Callable[..., object]]:
 
 def hints_of(thing: object) -> list[object]:
     """Return the annotations of one public name."""
-    hints = [typing.get_type_hints(one) for one in callables(thing)]
+    hints = [typing.get_type_hints(one, None, LATE) for one in callables(thing)]
     if dataclasses.is_dataclass(thing):
         hints.append(typing.get_type_hints(thing))
     return [hint for one in hints for hint in one.values()]

@@ -34,6 +34,7 @@ from .systematic import SystematicError
 
 if TYPE_CHECKING:
     import gtsam
+    import polars as pl
 
     from ..solvers.graph import CalibrationGraph
 
@@ -162,6 +163,18 @@ class Calibration(Value):
     def values(self) -> "gtsam.Values":
         """The solution as GTSAM values, for `graph`; see `problem`."""
         return self.problem().values
+
+    def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
+        """Return a table of the beams and one of the planes, a row each.
+
+        Columns of the first: `beam`, `terms`, `x_m`, `y_m`, `z_m`, `vx`, `vy`, `vz`, `k1`, `k2_per_m`;
+        of the second: `plane`, `nx`, `ny`, `nz`, `b_m`. Then the standard deviation of every
+        coordinate, as `x_sigma_m`: infinite where the recording leaves it undetermined, null where
+        nothing is known.
+        """
+        from .tables import beam_table, plane_table  # which import Polars
+
+        return beam_table(self), plane_table(self)
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""

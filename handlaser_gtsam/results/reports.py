@@ -24,9 +24,9 @@ class Fit(Value):
     ----------
     readings : int
         Readings used.
-    rms, largest : float
+    rms, max_residual : float
         Root mean square and largest absolute residual [m].
-    largest_at : (str, str)
+    max_residual_at : (str, str)
         Station and beam of the largest residual.
     chi2 : float
         Sum of squared residuals in units of the covariance behind the weights. If all readings weigh
@@ -46,9 +46,9 @@ class Fit(Value):
         Median of the readings, and the natural unit of lengths [m]: the same unless some are negative.
     loss : str
         `gaussian`, or the robust loss of the estimate.
-    farthest : float
+    max_standardized_residual : float
         Largest residual in units of its own standard deviation, that of the reading and its pose.
-    farthest_at : (str, str)
+    max_standardized_residual_at : (str, str)
         Station and beam of it.
     residuals : (M, B)
         Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
@@ -57,8 +57,8 @@ class Fit(Value):
 
     readings: int
     rms: float
-    largest: float
-    largest_at: tuple[str, str]
+    max_residual: float
+    max_residual_at: tuple[str, str]
     chi2: float
     dof: int
     sigma0: float
@@ -68,8 +68,8 @@ class Fit(Value):
     median_reading: float
     typical_range: float
     loss: LossName
-    farthest: float
-    farthest_at: tuple[str, str]
+    max_standardized_residual: float
+    max_standardized_residual_at: tuple[str, str]
     residuals: FloatArray
     rejected: tuple[Rejected, ...]
 

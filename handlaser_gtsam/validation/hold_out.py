@@ -73,7 +73,7 @@ class HoldOut(Value):
     Attributes
     ----------
     readings : int
-    rms, largest : float
+    rms, max_residual : float
         Of the residuals with the calibrated beams and the planes fitted [m].
     chi2, dof : float, int
         Of noise and model, the beams free: near dof if they are right.
@@ -88,7 +88,7 @@ class HoldOut(Value):
 
     readings: int
     rms: float
-    largest: float
+    max_residual: float
     chi2: float
     dof: int
     noise_p_value: float

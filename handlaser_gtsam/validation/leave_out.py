@@ -41,7 +41,7 @@ class Prediction(Value):
     Attributes
     ----------
     tests : int
-    rms, largest : float
+    rms, max_residual : float
         [m]
     standardized : float
         Root mean square in units of the predictions' own standard deviations: near 1 if these are
@@ -50,7 +50,7 @@ class Prediction(Value):
 
     tests: int
     rms: float
-    largest: float
+    max_residual: float
     standardized: float
 
 
