@@ -56,11 +56,12 @@ def require_bool(name: str, value: object) -> None:
         raise InputError(f"{name} {shown(value)}", "True or False")
 
 
-def require_kind(name: str, value: object, kind: type) -> None:
-    """Refuse what is no instance of `kind`."""
+def require_kind(name: str, value: object, kind: type, expected: str = "") -> None:
+    """Refuse what is no instance of `kind`; say what is `expected`, or name the class."""
     if not isinstance(value, kind):
         found = f"{shown(value)} of type {type(value).__name__} as {name}"
-        raise InputError(found, f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)")
+        expected = expected or f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)"
+        raise InputError(found, expected)
 
 
 def require_names(kind: str, names: object) -> None:

@@ -4,21 +4,23 @@ A station is one hand pose in front of one plane. Columns, not objects: one arra
 one row a station.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray, IntArray, frozen_indices
-from ..checks import number_array, require_names
+from ..checks import number_array, require_kind
 from ..errors import CalibrationWarning, InputError
+from ..text import shown
 from .readings import Readings, typical_range
 from .recording_checks import (
     LARGEST,
     HasMatrix,
     check_recording,
     first_repeated,
+    names_of,
     numbered,
     pose_matrices,
 )
@@ -89,10 +91,7 @@ class Recording(Value):
             if name != "samples" or self.samples is not None:
                 store(self, name, number_array(name, getattr(self, name)))
         for name, kind in NAMES.items():
-            names = getattr(self, name)
-            if isinstance(names, Iterable) and not isinstance(names, str):
-                store(self, name, tuple(names))
-            require_names(kind, getattr(self, name))
+            store(self, name, names_of(kind, getattr(self, name)))
         if not self.station_names:
             store(self, "station_names", numbered(len(self.plane_labels)))
         number = {label: p for p, label in enumerate(dict.fromkeys(self.plane_labels))}
@@ -107,7 +106,7 @@ class Recording(Value):
         ranges: ArrayLike,
         planes: str | Sequence[str],
         *,
-        beam_names: Sequence[str] = (),
+        beam_names: Sequence[str] | None = None,
         station_names: Sequence[str] = (),
         samples: ArrayLike | None = None,
         range_min: float = 0.0,
@@ -139,9 +138,13 @@ class Recording(Value):
             T[:, :3, :3],
             T[:, :3, 3],
             d,
-            (planes,) * len(T) if isinstance(planes, str) else tuple(planes),
-            tuple(beam_names) or numbered(d.shape[1]),
-            tuple(station_names),
+            names_of(
+                NAMES["plane_labels"], [planes] * len(T) if isinstance(planes, str) else planes
+            ),
+            names_of(
+                NAMES["beam_names"], numbered(d.shape[1]) if beam_names is None else beam_names
+            ),
+            names_of(NAMES["station_names"], station_names),
             samples=None if samples is None else number_array("samples", samples),
             range_min=range_min,
         )
@@ -238,8 +241,12 @@ def join(recordings: Sequence[Recording]) -> Recording:
     Raises
     ------
     InputError
-        A station name that stands in two of them.
+        No recordings, or a station name that stands in two of them.
     """
+    if not isinstance(recordings, Sequence) or not recordings:
+        raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
+    for one in recordings:
+        require_kind("one to join", one, Recording)
     beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
     ranges, samples = [], []
     for one in recordings:

@@ -1,14 +1,14 @@
 """What a recording must be: shapes, numbers, rotations, and names that stand once."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray
-from ..checks import number_array, require_number
-from ..errors import InputError
+from ..checks import number_array, require_kind, require_names, require_number
+from ..errors import CalibrationWarning, InputError
 
 if TYPE_CHECKING:
     from .recording import Recording
@@ -48,6 +48,19 @@ def pose_matrices(poses: Sequence[HasMatrix] | ArrayLike) -> FloatArray:
     return T
 
 
+def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names as a tuple.
+
+    Raises
+    ------
+    InputError
+        A single text, what is no sequence, or a name that cannot be one.
+    """
+    found = names if isinstance(names, str) or not isinstance(names, Iterable) else tuple(names)
+    require_names(kind, found)
+    return tuple(found)
+
+
 def numbered(count: int) -> tuple[str, ...]:
     """Return the names of what has none: "1", "2", ..."""
     return tuple(str(index + 1) for index in range(count))
@@ -60,6 +73,9 @@ def check_recording(recording: "Recording") -> None:
     ------
     InputError
     """
+    require_kind("warnings", recording.warnings, tuple, "a tuple of CalibrationWarning")
+    for one in recording.warnings:
+        require_kind("a warning", one, CalibrationWarning)
     _check_shapes(recording)
     _check_poses(recording)
     _check_readings(recording)

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..arrays import FloatArray
-from ..checks import require_kind
+from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
-from ..data.recording import Recording
+from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
 from ..results.calibration import Beam, Calibration, Plane
 from ..results.spots import spot
@@ -137,6 +137,8 @@ def write_calibration(
         text = _text(calibration.model_dump(mode="json"))
     else:
         require_kind("calibration", calibration, Calibration)
+        if reading is not None:
+            require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
         text = calibration_text(calibration, reading)
     write_text(path_of(path), text)
 

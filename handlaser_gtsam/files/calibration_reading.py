@@ -1,8 +1,8 @@
 """Calibrations read back from their JSON files, field by field.
 
-The classes are the schema of the file (docs/files.md): a field is called as it is called there, with its
-unit, and a file with any other field is refused. What a file does not hold is not made up: the residual
-of every reading, the covariance of planes, and what intervals were computed from are gone.
+The classes are the schema of the file (docs/files.md): a field is called as it is called there, with
+its unit, and a file with any other field is refused. What a file does not hold is not made up: the
+residual of every reading, the covariance of planes, and what intervals were computed from are gone.
 """
 
 from pathlib import Path

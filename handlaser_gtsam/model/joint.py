@@ -188,6 +188,8 @@ def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, kind: str) -> list[int]:
     if wanted is None:
         return list(range(len(names)))
+    if isinstance(wanted, str):
+        raise InputError(f"{wanted!r} as the names of {kind}s", f"a sequence: [{wanted!r}]")
     for name in wanted:
         if name not in names:
             raise InputError(f"{kind} {name!r}", f"one of {', '.join(names)}")

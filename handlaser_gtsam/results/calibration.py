@@ -10,11 +10,12 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from ..arrays import FloatArray
+from ..checks import require_kind, require_number
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
-from ..errors import CalibrationWarning
+from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
 from ..model.joint import JointCovariance
@@ -189,6 +190,7 @@ class Calibration(Value):
 
     def noise(self, given: Noise) -> Noise:
         """Return `given` with what was estimated in its place, for readings of the same kind."""
+        require_kind("noise", given, Noise)
         found = replace(given, range_sigma=self.fit.range_sigma)
         if given.pose_covariance is not None and given.pose_covariance.ndim == 3:
             return found
@@ -218,7 +220,15 @@ class Calibration(Value):
         Quantiles of the mixture where scales were integrated over; else Gaussian, or Student's t where
         the range sigma comes from the residuals. None where there are no standard deviations; infinite
         where the recording leaves a coordinate undetermined.
+
+        Raises
+        ------
+        InputError
+            No such beam, or no probability.
         """
+        if beam not in self.beams:
+            raise InputError(f"beam {beam!r}", f"one of {', '.join(self.beams)}")
+        require_number("level", level, 0.0, 1.0)
         found = self.beams[beam]
         if found.sigma is None:
             return None

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import number_array, require_count, require_covariance, require_names, require_number
+from ..checks import (
+    number_array,
+    require_count,
+    require_covariance,
+    require_kind,
+    require_names,
+    require_number,
+)
 from ..data.noise import LEAST_SIGMA, MOST_SIGMA, Noise
 from ..data.recording import LARGEST, first_repeated
 from ..data.value import Value
@@ -78,6 +85,7 @@ class Mounts(Value):
         InputError
             It did not converge.
         """
+        require_kind("calibration", calibration, Calibration)
         if calibration.covariance is None or calibration.status != "converged":
             raise InputError(f"a calibration that is {calibration.status}", "a converged one")
         beams = list(calibration.beams.values())

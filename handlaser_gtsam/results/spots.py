@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_number
+from ..checks import require_kind, require_number
 from ..data.recording import LARGEST, Recording
 from ..data.value import Value
 from ..errors import InputError
@@ -83,6 +83,7 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     InputError
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
+    require_kind("calibration", calibration, Calibration)
     one = _beam(calibration, beam)
     joint = calibration.covariance
     if joint is None or one.direction_sigma is None:
@@ -105,6 +106,8 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     InputError
         Fewer than three beams, spots on one line, or what `spot` refuses.
     """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("readings", readings, Mapping, "a reading by the name of each beam")
     names: list[str] = list(readings)
     joint = calibration.covariance
     if len(names) < 3:

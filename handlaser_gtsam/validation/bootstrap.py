@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_count
+from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
@@ -78,6 +78,10 @@ def bootstrap(
     InputError
         The calibration did not converge, or fewer than two draws did.
     """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     if calibration.covariance is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     require_count("count of draws", count, 2, MOST_DRAWS)

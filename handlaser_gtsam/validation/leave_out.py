@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
-from ..checks import require_count
+from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
@@ -121,6 +121,8 @@ def validate(
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     require_count("splits", splits, 0, MOST_SPLITS)
+    if rng is not None:
+        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     step = step or (lambda _: None)
     step("everything")
     whole = calibrate(recording, noise, options)
