@@ -106,7 +106,7 @@ def prediction_lines() -> list[str]:
         found = reconstruction(hl.calibrate(one, noise, options), one)
         assert isinstance(found, Prediction)
         name = "k1 and k2" if choice == "k1k2" else "none"
-        here = f"{found.rms * 1e3:.3f}, {found.largest * 1e3:.2f}"
+        here = f"{found.rms * 1e3:.3f}, {found.max_residual * 1e3:.2f}"
         lines.append(f"| {name} | {paper} | {here} | {found.tests} |")
     return lines
 

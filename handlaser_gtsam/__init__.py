@@ -1,141 +1,153 @@
 """Self-calibration of laser distance sensors on robot hands, on GTSAM.
 
 Names are imported when they are first used, so that `import handlaser_gtsam` and
-`handlaser --help` answer at once.
+`handlaser --help` answer at once. Every name stands twice below: in the imports that type checkers
+read, and with its home.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ._version import __version__
+from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from . import factors, model, starts
-    from .data.noise import Noise
-    from .data.parameters import Parameters
-    from .data.recording import Readings, Recording, join
-    from .errors import (
-        CalibrationWarning,
-        GrazingBeamError,
-        HandlaserError,
-        InputError,
-        SolverError,
-    )
-    from .estimation.options import CalibrationOptions
-    from .files.calibration_json import write_calibration
-    from .files.mounts_json import read_mounts
-    from .files.recording_csv import read_recording, write_recording
-    from .files.rig_toml import Rig, read_rig
-    from .keys import BeamKeys
-    from .model.joint import JointCovariance
-    from .model.sensor import Sensor
-    from .pipeline import calibrate
-    from .results.calibration import Beam, Calibration, Fit, Plane
-    from .results.from_graph import read_graph
-    from .results.mounts import Mounts
-    from .results.spots import measured_plane, spot
-    from .session import Session, Update
-    from .simulation import scenes, simulate
-    from .solvers.incremental import IncrementalOptions
-    from .solvers.levenberg import optimize
-    from .validation.bootstrap import Bootstrap, bootstrap
-    from .validation.cross_check import CrossCheck, cross_check
-    from .validation.hold_out import HoldOut, hold_out
-    from .validation.leave_out import Validation, validate
+    from . import factors as factors
+    from . import model as model
+    from . import starts as starts
+    from .data.noise import Noise as Noise
+    from .data.parameters import Parameters as Parameters
+    from .data.parameters import RangeErrorPrior as RangeErrorPrior
+    from .data.readings import Readings as Readings
+    from .data.recording import Recording as Recording
+    from .data.recording import join as join
+    from .data.recording_checks import HasMatrix as HasMatrix
+    from .errors import CalibrationWarning as CalibrationWarning
+    from .errors import GrazingBeamError as GrazingBeamError
+    from .errors import HandlaserError as HandlaserError
+    from .errors import InputError as InputError
+    from .errors import SolverError as SolverError
+    from .estimation.information import NoiseSet as NoiseSet
+    from .estimation.learned import LearnedScales as LearnedScales
+    from .estimation.mixture import RangeErrorGrid as RangeErrorGrid
+    from .estimation.options import CalibrationOptions as CalibrationOptions
+    from .estimation.scales import Scale as Scale
+    from .estimation.scales import Scales as Scales
+    from .files.calibration_json import write_calibration as write_calibration
+    from .files.calibration_reading import CalibrationFile as CalibrationFile
+    from .files.calibration_reading import read_calibration as read_calibration
+    from .files.mounts_json import read_mounts as read_mounts
+    from .files.recording_csv import read_recording as read_recording
+    from .files.recording_csv import write_recording as write_recording
+    from .files.rig_toml import Rig as Rig
+    from .files.rig_toml import read_rig as read_rig
+    from .keys import BeamKeys as BeamKeys
+    from .model.joint import JointCovariance as JointCovariance
+    from .model.losses import Loss as Loss
+    from .model.sensor import Rejected as Rejected
+    from .model.sensor import Sensor as Sensor
+    from .model.weighting import Variances as Variances
+    from .model.weighting import Whitening as Whitening
+    from .model.weighting import whitening as whitening
+    from .observability.rank import Indices as Indices
+    from .observability.rank import ObservabilityOptions as ObservabilityOptions
+    from .observability.wording import OpenPart as OpenPart
+    from .pipeline import calibrate as calibrate
+    from .results.calibration import Calibration as Calibration
+    from .results.correlations import Coordinate as Coordinate
+    from .results.correlations import Correlation as Correlation
+    from .results.estimates import Beam as Beam
+    from .results.estimates import Plane as Plane
+    from .results.from_graph import read_graph as read_graph
+    from .results.limits import Limits as Limits
+    from .results.mounts import Mounts as Mounts
+    from .results.reports import BeamMixture as BeamMixture
+    from .results.reports import Determined as Determined
+    from .results.reports import Fit as Fit
+    from .results.reports import NoiseComponent as NoiseComponent
+    from .results.reports import RangeErrorScales as RangeErrorScales
+    from .results.reports import ScaledSolution as ScaledSolution
+    from .results.reports import StartReport as StartReport
+    from .results.spots import MeasuredPlane as MeasuredPlane
+    from .results.spots import Spot as Spot
+    from .results.spots import measured_plane as measured_plane
+    from .results.spots import spot as spot
+    from .results.systematic import SystematicError as SystematicError
+    from .session.drift import Moved as Moved
+    from .session.reports import Comparison as Comparison
+    from .session.reports import Update as Update
+    from .session.session import Session as Session
+    from .simulation import scenes as scenes
+    from .simulation import simulate as simulate
+    from .solvers.graph import CalibrationGraph as CalibrationGraph
+    from .solvers.graph import build_graph as build_graph
+    from .solvers.graph import read_parameters as read_parameters
+    from .solvers.incremental import IncrementalOptions as IncrementalOptions
+    from .solvers.levenberg import LevenbergOptions as LevenbergOptions
+    from .solvers.levenberg import LevenbergResult as LevenbergResult
+    from .solvers.levenberg import Trial as Trial
+    from .solvers.levenberg import optimize as optimize
+    from .solvers.poses import PosePriors as PosePriors
+    from .solvers.poses import pose_priors as pose_priors
+    from .validation.bootstrap import Bootstrap as Bootstrap
+    from .validation.bootstrap import bootstrap as bootstrap
+    from .validation.cross_check import CrossCheck as CrossCheck
+    from .validation.cross_check import cross_check as cross_check
+    from .validation.hold_out import BeamDrift as BeamDrift
+    from .validation.hold_out import HoldOut as HoldOut
+    from .validation.hold_out import hold_out as hold_out
+    from .validation.leave_out import PlaneLeftOut as PlaneLeftOut
+    from .validation.leave_out import Prediction as Prediction
+    from .validation.leave_out import Validation as Validation
+    from .validation.leave_out import validate as validate
 
-__all__ = [
-    "Beam",
-    "BeamKeys",
-    "Bootstrap",
-    "Calibration",
-    "CalibrationOptions",
-    "CalibrationWarning",
-    "CrossCheck",
-    "Fit",
-    "GrazingBeamError",
-    "HandlaserError",
-    "HoldOut",
-    "IncrementalOptions",
-    "InputError",
-    "JointCovariance",
-    "Mounts",
-    "Noise",
-    "Parameters",
-    "Plane",
-    "Readings",
-    "Recording",
-    "Rig",
-    "Sensor",
-    "Session",
-    "SolverError",
-    "Update",
-    "Validation",
-    "__version__",
-    "bootstrap",
-    "calibrate",
-    "cross_check",
-    "factors",
-    "hold_out",
-    "join",
-    "measured_plane",
-    "model",
-    "optimize",
-    "read_graph",
-    "read_mounts",
-    "read_recording",
-    "read_rig",
-    "scenes",
-    "simulate",
-    "spot",
-    "starts",
-    "validate",
-    "write_calibration",
-    "write_recording",
-]
-
-_HOME = {
-    "Beam": "results.calibration",
-    "BeamKeys": "keys",
-    "Bootstrap": "validation.bootstrap",
-    "Calibration": "results.calibration",
-    "CalibrationOptions": "estimation.options",
-    "CalibrationWarning": "errors",
-    "CrossCheck": "validation.cross_check",
-    "Fit": "results.calibration",
-    "GrazingBeamError": "errors",
-    "HandlaserError": "errors",
-    "HoldOut": "validation.hold_out",
-    "IncrementalOptions": "solvers.incremental",
-    "InputError": "errors",
-    "JointCovariance": "model.joint",
-    "Mounts": "results.mounts",
-    "Noise": "data.noise",
-    "Parameters": "data.parameters",
-    "Plane": "results.calibration",
-    "Readings": "data.recording",
-    "Recording": "data.recording",
-    "Rig": "files.rig_toml",
-    "Sensor": "model.sensor",
-    "Session": "session",
-    "Update": "session",
-    "SolverError": "errors",
-    "Validation": "validation.leave_out",
-    "bootstrap": "validation.bootstrap",
-    "calibrate": "pipeline",
-    "cross_check": "validation.cross_check",
-    "hold_out": "validation.hold_out",
-    "join": "data.recording",
-    "measured_plane": "results.spots",
-    "optimize": "solvers.levenberg",
-    "read_graph": "results.from_graph",
-    "read_mounts": "files.mounts_json",
-    "read_recording": "files.recording_csv",
-    "read_rig": "files.rig_toml",
-    "spot": "results.spots",
-    "validate": "validation.leave_out",
-    "write_calibration": "files.calibration_json",
-    "write_recording": "files.recording_csv",
+_NAMES = {
+    "data.noise": "Noise",
+    "data.parameters": "Parameters RangeErrorPrior",
+    "data.readings": "Readings",
+    "data.recording": "Recording join",
+    "data.recording_checks": "HasMatrix",
+    "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError SolverError",
+    "estimation.information": "NoiseSet",
+    "estimation.learned": "LearnedScales",
+    "estimation.mixture": "RangeErrorGrid",
+    "estimation.options": "CalibrationOptions",
+    "estimation.scales": "Scale Scales",
+    "files.calibration_json": "write_calibration",
+    "files.calibration_reading": "CalibrationFile read_calibration",
+    "files.mounts_json": "read_mounts",
+    "files.recording_csv": "read_recording write_recording",
+    "files.rig_toml": "Rig read_rig",
+    "keys": "BeamKeys",
+    "model.joint": "JointCovariance",
+    "model.losses": "Loss",
+    "model.sensor": "Rejected Sensor",
+    "model.weighting": "Variances Whitening whitening",
+    "observability.rank": "Indices ObservabilityOptions",
+    "observability.wording": "OpenPart",
+    "pipeline": "calibrate",
+    "results.calibration": "Calibration",
+    "results.correlations": "Coordinate Correlation",
+    "results.estimates": "Beam Plane",
+    "results.from_graph": "read_graph",
+    "results.limits": "Limits",
+    "results.mounts": "Mounts",
+    "results.reports": "BeamMixture Determined Fit NoiseComponent RangeErrorScales ScaledSolution"
+    " StartReport",
+    "results.spots": "MeasuredPlane Spot measured_plane spot",
+    "results.systematic": "SystematicError",
+    "session.drift": "Moved",
+    "session.reports": "Comparison Update",
+    "session.session": "Session",
+    "solvers.graph": "CalibrationGraph build_graph read_parameters",
+    "solvers.incremental": "IncrementalOptions",
+    "solvers.levenberg": "LevenbergOptions LevenbergResult Trial optimize",
+    "solvers.poses": "PosePriors pose_priors",
+    "validation.bootstrap": "Bootstrap bootstrap",
+    "validation.cross_check": "CrossCheck cross_check",
+    "validation.hold_out": "BeamDrift HoldOut hold_out",
+    "validation.leave_out": "PlaneLeftOut Prediction Validation validate",
 }
+_HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 _MODULES = {
     "factors": "factors",
     "model": "model",
@@ -143,6 +155,7 @@ _MODULES = {
     "simulate": "simulation.simulate",
     "starts": "starts",
 }
+__all__ = sorted([*_HOME, *_MODULES, "__version__"])
 
 
 def __getattr__(name: str) -> object:
@@ -154,4 +167,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return list(__all__)

@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from numbers import Integral, Real
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .arrays import FloatArray
+from .arrays import FloatArray, frozen
 from .errors import InputError
 from .text import A_NAME, name_fault, shown
 
@@ -55,19 +56,44 @@ def require_bool(name: str, value: object) -> None:
         raise InputError(f"{name} {shown(value)}", "True or False")
 
 
-def require_kind(name: str, value: object, kind: type) -> None:
-    """Refuse what is no instance of `kind`."""
+def require_kind(name: str, value: object, kind: type, expected: str = "") -> None:
+    """Refuse what is no instance of `kind`; say what is `expected`, or name the class."""
     if not isinstance(value, kind):
         found = f"{shown(value)} of type {type(value).__name__} as {name}"
-        raise InputError(found, f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)")
+        expected = expected or f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)"
+        raise InputError(found, expected)
 
 
-def require_names(kind: str, names: Iterable[object]) -> None:
-    """Refuse names that are no text, empty, too long, not printable, or blank at the ends."""
+def require_names(kind: str, names: object) -> None:
+    """Refuse names that are no text, empty, too long, not printable, or blank at the ends.
+
+    A single text is refused too: its letters would be taken for the names.
+    """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise InputError(f"{shown(names)} for {kind}, one each", "a sequence of texts")
     for name in names:
         fault = name_fault(name)
         if fault:
             raise InputError(f"{fault} as {kind}".replace(", as", " as"), A_NAME)
+
+
+def number_array(name: str, values: ArrayLike, expected: str = "numbers") -> FloatArray:
+    """Return `values` as a read-only float array, NaN where a masked array is masked.
+
+    Raises
+    ------
+    InputError
+        They are no array of real numbers: rows of different lengths, text, or True and False.
+    """
+    try:
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
+        kind = np.asarray(values).dtype
+        if kind.kind not in "fiuO":
+            raise TypeError(f"its entries are of type {kind}")
+        return frozen(values)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} that is no array of numbers ({error})", expected) from error
 
 
 def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: float) -> None:

@@ -459,7 +459,7 @@ def test_an_outlier_is_named():
     ranges[17, 2] += 1e-3
     keep = hl.CalibrationOptions(outliers="keep")
     calibration = hl.calibrate(broken(recording, ranges=ranges), hl.Noise(SIGMA), keep)
-    assert calibration.fit.largest_at == ("18", "3")
+    assert calibration.fit.max_residual_at == ("18", "3")
     assert any("beam 3 at station 18" in words.message for words in calibration.warnings)
 
 

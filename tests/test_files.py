@@ -122,7 +122,7 @@ def test_the_result_holds_what_the_calibration_does(tmp_path):
             "normal_rad": plane.normal_sigma,
             "offset_m": plane.offset_sigma,
         }
-    assert record["fit"]["max_m"] == calibration.fit.largest
+    assert record["fit"]["max_m"] == calibration.fit.max_residual
     assert calibration_text(calibration).endswith("}\n")
 
 

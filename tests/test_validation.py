@@ -69,14 +69,14 @@ def test_reconstruction_is_what_the_paper_describes(gripper):
     found = reconstruction(calibration, part)
     assert found.tests == 8
     assert found.rms == pytest.approx(np.sqrt(np.mean(np.square(errors))))
-    assert found.largest == pytest.approx(np.abs(errors).max())
+    assert found.max_residual == pytest.approx(np.abs(errors).max())
 
 
 def test_predictions_of_the_readings_themselves_are_the_residuals(gripper):
     calibration = hl.calibrate(gripper, NOISE)
     found = predict(calibration, gripper, NOISE)
     assert found.rms == pytest.approx(calibration.fit.rms, rel=1e-6)
-    assert found.largest == pytest.approx(calibration.fit.largest, rel=1e-6)
+    assert found.max_residual == pytest.approx(calibration.fit.max_residual, rel=1e-6)
 
 
 def test_one_plane_and_one_beam_leave_less_to_validate():

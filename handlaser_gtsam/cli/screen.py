@@ -147,10 +147,10 @@ def _short(name: str) -> str:
 
 def _fit(result: Calibration) -> str:
     fit = result.fit
-    station, beam = fit.largest_at
+    station, beam = fit.max_residual_at
     words = (
-        f"fit: rms {fit.rms * MM:.3g} mm, largest {fit.largest * MM:.3g} mm (station {station}, beam "
-        f"{beam}); "
+        f"fit: rms {fit.rms * MM:.3g} mm, largest {fit.max_residual * MM:.3g} mm "
+        f"(station {station}, beam {beam}); "
     )
     if fit.range_sigma_given or result.noise_estimate:
         words += f"sigma0 {fit.sigma0:.2f} (expected 1), "

@@ -164,9 +164,9 @@ def _plane_table(planes: list[Plane]) -> Table:
 
 def _fit_lines(result: Calibration) -> Iterator[str]:
     fit = result.fit
-    station, beam = fit.largest_at
+    station, beam = fit.max_residual_at
     yield (
-        f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.largest * MM:.4g} mm "
+        f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.max_residual * MM:.4g} mm "
         f"(station {station}, beam {beam})"
     )
     if fit.range_sigma_given:

@@ -17,7 +17,7 @@ def validation_lines(result: Validation, verdict: Verdict) -> Iterator[str]:
     fit = result.calibration.fit
     yield (
         f"residuals of the calibration itself: rms {fit.rms * MM:.4g} mm, "
-        f"largest {fit.largest * MM:.4g} mm"
+        f"largest {fit.max_residual * MM:.4g} mm"
     )
     yield from _left_out_lines(result)
     if result.splits:
@@ -47,7 +47,7 @@ def _left_out_lines(result: Validation) -> Iterator[str]:
         held = one.result
         yield (
             f"without plane {one.plane}: its readings fit within rms {held.rms * MM:.4g} mm, largest "
-            f"{held.largest * MM:.4g} mm; {_agreement(one.plane, held, against)}"
+            f"{held.max_residual * MM:.4g} mm; {_agreement(one.plane, held, against)}"
         )
 
 
@@ -71,7 +71,7 @@ def hold_out_lines(found: HoldOut) -> Iterator[str]:
     yield hold_out_sentence(found)
     yield (
         f"{found.readings} readings, planes fitted, beams as calibrated: rms {found.rms * MM:.4g} mm, "
-        f"largest {found.largest * MM:.4g} mm"
+        f"largest {found.max_residual * MM:.4g} mm"
     )
     noise = "" if math.isnan(found.noise_p_value) else f", p = {found.noise_p_value:.2g}"
     yield f"noise and model with free beams: chi2/dof {found.chi2:.1f}/{found.dof}{noise}"
@@ -113,7 +113,7 @@ def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
     tests = sum(one.tests for one in splits)
     rms = math.sqrt(sum(one.tests * one.rms**2 for one in splits) / tests)
     unit = math.sqrt(sum(one.tests * one.standardized**2 for one in splits) / tests)
-    largest = max(one.largest for one in splits)
+    largest = max(one.max_residual for one in splits)
     yield (
         f"30 % of the stations from the other 70 %, {len(splits)} times: rms {rms * MM:.4g} mm, "
         f"largest {largest * MM:.4g} mm, {unit:.2f} of the predicted standard deviations"
@@ -121,4 +121,4 @@ def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
 
 
 def _errors(one: Prediction) -> str:
-    return f"rms {one.rms * MM:.4g} mm, largest {one.largest * MM:.4g} mm of {one.tests}"
+    return f"rms {one.rms * MM:.4g} mm, largest {one.max_residual * MM:.4g} mm of {one.tests}"

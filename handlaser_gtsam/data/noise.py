@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen
-from ..checks import require_covariance, require_number
+from ..arrays import FloatArray, IntArray
+from ..checks import number_array, require_covariance, require_number
 from ..errors import InputError
+from .value import Value
 
 LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
 """No sensor is better or worse [m]; beyond, squares overflow."""
@@ -16,8 +17,8 @@ ROUNDING = 1e-9
 """Asymmetry and negative eigenvalues of a stated covariance, as a part of its variances."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Noise(Value):
     """Standard deviations; None where unknown: then they are estimated.
 
     Attributes
@@ -70,14 +71,6 @@ class Noise:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
             object.__setattr__(self, "pose_covariance", _checked(self.pose_covariance))
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Noise) and all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in self.__dataclass_fields__
-        )
-
-    __hash__ = None  # type: ignore[assignment]
-
     @property
     def poses_uncertain(self) -> bool:
         """Whether the hand poses are stated to have errors."""
@@ -129,11 +122,8 @@ class Noise:
 
 
 def _checked(covariance: ArrayLike) -> FloatArray:
-    try:
-        matrix = frozen(covariance)
-    except (TypeError, ValueError, OverflowError) as error:
-        found = f"a pose covariance that is no array of numbers ({error})"
-        raise InputError(found, "numbers, (6, 6) or (stations, 6, 6)") from error
+    expected = "numbers, (6, 6) or (stations, 6, 6)"
+    matrix = number_array("a pose covariance", covariance, expected)
     if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
         found = f"a pose covariance of shape {matrix.shape}"
         raise InputError(found, "shape (6, 6) or (stations, 6, 6)")

@@ -11,10 +11,11 @@ import numpy as np
 
 from ..arrays import IntArray, frozen, frozen_indices
 from .recording import Readings, Recording
+from .value import Value
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Order(Value):
     """Index in the recording of every station, beam and plane of sorted readings."""
 
     stations: IntArray

@@ -4,7 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, frozen
+from ..arrays import FloatArray
+from ..checks import number_array
+from ..errors import InputError
+from .value import Value
 
 Terms = int | tuple[int, ...]
 """Range-error terms, 0 (none), 1 (k1) or 2 (k1, k2): of every beam, or one number a beam."""
@@ -13,8 +16,8 @@ Beams = tuple[FloatArray, FloatArray, FloatArray]
 """Locations (B, 3) [m], directions (B, 3) and range errors (B, 2) of some beams."""
 
 
-@dataclass(frozen=True, slots=True)
-class RangeErrorPrior:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RangeErrorPrior(Value):
     """What is known of range errors before any reading: independent Gaussians.
 
     Attributes
@@ -43,8 +46,8 @@ def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
     return (terms,) * beams if isinstance(terms, int) else terms
 
 
-@dataclass(frozen=True, slots=True)
-class Parameters:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Parameters(Value):
     """Beams and planes, index by index; arrays are copied and made read-only.
 
     Attributes
@@ -59,6 +62,11 @@ class Parameters:
         Unit plane normals n, world frame; they point away from the sensor.
     offsets : (P,)
         Plane offsets b [m]: every point x of a plane has n . x + b = 0.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, or of what is no number.
     """
 
     locations: FloatArray
@@ -68,13 +76,13 @@ class Parameters:
     offsets: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("locations", "directions", "range_errors", "normals", "offsets"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        beams, planes = len(self.locations), len(self.offsets)
-        shapes = [(beams, 3), (beams, 3), (beams, 2), (planes, 3), (planes,)]
-        arrays = (self.locations, self.directions, self.range_errors, self.normals, self.offsets)
-        if [a.shape for a in arrays] != shapes:
-            raise ValueError(f"found shapes {[a.shape for a in arrays]}; expected {shapes}")
+        for name in self.__dataclass_fields__:
+            object.__setattr__(self, name, number_array(name, getattr(self, name)))
+        beams, planes = self.locations.shape[:1], self.offsets.shape[:1]
+        shapes = [(*beams, 3), (*beams, 3), (*beams, 2), (*planes, 3), planes]
+        found = [array.shape for array in self._arrays()]
+        if found != shapes:
+            raise InputError(f"arrays of shapes {found}", f"{shapes}")
 
     @property
     def beams(self) -> Beams:
@@ -87,13 +95,7 @@ class Parameters:
 
     def finite(self) -> bool:
         """Tell whether every number is finite."""
-        return all(
-            bool(np.isfinite(a).all())
-            for a in (
-                self.locations,
-                self.directions,
-                self.range_errors,
-                self.normals,
-                self.offsets,
-            )
-        )
+        return all(bool(np.isfinite(array).all()) for array in self._arrays())
+
+    def _arrays(self) -> tuple[FloatArray, ...]:
+        return self.locations, self.directions, self.range_errors, self.normals, self.offsets

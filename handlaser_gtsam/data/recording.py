@@ -10,116 +10,35 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen, frozen_indices
-from ..checks import require_names
+from ..arrays import FloatArray, IntArray, frozen_indices
+from ..checks import number_array, require_kind
 from ..errors import CalibrationWarning, InputError
+from ..text import shown
+from .readings import Readings, typical_range
+from .recording_checks import (
+    LARGEST,
+    HasMatrix,
+    check_recording,
+    first_repeated,
+    names_of,
+    numbered,
+    pose_matrices,
+)
+from .value import Value
 
-ROTATION_TOLERANCE = 1e-6
-QUARTILES = 1.349
-"""Distance of the quartiles in standard deviations, if Gaussian."""
-LARGEST = 1e6
-"""Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
+__all__ = ["LARGEST", "Readings", "Recording", "first_repeated", "join", "typical_range"]
 
-
-@dataclass(frozen=True, slots=True)
-class Readings:
-    """The readings of a recording one a row, sorted by plane, then beam, then station.
-
-    Attributes
-    ----------
-    station, beam, plane : (N,)
-        Indices into the names of the recording.
-    distance : (N,)
-        What the sensor read, d [m].
-    world_R_hand : (N, 3, 3)
-    world_t_hand : (N, 3)
-        Hand pose of the reading's station [m], world frame.
-    beams, planes : int
-        Number of beams B and planes P.
-    samples : (N,), optional
-        How many independent readings each is worth, where it is a mean of several; else one.
-    """
-
-    station: IntArray
-    beam: IntArray
-    plane: IntArray
-    distance: FloatArray
-    world_R_hand: FloatArray
-    world_t_hand: FloatArray
-    beams: int
-    planes: int
-    samples: FloatArray | None = None
-
-    def __len__(self) -> int:
-        return len(self.distance)
-
-    def block_starts(self) -> IntArray:
-        """Return the first row of each block of readings that share plane and beam."""
-        change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
-        return np.concatenate(([0], np.flatnonzero(change) + 1)).astype(np.intp)
-
-    def seen_from(self, origins: FloatArray) -> "Readings":
-        """Return the readings with hand positions relative to `origins` (P, 3) of their planes.
-
-        A plane appears in its own readings only, and beams live in the hand frame: so every plane may
-        have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
-        """
-        return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
-
-    def typical_range(self) -> float:
-        """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
-        return typical_range(self.distance)
-
-    def largest_range(self) -> float:
-        """Return the size of the largest reading [m]."""
-        return float(np.abs(self.distance).max())
-
-    def spread(self) -> float:
-        """Return the standard deviation of the readings [m] that their quartiles show."""
-        low, high = np.quantile(self.distance, [0.25, 0.75])
-        return float(high - low) / QUARTILES if high > low else float(self.distance.std())
-
-    def copies(self, count: int) -> "Readings":
-        """Return the readings `count` times, each time with beams and planes of their own."""
-        if count == 1:
-            return self
-        copy = np.repeat(np.arange(count), len(self))
-        return Readings(
-            np.tile(self.station, count),
-            np.tile(self.beam, count) + copy * self.beams,
-            np.tile(self.plane, count) + copy * self.planes,
-            np.tile(self.distance, count),
-            np.tile(self.world_R_hand, (count, 1, 1)),
-            np.tile(self.world_t_hand, (count, 1)),
-            self.beams * count,
-            self.planes * count,
-            None if self.samples is None else np.tile(self.samples, count),
-        )
-
-    def plane_means(self, values: FloatArray) -> FloatArray:
-        """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""
-        count = np.maximum(np.bincount(self.plane, minlength=self.planes), 1)
-        sums = [np.bincount(self.plane, column, self.planes) for column in values.T]
-        mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
-        return mean
-
-    def subset(self, rows: IntArray) -> "Readings":
-        """Return the readings `rows` (sorted indices), with the same beams and planes."""
-        return Readings(
-            self.station[rows],
-            self.beam[rows],
-            self.plane[rows],
-            self.distance[rows],
-            self.world_R_hand[rows],
-            self.world_t_hand[rows],
-            self.beams,
-            self.planes,
-            None if self.samples is None else self.samples[rows],
-        )
+NAMES = {
+    "station_names": "the name of a station",
+    "plane_labels": "the label of a plane",
+    "beam_names": "the name of a beam",
+    "ignored_columns": "the name of a column",
+}
+"""Fields that hold names."""
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Recording(Value):
     """Hand poses and ranges, checked at construction and frozen.
 
     Attributes
@@ -168,23 +87,67 @@ class Recording:
 
     def __post_init__(self) -> None:
         store = object.__setattr__
-        for name in ("world_R_hand", "world_t_hand", "ranges"):
-            store(self, name, _float_array(getattr(self, name), name))
-        if self.samples is not None:
-            store(self, "samples", _float_array(self.samples, "samples"))
-        store(self, "plane_labels", tuple(self.plane_labels))
-        store(self, "beam_names", tuple(self.beam_names))
-        stations = len(self.world_t_hand) if self.world_t_hand.ndim else 0
-        names = tuple(self.station_names) or tuple(str(j + 1) for j in range(stations))
-        store(self, "station_names", names)
-        _check_texts(self)
-        planes = dict.fromkeys(self.plane_labels)
-        number = {label: p for p, label in enumerate(planes)}
-        store(self, "plane_names", tuple(planes))
+        for name in ("world_R_hand", "world_t_hand", "ranges", "samples"):
+            if name != "samples" or self.samples is not None:
+                store(self, name, number_array(name, getattr(self, name)))
+        for name, kind in NAMES.items():
+            store(self, name, names_of(kind, getattr(self, name)))
+        if not self.station_names:
+            store(self, "station_names", numbered(len(self.plane_labels)))
+        number = {label: p for p, label in enumerate(dict.fromkeys(self.plane_labels))}
+        store(self, "plane_names", tuple(number))
         store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))
-        _check_shapes(self)
-        _check_numbers(self)
-        _check_names(self)
+        check_recording(self)
+
+    @classmethod
+    def from_poses(
+        cls,
+        poses: Sequence[HasMatrix] | ArrayLike,
+        ranges: ArrayLike,
+        planes: str | Sequence[str],
+        *,
+        beam_names: Sequence[str] | None = None,
+        station_names: Sequence[str] = (),
+        samples: ArrayLike | None = None,
+        range_min: float = 0.0,
+    ) -> "Recording":
+        """Return a recording of hand poses as other libraries hold them.
+
+        Parameters
+        ----------
+        poses : sequence of M gtsam.Pose3, or (M, 4, 4)
+            world_T_hand of every station, lengths in metres.
+        ranges : (M, B)
+            What every beam read [m]; NaN, or masked in a masked array, where it has no reading.
+        planes : str, or M strings
+            The plane each station looks at; one name if all look at the same.
+        beam_names : B strings, optional
+            "1", "2", ... by default.
+        station_names, samples, range_min : optional
+            As in `Recording`.
+
+        Raises
+        ------
+        InputError
+            Poses that are no rigid transformations, or whatever `Recording` refuses.
+        """
+        T, d = pose_matrices(poses), number_array("ranges", ranges)
+        if d.ndim != 2:
+            raise InputError(f"ranges of shape {d.shape}", "stations by beams, (M, B)")
+        return cls(
+            T[:, :3, :3],
+            T[:, :3, 3],
+            d,
+            names_of(
+                NAMES["plane_labels"], [planes] * len(T) if isinstance(planes, str) else planes
+            ),
+            names_of(
+                NAMES["beam_names"], numbered(d.shape[1]) if beam_names is None else beam_names
+            ),
+            names_of(NAMES["station_names"], station_names),
+            samples=None if samples is None else number_array("samples", samples),
+            range_min=range_min,
+        )
 
     def readings(self) -> Readings:
         """Return all readings, sorted by plane, beam and station."""
@@ -193,15 +156,15 @@ class Recording:
         order = np.lexsort((station, beam, plane))
         station, beam, plane = station[order], beam[order], plane[order]
         return Readings(
-            frozen_indices(station),
-            frozen_indices(beam),
-            frozen_indices(plane),
-            frozen(self.ranges[station, beam]),
-            frozen(self.world_R_hand[station]),
-            frozen(self.world_t_hand[station]),
+            station,
+            beam,
+            plane,
+            self.ranges[station, beam],
+            self.world_R_hand[station],
+            self.world_t_hand[station],
             len(self.beam_names),
             len(self.plane_names),
-            None if self.samples is None else frozen(self.samples[station, beam]),
+            None if self.samples is None else self.samples[station, beam],
         )
 
     def plane(self, name: str) -> "Recording":
@@ -278,8 +241,12 @@ def join(recordings: Sequence[Recording]) -> Recording:
     Raises
     ------
     InputError
-        A station name that stands in two of them.
+        No recordings, or a station name that stands in two of them.
     """
+    if not isinstance(recordings, Sequence) or not recordings:
+        raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
+    for one in recordings:
+        require_kind("one to join", one, Recording)
     beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
     ranges, samples = [], []
     for one in recordings:
@@ -302,119 +269,3 @@ def join(recordings: Sequence[Recording]) -> Recording:
         samples=np.concatenate(samples) if averaged else None,
         range_min=min(one.range_min for one in recordings),
     )
-
-
-def _float_array(values: ArrayLike, name: str) -> FloatArray:
-    try:
-        return frozen(values)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
-
-
-def _check_shapes(recording: Recording) -> None:
-    stations = len(recording.plane_labels)
-    beams = len(recording.beam_names)
-    if stations == 0 or beams == 0:
-        raise InputError(f"{stations} stations and {beams} beams", "at least one of each")
-    expected = {
-        "world_R_hand": (stations, 3, 3),
-        "world_t_hand": (stations, 3),
-        "ranges": (stations, beams),
-    }
-    for name, shape in expected.items():
-        found = getattr(recording, name).shape
-        if found != shape:
-            raise InputError(f"{name} of shape {found}", f"shape {shape}")
-    samples = recording.samples
-    if samples is not None and samples.shape != (stations, beams):
-        raise InputError(f"samples of shape {samples.shape}", f"shape {(stations, beams)}")
-    if len(recording.station_names) != stations:
-        raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
-
-
-def _check_numbers(recording: Recording) -> None:
-    name = recording.station_names
-    if not -LARGEST <= recording.range_min <= 0.0:
-        raise InputError(f"range_min {recording.range_min:g}", f"-{LARGEST:.0f} to 0 m")
-    R, t, d = recording.world_R_hand, recording.world_t_hand, recording.ranges
-    bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
-    if bad.size:
-        raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
-    bad = np.flatnonzero((np.abs(t) > LARGEST).any(axis=1))
-    if bad.size:
-        found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
-        raise InputError(found, f"metres, at most {LARGEST:.0f}")
-    samples = recording.samples
-    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST)).all():
-        raise InputError("samples that are not one or more", "1 for a reading that is no mean")
-    bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
-    error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
-    if bad.size:
-        raise InputError(
-            f"world_R_hand that is no rotation at station {name[bad[0]]} "
-            f"(R'R differs from the identity by {error[bad[0]]:.1e})",
-            f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
-        )
-    with np.errstate(invalid="ignore"):
-        positive = (d > 0.0) if recording.range_min == 0.0 else (d >= recording.range_min)
-        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST)))
-    if rows.size:
-        least = "a positive range"
-        if recording.range_min < 0.0:
-            least = f"a range from {recording.range_min:g}"
-        raise InputError(
-            f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
-            f"at station {name[rows[0]]}",
-            f"{least} in metres up to {LARGEST:.0f}, or NaN for no reading; negative readings need the "
-            "sensor's range_min",
-        )
-
-
-def _check_texts(recording: Recording) -> None:
-    require_names("the name of a station", recording.station_names)
-    require_names("the label of a plane", recording.plane_labels)
-    require_names("the name of a beam", recording.beam_names)
-    require_names("the name of a column", recording.ignored_columns)
-
-
-def _check_names(recording: Recording) -> None:
-    for kind, names in (("station", recording.station_names), ("beam", recording.beam_names)):
-        twice = first_repeated(names)
-        if twice is not None:
-            raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
-    seen = ~np.isnan(recording.ranges)
-    for beam in np.flatnonzero(~seen.any(axis=0)):
-        raise InputError(
-            f"beam {recording.beam_names[beam]} without any reading",
-            "at least one reading of every beam; leave the beam out",
-        )
-    measured = np.zeros(len(recording.plane_names), dtype=bool)
-    measured[recording.plane_of_station[seen.any(axis=1)]] = True
-    for plane in np.flatnonzero(~measured):
-        raise InputError(
-            f"plane {recording.plane_names[plane]} without any reading",
-            "at least one reading of every plane; leave its stations out",
-        )
-
-
-def typical_range(distance: FloatArray) -> float:
-    """Return the median of readings (N,), the natural unit of lengths [m].
-
-    Readings of both signs count from a reference amid the sensor's range, at which nothing is short:
-    then it is half of what they span, but for the extreme twentieths.
-    """
-    if distance.size == 0 or distance.min() > 0.0:
-        return float(np.median(distance))
-    low, high = np.quantile(distance, [0.05, 0.95])
-    return float(0.5 * (high - low)) or float(np.abs(distance).max()) or 1.0
-
-
-def first_repeated(names: Sequence[str]) -> int | None:
-    """Return the index of the first name that stands earlier too, or None."""
-    seen: set[str] = set()
-    for index, name in enumerate(names):
-        if name in seen:
-            return index
-        seen.add(name)
-    return None

@@ -21,14 +21,15 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..data.value import Value
 from ..model.weighting import Variances, own_variances, slopes
 
 LARGEST_CHUNK = 6_000_000
 """Numbers of the largest intermediate array."""
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseSet:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class NoiseSet(Value):
     """One set of noise scales.
 
     Attributes

@@ -7,6 +7,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
+from ..data.value import Value
 from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
 from .mixture import SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
@@ -18,8 +19,8 @@ MOST_READINGS = 20_000
 """Beyond, the scales are known so well that their uncertainty changes nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class LearnedScales:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LearnedScales(Value):
     """Where unknown scales are most probable, and the points at which they are integrated over.
 
     Attributes

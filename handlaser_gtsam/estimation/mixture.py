@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.value import Value
 from .information import Information
 
 SPAN, STEP = 4.5, 1.5
@@ -50,8 +51,8 @@ LARGEST_CHUNK = 4_000_000
 BISECTIONS = 45
 
 
-@dataclass(frozen=True, slots=True)
-class RangeErrorGrid:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RangeErrorGrid(Value):
     """Scales of the range errors at which their prior is integrated over, natural units.
 
     Attributes

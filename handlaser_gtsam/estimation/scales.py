@@ -18,6 +18,7 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray
+from ..data.value import Value
 from ..model.weighting import Variances
 from .information import NoiseSet
 
@@ -88,8 +89,8 @@ class Scale:
         return density
 
 
-@dataclass(frozen=True, slots=True)
-class Scales:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Scales(Value):
     """All unknown scales, and the noise that is known.
 
     Attributes

@@ -6,12 +6,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..arrays import FloatArray
+from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
-from ..data.recording import Recording
+from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
 from ..results.calibration import Beam, Calibration, Plane
 from ..results.spots import spot
 from ..results.systematic import SystematicError
+from .calibration_reading import CalibrationFile
 from .writing import path_of, write_text
 
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
@@ -36,8 +38,8 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         "fit": {
             "readings": fit.readings,
             "rms_m": fit.rms,
-            "max_m": fit.largest,
-            "max_at": {"station": fit.largest_at[0], "beam": fit.largest_at[1]},
+            "max_m": fit.max_residual,
+            "max_at": {"station": fit.max_residual_at[0], "beam": fit.max_residual_at[1]},
             "chi2": fit.chi2,
             "dof": fit.dof,
             "sigma0": fit.sigma0,
@@ -119,14 +121,26 @@ def check_text(check: MotionCheck) -> str:
 
 
 def write_calibration(
-    path: Path | str, calibration: Calibration, reading: float | None = None
+    path: Path | str, calibration: Calibration | CalibrationFile, reading: float | None = None
 ) -> None:
     """Write the calibration to a JSON file, whole or not at all.
 
     The error of the laser spots is told at `reading` [m], or at the median; not at all for a graph that
-    does not tell its readings.
+    does not tell its readings. What `read_calibration` returned is written as it was read.
+
+    Raises
+    ------
+    InputError
+        What is no calibration, or a file that cannot be written.
     """
-    write_text(path_of(path), calibration_text(calibration, reading))
+    if isinstance(calibration, CalibrationFile):
+        text = _text(calibration.model_dump(mode="json"))
+    else:
+        require_kind("calibration", calibration, Calibration)
+        if reading is not None:
+            require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+        text = calibration_text(calibration, reading)
+    write_text(path_of(path), text)
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:

@@ -1,17 +1,16 @@
 """Calibrated beams read back from the JSON file of a calibration."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from ..arrays import FloatArray
-from ..data.recording import first_repeated
 from ..errors import InputError
 from ..results.mounts import Mounts
 from ..text import shown
+from .json_reading import read_json
 from .writing import path_of
 
 # Whole numbers are bounded ints rather than literals: to a literal 1, True and 1.0 are the same.
@@ -57,22 +56,7 @@ def read_mounts(path: Path | str) -> Mounts:
     InputError
         No such file, no calibration that converged, or numbers that cannot be.
     """
-    path = path_of(path)
-    try:
-        text = path.read_bytes().decode("utf-8")
-        file = _File.model_validate(json.loads(text, object_pairs_hook=_once_each))
-    except OSError as error:
-        found = f"no readable file ({error.strerror})"
-        raise InputError(found, "a calibration, JSON", path) from error
-    except ValidationError as error:
-        raise _first_fault(error, path) from error
-    except UnicodeDecodeError as error:
-        byte = error.object[error.start]
-        found = f"the byte 0x{byte:02x}, which is not UTF-8, at offset {error.start}"
-        raise InputError(found, "a calibration, JSON", path) from error
-    except (InputError, ValueError, RecursionError) as error:
-        found = error.found if isinstance(error, InputError) else f"no JSON ({_reason(error)})"
-        raise InputError(found, "a calibration, JSON", path) from error
+    path, file = path_of(path), read_json(path, _File)
     if file.status != "converged" or file.beam_covariance is None:
         found = f"a calibration that is {shown(file.status)[1:-1]}"
         raise InputError(found, "a converged one, with its covariance", path)
@@ -80,25 +64,6 @@ def read_mounts(path: Path | str) -> Mounts:
         return _mounts(file, file.beam_covariance)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
-
-
-def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return the fields of an object; refuse one that stands twice: only the last would count."""
-    twice = first_repeated([name for name, _ in pairs])
-    if twice is not None:
-        raise InputError(f"the field {shown(pairs[twice][0])} twice", "every field once")
-    return dict(pairs)
-
-
-def _reason(error: Exception) -> str:
-    return str(error).splitlines()[0][:120]
-
-
-def _first_fault(error: ValidationError, path: Path) -> InputError:
-    fault = error.errors()[0]
-    field = ".".join(str(part) for part in fault["loc"]) or "the file"
-    found = f"{field} = {shown(fault['input'])}: {fault['msg']}"
-    return InputError(found, "a calibration of handlaser", path)
 
 
 def _mounts(file: _File, rows: list[list[float]]) -> Mounts:

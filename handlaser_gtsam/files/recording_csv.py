@@ -15,6 +15,7 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
+from ..checks import require_kind
 from ..data.codes import code_warning, coded_numbers
 from ..data.recording import LARGEST, Recording, first_repeated
 from ..errors import CalibrationWarning, InputError
@@ -52,6 +53,8 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
+    if sensor is not None:
+        require_kind("sensor", sensor, Sensor)
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
     if _used(table.frame.columns[-1]):
@@ -83,6 +86,7 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
 
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
+    require_kind("recording", recording, Recording)
     quaternions = Rotation.from_matrix(recording.world_R_hand).as_quat(canonical=True)
     columns: dict[str, pl.Series] = {
         "plane": pl.Series(recording.plane_labels, dtype=pl.String),

@@ -37,7 +37,7 @@ def _hold_out(found: HoldOut) -> dict[str, Json]:
     return {
         "readings": found.readings,
         "rms_m": found.rms,
-        "max_m": found.largest,
+        "max_m": found.max_residual,
         "chi2": found.chi2,
         "dof": found.dof,
         "noise_p_value": _finite(found.noise_p_value),
@@ -63,7 +63,7 @@ def _prediction(one: Prediction | None) -> Json:
     return {
         "tests": one.tests,
         "rms_m": one.rms,
-        "max_m": one.largest,
+        "max_m": one.max_residual,
         "standardized": _finite(one.standardized),
     }
 

@@ -20,14 +20,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..arrays import FloatArray, IntArray
+from ..data.value import Value
 from ..errors import InputError
 
 BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
 PLANE_COORDINATES = ("nx", "ny", "nz", "b")
 
 
-@dataclass(frozen=True, slots=True)
-class JointCovariance:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class JointCovariance(Value):
     """Covariance of beams and planes in SI units.
 
     Attributes
@@ -187,6 +188,8 @@ def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, kind: str) -> list[int]:
     if wanted is None:
         return list(range(len(names)))
+    if isinstance(wanted, str):
+        raise InputError(f"{wanted!r} as the names of {kind}s", f"a sequence: [{wanted!r}]")
     for name in wanted:
         if name not in names:
             raise InputError(f"{kind} {name!r}", f"one of {', '.join(names)}")

@@ -18,6 +18,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..data.value import Value
 from . import equation
 
 LEAST_VARIANCE = 1e-12
@@ -26,8 +27,8 @@ CURVED = 0.005
 """Range errors that change a reading's sigma by less than this part leave all weights equal."""
 
 
-@dataclass(frozen=True, slots=True)
-class Variances:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Variances(Value):
     """What makes up the covariance of the readings.
 
     Attributes
@@ -56,8 +57,8 @@ class Variances:
         return replace(self, pose=None)
 
 
-@dataclass(frozen=True, slots=True)
-class Whitening:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Whitening(Value):
     """Makes the residuals of readings independent and equally precise.
 
     Attributes

@@ -9,6 +9,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
+from ..data.value import Value
 from .rank import NullSpace, Observability
 
 SHARE = 0.02
@@ -39,8 +40,8 @@ class Names:
         return tuple(name for name, _ in sorted(self.planes, key=lambda plane: plane[1]))
 
 
-@dataclass(frozen=True, slots=True)
-class OpenPart:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class OpenPart(Value):
     """A quantity that the readings leave open, wholly or along some axes.
 
     Attributes

@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.ordering import Order
-from ..data.parameters import Parameters
+from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..errors import CalibrationWarning
 from ..estimation.covariance import covariance, covariance_of_determined
@@ -128,7 +128,25 @@ def assemble(
         _at_scales(solution, names, origins, fit, joint),
         None if solution.posterior is None else solution.posterior.learned,
         systematic,
+        range_error_prior=_prior(solution, order),
+        cost=_cost(solution, fit),
     )
+
+
+def _prior(solution: Solution, order: Order) -> RangeErrorPrior | None:
+    """Return the prior of the range errors, beams in the order of the recording."""
+    found, beams = solution.prior, np.argsort(order.beams)
+    if found is None:
+        return None
+    mean = None if found.mean is None else found.mean[beams]
+    return RangeErrorPrior(found.sigma[beams], mean)
+
+
+def _cost(solution: Solution, fit: Fit) -> float:
+    """Return the cost in units of the range sigma behind the covariances; see `Calibration.cost`."""
+    cost, sigma = solution.result.cost, fit.sigma0
+    known = fit.range_sigma_given or solution.scales_estimated or robust_sigma(solution)
+    return cost if known or not sigma else cost * (solution.problem.range_sigma / sigma) ** 2
 
 
 def _names(recording: Recording, order: Order) -> Names:

@@ -1,298 +1,63 @@
 """The result of a calibration."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
+from ..checks import require_kind, require_number
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
-from ..errors import CalibrationWarning
+from ..data.value import Value
+from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
 from ..model.joint import JointCovariance
-from ..model.losses import LossName
-from ..model.sensor import Rejected
 from ..model.weighting import Variances
-from ..observability.rank import Indices
-from ..observability.wording import OpenPart
 from .correlations import Correlation
+from .estimates import Beam, Plane
+from .reports import (
+    BeamMixture,
+    Determined,
+    Fit,
+    NoiseComponent,
+    RangeErrorScales,
+    ScaledSolution,
+    StartReport,
+)
 from .systematic import SystematicError
+
+if TYPE_CHECKING:
+    import gtsam
+    import polars as pl
+
+    from ..solvers.graph import CalibrationGraph
+
+__all__ = [
+    "Beam",
+    "BeamMixture",
+    "Calibration",
+    "Determined",
+    "Fit",
+    "NoiseComponent",
+    "Plane",
+    "RangeErrorScales",
+    "ScaledSolution",
+    "StartReport",
+    "Status",
+]
 
 Status = Literal["converged", "unobservable", "not_converged"]
 
-POOR_SIGMA = 0.5
-"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
 
-
-@dataclass(frozen=True, slots=True)
-class Beam:
-    """The mount of one beam, hand frame.
-
-    Attributes
-    ----------
-    name : str
-    location : (3,)
-        Where the range is zero, r [m].
-    direction : (3,)
-        Unit vector v.
-    range_error : (2,)
-        k1 [1], k2 [1/m]: the true range is d + k1 d + k2 d^2 for a reading d.
-    terms : int
-        How many of k1, k2 are in the model; the others are zero.
-    covariance : (8, 8) or None
-        Over (x, y, z, vx, vy, vz, k1, k2) in SI units, the direction in ambient coordinates (its
-        row along v is zero). None unless all of the beam is determined.
-    sigma : (8,) or None
-        Standard deviations of the same coordinates, infinite where the recording leaves one open;
-        None where nothing is known: a solver that gave up, or a second solution.
-    """
-
-    name: str
-    location: FloatArray
-    direction: FloatArray
-    range_error: FloatArray
-    terms: int
-    covariance: FloatArray | None
-    sigma: FloatArray | None
-
-    @property
-    def location_sigma(self) -> FloatArray | None:
-        """Standard deviations of the location (3,) [m]; infinite where open."""
-        return None if self.sigma is None else self.sigma[:3]
-
-    @property
-    def direction_sigma(self) -> float | None:
-        """Largest standard deviation over the tangent plane [rad]; infinite if open."""
-        if self.sigma is None:
-            return None
-        if self.covariance is None:
-            return float(np.linalg.norm(self.sigma[3:6]))  # an upper bound, infinite if open
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
-
-    @property
-    def range_error_sigma(self) -> FloatArray | None:
-        """Standard deviations of k1 [1] and k2 [1/m]; zero where not estimated, infinite if open."""
-        return None if self.sigma is None else self.sigma[6:]
-
-
-@dataclass(frozen=True, slots=True)
-class Plane:
-    """One plane, n . x + b = 0 in the world frame.
-
-    Attributes
-    ----------
-    name : str
-    normal : (3,)
-        Unit vector n; points away from the sensor.
-    offset : float
-        b [m].
-    covariance : (4, 4) or None
-        Over (nx, ny, nz, b), the normal in ambient coordinates. None unless all is determined.
-    sigma : (4,) or None
-        Standard deviations of the same coordinates, infinite where the recording leaves one open.
-    """
-
-    name: str
-    normal: FloatArray
-    offset: float
-    covariance: FloatArray | None
-    sigma: FloatArray | None
-
-    @property
-    def normal_sigma(self) -> float | None:
-        """Largest standard deviation of the normal over its tangent plane [rad]; infinite if open."""
-        if self.sigma is None:
-            return None
-        if self.covariance is None:
-            return float(np.linalg.norm(self.sigma[:3]))  # an upper bound, infinite if open
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
-
-    @property
-    def offset_sigma(self) -> float | None:
-        """Standard deviation of the offset [m]; infinite if open."""
-        return None if self.sigma is None else float(self.sigma[3])
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """How well the readings agree with the calibration.
-
-    Attributes
-    ----------
-    readings : int
-        Readings used.
-    rms, largest : float
-        Root mean square and largest absolute residual [m].
-    largest_at : (str, str)
-        Station and beam of the largest residual.
-    chi2 : float
-        Sum of squared residuals in units of the covariance behind the weights. If all readings weigh
-        the same and no range sigma was given: over 1 m^2.
-    dof : int
-        Readings, and pseudo-readings of the prior of range errors, less determined unknowns.
-    sigma0 : float
-        sqrt(chi2 / dof): near 1 when the given sigmas are right; the estimated range sigma in metres
-        if all readings weigh the same and none was given.
-    range_sigma : float
-        Standard deviation of a reading behind the covariances, given or estimated [m]; the median of
-        the beams where it was estimated by beam.
-    range_sigma_given : bool
-    poses : str
-        How errors of the hand poses counted: `exact`, `marginalised` or `estimated`.
-    median_reading, typical_range : float
-        Median of the readings, and the natural unit of lengths [m]: the same unless some are negative.
-    loss : str
-        `gaussian`, or the robust loss of the estimate.
-    farthest : float
-        Largest residual in units of its own standard deviation, that of the reading and its pose.
-    farthest_at : (str, str)
-        Station and beam of it.
-    residuals : (M, B)
-        Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
-    rejected : readings left out, each with its reason
-    """
-
-    readings: int
-    rms: float
-    largest: float
-    largest_at: tuple[str, str]
-    chi2: float
-    dof: int
-    sigma0: float
-    range_sigma: float
-    range_sigma_given: bool
-    poses: Literal["exact", "marginalised", "estimated"]
-    median_reading: float
-    typical_range: float
-    loss: LossName
-    farthest: float
-    farthest_at: tuple[str, str]
-    residuals: FloatArray
-    rejected: tuple[Rejected, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseComponent:
-    """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
-
-    `prior_carries` says that the recording hardly tells the sigma: what is expected of such a robot or
-    sensor decides about it. With a robust loss the error is not known, and NaN.
-    """
-
-    name: str
-    sigma: float
-    error: float
-
-    @property
-    def prior_carries(self) -> bool:
-        """Whether the sigma is hardly determined by the recording."""
-        return self.error >= POOR_SIGMA * self.sigma
-
-
-@dataclass(frozen=True, slots=True)
-class RangeErrorScales:
-    """What the range errors of all beams typically are, learned from them.
-
-    Attributes
-    ----------
-    k1, k2_per_m : float
-        Standard deviations of the zero-mean prior of k1 [1] and k2 [1/m]: posterior means.
-    linearity : float
-        Scale of the half-Cauchy prior of both, as a part of the reading.
-    """
-
-    k1: float
-    k2_per_m: float
-    linearity: float
-
-
-@dataclass(frozen=True, slots=True)
-class BeamMixture:
-    """The posterior of the beams as a mixture of Gaussians, one a set of scales.
-
-    Attributes
-    ----------
-    weight : (C,)
-    means, sigmas : (C, B, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2); means counted from the estimate.
-    members : (C, 2) of int
-        Which points and scales of `Calibration.learned` are behind each.
-    """
-
-    weight: FloatArray
-    means: FloatArray
-    sigmas: FloatArray
-    members: IntArray
-
-    def grown(self, factor: float) -> "BeamMixture":
-        """Return the mixture spread out about the estimate."""
-        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledSolution:
-    """The solution at the most probable scales, over which nothing is integrated: others can repeat it.
-
-    Attributes
-    ----------
-    parameters : Parameters
-        In the order of the recording, world frame.
-    covariance : JointCovariance
-    range_error_prior : RangeErrorPrior or None
-    """
-
-    parameters: Parameters
-    covariance: JointCovariance
-    range_error_prior: RangeErrorPrior | None
-
-
-@dataclass(frozen=True, slots=True)
-class Determined:
-    """What the readings determine; see `diagnosis.observability`.
-
-    Attributes
-    ----------
-    rank, unknowns : int
-    condition : float or None
-        Condition number in natural units; None when rank is short.
-    undetermined : tuple of str
-        What is left open, in words.
-    advice : tuple of str
-        Which motion would determine it.
-    open_parts : tuple of OpenPart
-        The same as names and axes.
-    indices : Indices or None
-        Observability indices O1 to O4; None when rank is short.
-    weakest : str
-        Along what the solution is known worst, in words; empty when rank is short.
-    """
-
-    rank: int
-    unknowns: int
-    condition: float | None
-    undetermined: tuple[str, ...] = ()
-    advice: tuple[str, ...] = ()
-    open_parts: tuple[OpenPart, ...] = ()
-    indices: Indices | None = None
-    weakest: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class StartReport:
-    """Which start was used, and the rms residual [m] of every start tried, lowest first."""
-
-    method: str
-    tried: tuple[tuple[str, float], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(Value):
     """Beams and planes with their uncertainty, and how they were found.
 
     Attributes
@@ -334,6 +99,16 @@ class Calibration:
     recording : Recording or None
         What was solved: repeated stations are merged, and readings that are codes taken out. None
         where it is not known.
+    range_error_prior : RangeErrorPrior or None
+        The prior of the range errors at the most probable scales, beams as in the recording.
+    cost : float
+        What the solver minimised, as GTSAM counts it: half the squares (or the robust loss) of the
+        residuals and the priors in units of their standard deviations. NaN where nothing was solved.
+
+    Notes
+    -----
+    A calibration can be pickled, copied and compared, which GTSAM graphs with Python factors cannot.
+    So it does not keep its graph: `problem`, and `graph` and `values` after it, build it again.
     """
 
     status: Status
@@ -356,6 +131,51 @@ class Calibration:
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()
     recording: Recording | None = None
+    range_error_prior: RangeErrorPrior | None = None
+    cost: float = math.nan
+
+    @property
+    def success(self) -> bool:
+        """Whether the solver converged on a solution that the recording determines."""
+        return self.status == "converged"
+
+    def problem(self) -> "CalibrationGraph":
+        """Return the factor graph that was solved, in the world frame, with the keys of everything.
+
+        Rejected readings are not in it. Its values are the estimate, or the solution at the most
+        probable scales where scales were integrated over. Hand poses that are variables stand at
+        their recorded values: `hl.optimize` moves them to their optimum.
+
+        Raises
+        ------
+        InputError
+            The calibration does not hold its recording.
+        """
+        from .solved_graph import solved_graph  # which imports GTSAM
+
+        return solved_graph(self)
+
+    @property
+    def graph(self) -> "gtsam.NonlinearFactorGraph":
+        """The factor graph that was solved, built anew every time; see `problem`."""
+        return self.problem().graph
+
+    @property
+    def values(self) -> "gtsam.Values":
+        """The solution as GTSAM values, for `graph`; see `problem`."""
+        return self.problem().values
+
+    def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
+        """Return a table of the beams and one of the planes, a row each.
+
+        Columns of the first: `beam`, `terms`, `x_m`, `y_m`, `z_m`, `vx`, `vy`, `vz`, `k1`, `k2_per_m`;
+        of the second: `plane`, `nx`, `ny`, `nz`, `b_m`. Then the standard deviation of every
+        coordinate, as `x_sigma_m`: infinite where the recording leaves it undetermined, null where
+        nothing is known.
+        """
+        from .tables import beam_table, plane_table  # which import Polars
+
+        return beam_table(self), plane_table(self)
 
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""
@@ -370,6 +190,7 @@ class Calibration:
 
     def noise(self, given: Noise) -> Noise:
         """Return `given` with what was estimated in its place, for readings of the same kind."""
+        require_kind("noise", given, Noise)
         found = replace(given, range_sigma=self.fit.range_sigma)
         if given.pose_covariance is not None and given.pose_covariance.ndim == 3:
             return found
@@ -399,7 +220,15 @@ class Calibration:
         Quantiles of the mixture where scales were integrated over; else Gaussian, or Student's t where
         the range sigma comes from the residuals. None where there are no standard deviations; infinite
         where the recording leaves a coordinate undetermined.
+
+        Raises
+        ------
+        InputError
+            No such beam, or no probability.
         """
+        if beam not in self.beams:
+            raise InputError(f"beam {beam!r}", f"one of {', '.join(self.beams)}")
+        require_number("level", level, 0.0, 1.0)
         found = self.beams[beam]
         if found.sigma is None:
             return None

@@ -49,8 +49,8 @@ def fit_of(
     fit = Fit(
         readings=len(e),
         rms=float(np.sqrt(squares / len(e))),
-        largest=float(np.abs(e).max()),
-        largest_at=(
+        max_residual=float(np.abs(e).max()),
+        max_residual_at=(
             recording.station_names[station[worst]],
             recording.beam_names[beam[worst]],
         ),
@@ -63,8 +63,8 @@ def fit_of(
         loss=solution.problem.loss.name,
         median_reading=float(np.median(readings.distance[of_used])),
         typical_range=typical_range(readings.distance[of_used]),
-        farthest=float(far[farthest]),
-        farthest_at=(
+        max_standardized_residual=float(far[farthest]),
+        max_standardized_residual_at=(
             recording.station_names[station[of_used[farthest]]],
             recording.beam_names[beam[of_used[farthest]]],
         ),

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from ..arrays import FloatArray
-from ..checks import require_names
+from ..checks import require_kind, require_names
 from ..errors import CalibrationWarning, InputError
 from ..keys import BeamKeys
 from ..model.joint import JointCovariance
@@ -67,6 +67,8 @@ def read_graph(
         raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
+    for keys in beams.values():
+        require_kind("the keys of a beam", keys, BeamKeys)
     require_values(values)
     wanted = _wanted(graph, values, beams, planes)
     linear = graph.linearize(values)

@@ -59,8 +59,8 @@ def fit_of_graph(
     return Fit(
         readings=len(rows),
         rms=float(np.sqrt(np.mean(e**2))),
-        largest=float(np.abs(e).max()),
-        largest_at=(rows[worst].label, names[rows[worst].beam]),
+        max_residual=float(np.abs(e).max()),
+        max_residual_at=(rows[worst].label, names[rows[worst].beam]),
         chi2=chi2,
         dof=dof,
         sigma0=float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0,
@@ -70,8 +70,8 @@ def fit_of_graph(
         median_reading=_median([row.range for row in rows]),
         typical_range=_median([abs(row.range) for row in rows]),
         loss="gaussian",
-        farthest=float(np.abs(e / sigma).max()),
-        farthest_at=(rows[far].label, names[rows[far].beam]),
+        max_standardized_residual=float(np.abs(e / sigma).max()),
+        max_standardized_residual_at=(rows[far].label, names[rows[far].beam]),
         residuals=table,
         rejected=(),
     )

@@ -3,12 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, frozen
-from ..checks import require_count, require_covariance, require_names, require_number
+from ..arrays import FloatArray
+from ..checks import (
+    number_array,
+    require_count,
+    require_covariance,
+    require_kind,
+    require_names,
+    require_number,
+)
 from ..data.noise import LEAST_SIGMA, MOST_SIGMA, Noise
 from ..data.recording import LARGEST, first_repeated
+from ..data.value import Value
 from ..errors import InputError
 from ..text import shown
 from .calibration import Calibration
@@ -19,8 +26,8 @@ ROUNDING = 1e-6
 """Asymmetry and negative eigenvalues of a computed covariance, as a part of its variances."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mounts:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Mounts(Value):
     """Beams in the hand frame, with their joint covariance.
 
     Attributes
@@ -57,7 +64,7 @@ class Mounts:
 
     def __post_init__(self) -> None:
         for name in ("locations", "directions", "range_errors", "covariance"):
-            object.__setattr__(self, name, _array(getattr(self, name), name))
+            object.__setattr__(self, name, number_array(name, getattr(self, name)))
         count = len(self.names)
         shapes = [(count, 3), (count, 3), (count, 2), (8 * count, 8 * count)]
         arrays = (self.locations, self.directions, self.range_errors, self.covariance)
@@ -78,6 +85,7 @@ class Mounts:
         InputError
             It did not converge.
         """
+        require_kind("calibration", calibration, Calibration)
         if calibration.covariance is None or calibration.status != "converged":
             raise InputError(f"a calibration that is {calibration.status}", "a converged one")
         beams = list(calibration.beams.values())
@@ -120,13 +128,6 @@ class Mounts:
             self.range_sigma,
             self.pose_covariance,
         )
-
-
-def _array(values: ArrayLike, name: str) -> FloatArray:
-    try:
-        return frozen(values)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} that is no array of numbers ({error})", "numbers") from error
 
 
 def _check_names(mounts: Mounts) -> None:

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_number
+from ..checks import require_kind, require_number
 from ..data.recording import LARGEST, Recording
+from ..data.value import Value
 from ..errors import InputError
 from .calibration import Beam, Calibration
 
@@ -23,8 +24,8 @@ LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
 
 
-@dataclass(frozen=True, slots=True)
-class Spot:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Spot(Value):
     """Where a reading puts the laser spot, hand frame.
 
     Attributes
@@ -49,8 +50,8 @@ class Spot:
     reading_sigma: float
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredPlane:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MeasuredPlane(Value):
     """A plane through the spots of several beams, hand frame.
 
     Attributes
@@ -82,6 +83,7 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     InputError
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
+    require_kind("calibration", calibration, Calibration)
     one = _beam(calibration, beam)
     joint = calibration.covariance
     if joint is None or one.direction_sigma is None:
@@ -104,6 +106,8 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     InputError
         Fewer than three beams, spots on one line, or what `spot` refuses.
     """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("readings", readings, Mapping, "a reading by the name of each beam")
     names: list[str] = list(readings)
     joint = calibration.covariance
     if len(names) < 3:

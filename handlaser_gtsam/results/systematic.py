@@ -24,14 +24,15 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..data.value import Value
 from ..model.weighting import Whitening
 from ..observability.wording import Names
 from .score_tests import LEVEL, ScoreTests, alike
 from .wording import BY_NATURE, WORDING, size_in_words
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SystematicError:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SystematicError(Value):
     """One kind of systematic error: what the readings say of it, and what it could do unnoticed.
 
     Attributes

@@ -131,13 +131,13 @@ def doubts(
         found.append(CalibrationWarning("far-beam", words))
     found += _same_mounts(parameters, fit, names)
     found += _doubts_of_noise(fit, noise, variances)
-    if fit.dof > 0 and fit.farthest > FAR_READING:
-        station, beam = fit.farthest_at
+    if fit.dof > 0 and fit.max_standardized_residual > FAR_READING:
+        station, beam = fit.max_standardized_residual_at
         found.append(
             CalibrationWarning(
                 "far-reading",
-                f"the reading of beam {beam} at station {station} is {fit.farthest:.1f} "
-                "sigmas off; leave it out if it is an outlier",
+                f"the reading of beam {beam} at station {station} is "
+                f"{fit.max_standardized_residual:.1f} sigmas off; leave it out if it is an outlier",
             )
         )
     return tuple(found)

@@ -24,6 +24,7 @@ from scipy.stats import f as f_distribution
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
+from ..data.value import Value
 from ..solvers.reduction import NormalEquations
 
 MOST_SIGMA = 0.1
@@ -34,8 +35,8 @@ FALSE_ALARMS = 2e-5
 """How often a search may find something where nothing has moved."""
 
 
-@dataclass(frozen=True, slots=True)
-class Moved:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Moved(Value):
     """A beam that has moved.
 
     Attributes

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 from ..arrays import FloatArray
+from ..data.value import Value
 from ..model.sensor import Rejected
 from .drift import Moved
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Comparison(Value):
     """The incremental estimate against a batch solution.
 
     Of the same readings, with the same range-error terms and range sigma; `Session.settle` compares
@@ -29,8 +30,8 @@ class Comparison:
     message: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Update:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Update(Value):
     """What adding a recording did.
 
     Attributes

@@ -7,6 +7,7 @@ import gtsam
 import numpy as np
 
 from ..arrays import IntArray
+from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
 from ..factors import RangeBlock, range_error_prior, range_factor
@@ -90,6 +91,8 @@ def build_graph(
         Makes the hand pose of every station a variable; needs a whitening.
     range_errors : RangeErrorPrior, optional
     """
+    require_kind("readings", readings, Readings)
+    require_kind("start", start, Parameters)
     counts = per_beam(terms, readings.beams)
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     planes = tuple(plane_key(p) for p in range(readings.planes))

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_count
+from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
+from ..data.value import Value
 from ..errors import GrazingBeamError, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions, RangeError
@@ -31,8 +32,8 @@ MOST_DRAWS = 10_000_000
 TERMS: dict[int, RangeError] = {0: "none", 1: "k1", 2: "k1k2"}
 
 
-@dataclass(frozen=True, slots=True)
-class Bootstrap:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bootstrap(Value):
     """Draws of the beams, and how far their spread is from the covariance.
 
     Attributes
@@ -77,6 +78,10 @@ def bootstrap(
     InputError
         The calibration did not converge, or fewer than two draws did.
     """
+    require_kind("calibration", calibration, Calibration)
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     if calibration.covariance is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     require_count("count of draws", count, 2, MOST_DRAWS)

@@ -7,14 +7,15 @@ import numpy as np
 from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording
+from ..data.value import Value
 from ..errors import InputError
 from ..results.calibration import Calibration
 from ..solvers.reference import ReferenceNoise, solve_reference
 from ..starts import find_start
 
 
-@dataclass(frozen=True, slots=True)
-class CrossCheck:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class CrossCheck(Value):
     """Largest disagreement between the factor graph and the SciPy reference.
 
     Attributes

@@ -25,6 +25,7 @@ from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
+from ..data.value import Value
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
@@ -41,8 +42,8 @@ LEAST_DOF = 10
 """Degrees of freedom from which a range sigma is estimated from the recording itself."""
 
 
-@dataclass(frozen=True, slots=True)
-class BeamDrift:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BeamDrift(Value):
     """Whether one beam has moved since its calibration.
 
     Attributes
@@ -65,14 +66,14 @@ class BeamDrift:
     turn: float
 
 
-@dataclass(frozen=True, slots=True)
-class HoldOut:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class HoldOut(Value):
     """A recording that a calibration did not see.
 
     Attributes
     ----------
     readings : int
-    rms, largest : float
+    rms, max_residual : float
         Of the residuals with the calibrated beams and the planes fitted [m].
     chi2, dof : float, int
         Of noise and model, the beams free: near dof if they are right.
@@ -87,7 +88,7 @@ class HoldOut:
 
     readings: int
     rms: float
-    largest: float
+    max_residual: float
     chi2: float
     dof: int
     noise_p_value: float

@@ -11,10 +11,11 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
-from ..checks import require_count
+from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
+from ..data.value import Value
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..model.weighting import Variances, reading_sigmas
@@ -33,14 +34,14 @@ MOST_SPLITS = 10_000
 Step = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Prediction(Value):
     """Errors of predicted ranges.
 
     Attributes
     ----------
     tests : int
-    rms, largest : float
+    rms, max_residual : float
         [m]
     standardized : float
         Root mean square in units of the predictions' own standard deviations: near 1 if these are
@@ -49,12 +50,12 @@ class Prediction:
 
     tests: int
     rms: float
-    largest: float
+    max_residual: float
     standardized: float
 
 
-@dataclass(frozen=True, slots=True)
-class PlaneLeftOut:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PlaneLeftOut(Value):
     """A calibration without one plane, and how its beams fit that plane; None where it failed."""
 
     plane: str
@@ -62,8 +63,8 @@ class PlaneLeftOut:
     message: str
 
 
-@dataclass(frozen=True, slots=True)
-class Validation:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Validation(Value):
     """What a recording says about its own calibration.
 
     Attributes
@@ -120,6 +121,8 @@ def validate(
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     require_count("splits", splits, 0, MOST_SPLITS)
+    if rng is not None:
+        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     step = step or (lambda _: None)
     step("everything")
     whole = calibrate(recording, noise, options)

@@ -1,0 +1,120 @@
+"""The readings of a recording one a row: what all solvers work on."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from .value import Value
+
+QUARTILES = 1.349
+"""Distance of the quartiles in standard deviations, if Gaussian."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Readings(Value):
+    """The readings of a recording one a row, sorted by plane, then beam, then station.
+
+    Attributes
+    ----------
+    station, beam, plane : (N,)
+        Indices into the names of the recording.
+    distance : (N,)
+        What the sensor read, d [m].
+    world_R_hand : (N, 3, 3)
+    world_t_hand : (N, 3)
+        Hand pose of the reading's station [m], world frame.
+    beams, planes : int
+        Number of beams B and planes P.
+    samples : (N,), optional
+        How many independent readings each is worth, where it is a mean of several; else one.
+    """
+
+    station: IntArray
+    beam: IntArray
+    plane: IntArray
+    distance: FloatArray
+    world_R_hand: FloatArray
+    world_t_hand: FloatArray
+    beams: int
+    planes: int
+    samples: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def block_starts(self) -> IntArray:
+        """Return the first row of each block of readings that share plane and beam."""
+        change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
+        return np.concatenate(([0], np.flatnonzero(change) + 1)).astype(np.intp)
+
+    def seen_from(self, origins: FloatArray) -> "Readings":
+        """Return the readings with hand positions relative to `origins` (P, 3) of their planes.
+
+        A plane appears in its own readings only, and beams live in the hand frame: so every plane may
+        have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
+        """
+        return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
+
+    def typical_range(self) -> float:
+        """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
+        return typical_range(self.distance)
+
+    def largest_range(self) -> float:
+        """Return the size of the largest reading [m]."""
+        return float(np.abs(self.distance).max())
+
+    def spread(self) -> float:
+        """Return the standard deviation of the readings [m] that their quartiles show."""
+        low, high = np.quantile(self.distance, [0.25, 0.75])
+        return float(high - low) / QUARTILES if high > low else float(self.distance.std())
+
+    def copies(self, count: int) -> "Readings":
+        """Return the readings `count` times, each time with beams and planes of their own."""
+        if count == 1:
+            return self
+        copy = np.repeat(np.arange(count), len(self))
+        return Readings(
+            np.tile(self.station, count),
+            np.tile(self.beam, count) + copy * self.beams,
+            np.tile(self.plane, count) + copy * self.planes,
+            np.tile(self.distance, count),
+            np.tile(self.world_R_hand, (count, 1, 1)),
+            np.tile(self.world_t_hand, (count, 1)),
+            self.beams * count,
+            self.planes * count,
+            None if self.samples is None else np.tile(self.samples, count),
+        )
+
+    def plane_means(self, values: FloatArray) -> FloatArray:
+        """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""
+        count = np.maximum(np.bincount(self.plane, minlength=self.planes), 1)
+        sums = [np.bincount(self.plane, column, self.planes) for column in values.T]
+        mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
+        return mean
+
+    def subset(self, rows: IntArray) -> "Readings":
+        """Return the readings `rows` (sorted indices), with the same beams and planes."""
+        return Readings(
+            self.station[rows],
+            self.beam[rows],
+            self.plane[rows],
+            self.distance[rows],
+            self.world_R_hand[rows],
+            self.world_t_hand[rows],
+            self.beams,
+            self.planes,
+            None if self.samples is None else self.samples[rows],
+        )
+
+
+def typical_range(distance: FloatArray) -> float:
+    """Return the median of readings (N,), the natural unit of lengths [m].
+
+    Readings of both signs count from a reference amid the sensor's range, at which nothing is short:
+    then it is half of what they span, but for the extreme twentieths.
+    """
+    if distance.size == 0 or distance.min() > 0.0:
+        return float(np.median(distance))
+    low, high = np.quantile(distance, [0.05, 0.95])
+    return float(0.5 * (high - low)) or float(np.abs(distance).max()) or 1.0

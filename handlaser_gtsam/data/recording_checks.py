@@ -1,0 +1,169 @@
+"""What a recording must be: shapes, numbers, rotations, and names that stand once."""
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Protocol, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..arrays import FloatArray
+from ..checks import number_array, require_kind, require_names, require_number
+from ..errors import CalibrationWarning, InputError
+
+if TYPE_CHECKING:
+    from .recording import Recording
+
+ROTATION_TOLERANCE = 1e-6
+LARGEST = 1e6
+"""Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
+
+
+class HasMatrix(Protocol):
+    """A pose with a homogeneous matrix (4, 4): gtsam.Pose3."""
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the homogeneous matrix."""
+        ...
+
+
+def pose_matrices(poses: Sequence[HasMatrix] | ArrayLike) -> FloatArray:
+    """Return poses, objects or arrays, as matrices (M, 4, 4).
+
+    Raises
+    ------
+    InputError
+        What is no pose, or the transpose of one.
+    """
+    expected = "a sequence of gtsam.Pose3, or an array (M, 4, 4)"
+    rows: object = poses
+    if isinstance(poses, Sequence):
+        rows = [one.matrix() if hasattr(one, "matrix") else one for one in poses]
+    T = number_array("poses", cast(ArrayLike, rows), expected)
+    if T.shape[1:] != (4, 4):
+        raise InputError(f"poses of shape {T.shape}", expected)
+    wrong = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+    if wrong.size:
+        found = f"the last row {T[wrong[0], 3].tolist()} in pose {wrong[0] + 1}"
+        raise InputError(found, "[0, 0, 0, 1]: world_T_hand, and not its transpose")
+    return T
+
+
+def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names as a tuple.
+
+    Raises
+    ------
+    InputError
+        A single text, what is no sequence, or a name that cannot be one.
+    """
+    found = names if isinstance(names, str) or not isinstance(names, Iterable) else tuple(names)
+    require_names(kind, found)
+    return tuple(found)
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Return the names of what has none: "1", "2", ..."""
+    return tuple(str(index + 1) for index in range(count))
+
+
+def check_recording(recording: "Recording") -> None:
+    """Refuse what cannot be a recording.
+
+    Raises
+    ------
+    InputError
+    """
+    require_kind("warnings", recording.warnings, tuple, "a tuple of CalibrationWarning")
+    for one in recording.warnings:
+        require_kind("a warning", one, CalibrationWarning)
+    _check_shapes(recording)
+    _check_poses(recording)
+    _check_readings(recording)
+    _check_names(recording)
+
+
+def _check_shapes(recording: "Recording") -> None:
+    stations, beams = len(recording.plane_labels), len(recording.beam_names)
+    if stations == 0 or beams == 0:
+        raise InputError(f"{stations} stations and {beams} beams", "at least one of each")
+    for name, shape in (
+        ("world_R_hand", (stations, 3, 3)),
+        ("world_t_hand", (stations, 3)),
+        ("ranges", (stations, beams)),
+        ("samples", (stations, beams)),
+    ):
+        array = getattr(recording, name)
+        if array is not None and array.shape != shape:
+            raise InputError(f"{name} of shape {array.shape}", f"shape {shape}")
+    if len(recording.station_names) != stations:
+        raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
+
+
+def _check_poses(recording: "Recording") -> None:
+    R, t, name = recording.world_R_hand, recording.world_t_hand, recording.station_names
+    bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
+    if bad.size:
+        raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
+    bad = np.flatnonzero((np.abs(t) > LARGEST).any(axis=1))
+    if bad.size:
+        found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
+        raise InputError(found, f"metres, at most {LARGEST:.0f}")
+    bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
+    error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
+    if bad.size:
+        raise InputError(
+            f"world_R_hand that is no rotation at station {name[bad[0]]} "
+            f"(R'R differs from the identity by {error[bad[0]]:.1e})",
+            f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
+        )
+
+
+def _check_readings(recording: "Recording") -> None:
+    d, samples, name = recording.ranges, recording.samples, recording.station_names
+    require_number("range_min", recording.range_min, -LARGEST, 0.0, unit="m")
+    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST)).all():
+        raise InputError("samples that are not one or more", "1 for a reading that is no mean")
+    with np.errstate(invalid="ignore"):
+        positive = (d > 0.0) if recording.range_min == 0.0 else (d >= recording.range_min)
+        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST)))
+    if rows.size:
+        least = "a positive range"
+        if recording.range_min < 0.0:
+            least = f"a range from {recording.range_min:g}"
+        raise InputError(
+            f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
+            f"at station {name[rows[0]]}",
+            f"{least} in metres up to {LARGEST:.0f}, or NaN for no reading; negative readings need the "
+            "sensor's range_min",
+        )
+
+
+def _check_names(recording: "Recording") -> None:
+    for kind, names in (("station", recording.station_names), ("beam", recording.beam_names)):
+        twice = first_repeated(names)
+        if twice is not None:
+            raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
+    seen = ~np.isnan(recording.ranges)
+    for beam in np.flatnonzero(~seen.any(axis=0)):
+        raise InputError(
+            f"beam {recording.beam_names[beam]} without any reading",
+            "at least one reading of every beam; leave the beam out",
+        )
+    measured = np.zeros(len(recording.plane_names), dtype=bool)
+    measured[recording.plane_of_station[seen.any(axis=1)]] = True
+    for plane in np.flatnonzero(~measured):
+        raise InputError(
+            f"plane {recording.plane_names[plane]} without any reading",
+            "at least one reading of every plane; leave its stations out",
+        )
+
+
+def first_repeated(names: Sequence[str]) -> int | None:
+    """Return the index of the first name that stands earlier too, or None."""
+    seen: set[str] = set()
+    for index, name in enumerate(names):
+        if name in seen:
+            return index
+        seen.add(name)
+    return None

@@ -1,0 +1,114 @@
+"""Values: frozen dataclasses that hold arrays, and compare, pickle and print as wholes.
+
+`==` of a dataclass with arrays raises, a mapping proxy in one cannot be pickled, a copied array can be
+written to again, and the representation lists every number. A subclass of `Value` declares no method
+of its own against that; its decorator switches off those of the dataclass:
+
+    @dataclass(frozen=True, slots=True, eq=False, repr=False)
+    class Beam(Value): ...
+"""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+SHOWN = 8
+"""Arrays and tuples with more entries are represented by their size."""
+SHOWN_NAMES = 4
+SHOWN_TEXT = 60
+"""Longer texts are cut."""
+
+
+class Value:
+    """Base of frozen dataclasses with arrays.
+
+    Two values are equal if they are of one class and all their fields are equal: arrays in shape and
+    every entry, mappings in the order of their names too, and NaN is equal to NaN. Values have no hash,
+    like arrays. Arrays and mappings in them are read-only, in copies and after unpickling as well;
+    building a value copies no array, so that who keeps a writable one must not write to it.
+    """
+
+    __slots__ = ()
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        names = self.__dataclass_fields__
+        return all(same(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from the fields, without the checks that they have passed already."""
+        return _rebuilt, (type(self), [_plain(getattr(self, n)) for n in self.__dataclass_fields__])
+
+    def __repr__(self) -> str:
+        parts = []
+        for name, field in self.__dataclass_fields__.items():
+            value = getattr(self, name)
+            if field.default is MISSING or not same(value, field.default):
+                parts.append(f"{name}={_short(value)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def same(a: object, b: object) -> bool:
+    """Tell whether two fields of values are equal; NaN is equal to NaN."""
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape):
+            return False
+        return bool(((a == b) | ((a != a) & (b != b))).all())
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return list(a) == list(b) and same(tuple(a.values()), tuple(b.values()))
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return bool(a == b or (a != a and b != b))
+
+
+def _rebuilt(kind: type[Value], fields: list[object]) -> Value:
+    found = object.__new__(kind)
+    for name, value in zip(kind.__dataclass_fields__, fields, strict=True):
+        object.__setattr__(found, name, _read_only(value))
+    return found
+
+
+def _read_only(value: object) -> object:
+    if isinstance(value, np.ndarray) and value.flags.writeable:
+        value = value.view()
+        value.flags.writeable = False
+    elif isinstance(value, dict):
+        value = MappingProxyType(value)
+    elif isinstance(value, tuple) and any(isinstance(one, np.ndarray) for one in value):
+        value = tuple(map(_read_only, value))
+    return value
+
+
+def _plain(value: object) -> object:
+    """Return a field as something that can be pickled."""
+    return dict(value) if isinstance(value, MappingProxyType) else value
+
+
+def _short(value: object) -> str:
+    """Return a field in a few words."""
+    if isinstance(value, np.ndarray):
+        if value.size <= SHOWN:
+            return " ".join(np.array2string(value, precision=6, separator=", ").split())
+        return f"<array {'x'.join(map(str, value.shape))}>"
+    if isinstance(value, Mapping):
+        names = [repr(name) for name in list(value)[:SHOWN_NAMES]]
+        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_NAMES else names)}}}"
+    if isinstance(value, tuple):
+        plain = all(isinstance(one, (str, int, float)) for one in value)
+        if plain and len(value) <= SHOWN:
+            return f"({', '.join(map(_short, value))})"
+        return f"<{len(value)} {type(value[0]).__name__}>"
+    if isinstance(value, str) and len(value) > SHOWN_TEXT:
+        return repr(f"{value[:SHOWN_TEXT]}...")
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return f"<{type(value).__name__}>" if hasattr(value, "__dataclass_fields__") else repr(value)

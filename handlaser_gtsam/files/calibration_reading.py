@@ -1,0 +1,254 @@
+"""Calibrations read back from their JSON files, field by field.
+
+The classes are the schema of the file (docs/files.md): a field is called as it is called there, with
+its unit, and a file with any other field is refused. What a file does not hold is not made up: the
+residual of every reading, the covariance of planes, and what intervals were computed from are gone.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, Strict
+
+from .json_reading import read_json
+
+Item = TypeVar("Item")
+Many = Annotated[tuple[Item, ...], Strict(False)]  # strictly, the lists of JSON are no tuples
+Numbers = Many[float]
+Known = Many[float | None]
+"""Numbers, None where the recording leaves one undetermined."""
+Vector = Annotated[Numbers, Field(min_length=3, max_length=3)]
+Pair = Annotated[Known, Field(min_length=2, max_length=2)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class WarningRecord(_Record):
+    """A warning of the calibration."""
+
+    code: str
+    message: str
+
+
+class RangeErrorRecord(_Record):
+    """k1 [1] and k2 [1/m]."""
+
+    k1: float
+    k2_per_m: float
+
+
+class BeamSigmaRecord(_Record):
+    """Standard deviations of a beam; None where undetermined."""
+
+    location_m: Annotated[Known, Field(min_length=3, max_length=3)]
+    direction_rad: float | None
+    k1: float | None
+    k2_per_m: float | None
+
+
+class IntervalRecord(_Record):
+    """95 % intervals of a beam."""
+
+    location_m: Many[Pair]
+    direction: Many[Pair]
+    k1: Pair
+    k2_per_m: Pair
+
+
+class SpotRecord(_Record):
+    """The laser spot of a beam at one reading."""
+
+    reading_m: float
+    position_m: Vector
+    along_sigma_m: float
+    across_sigma_m: float
+    direction_sigma_rad: float
+    reading_sigma_m: float
+
+
+class BeamRecord(_Record):
+    """A beam, hand frame."""
+
+    name: str
+    location_m: Vector
+    direction: Vector
+    range_error: RangeErrorRecord
+    range_error_terms: Annotated[int, Field(ge=0, le=2)]
+    range_error_excludes_zero: dict[str, bool] | None
+    sigma: BeamSigmaRecord | None
+    interval_95: IntervalRecord | None
+    covariance: Many[Numbers] | None
+    spot: SpotRecord | None
+
+
+class PlaneSigmaRecord(_Record):
+    """Standard deviations of a plane; None where undetermined."""
+
+    normal_rad: float | None
+    offset_m: float | None
+
+
+class PlaneRecord(_Record):
+    """A plane n . x + b = 0, world frame."""
+
+    name: str
+    normal: Vector
+    offset_m: float
+    sigma: PlaneSigmaRecord | None
+
+
+class ReadingRecord(_Record):
+    """Where a reading stands: its station and its beam."""
+
+    station: str
+    beam: str
+
+
+class RejectedRecord(ReadingRecord):
+    """A rejected reading."""
+
+    reason: str
+    residual_m: float | None
+
+
+class NoiseRecord(_Record):
+    """An estimated sigma."""
+
+    name: str
+    sigma: float
+    error: float | None
+    prior_carries: bool
+
+
+class FitRecord(_Record):
+    """How well the readings agree."""
+
+    readings: int
+    rms_m: float
+    max_m: float
+    max_at: ReadingRecord
+    chi2: float
+    dof: int
+    sigma0: float
+    range_sigma_m: float
+    range_sigma_given: bool
+    poses: str
+    pose_covariance: Many[Numbers] | None
+    noise_estimate: Many[NoiseRecord]
+    rejected: Many[RejectedRecord]
+
+
+class IndicesRecord(_Record):
+    """Observability indices."""
+
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+
+
+class ObservabilityRecord(_Record):
+    """What the recording determines."""
+
+    rank: int
+    unknowns: int
+    condition: float | None
+    undetermined: Many[str]
+    advice: Many[str]
+    weakest: str | None
+    indices: IndicesRecord | None
+
+
+class CorrelationRecord(_Record):
+    """Two coordinates that the recording hardly tells apart."""
+
+    first: str
+    second: str
+    coefficient: float
+    advice: str
+
+
+class ScalesRecord(_Record):
+    """Learned scales of the range errors."""
+
+    k1: float
+    k2_per_m: float
+    linearity: float
+
+
+class SystematicRecord(_Record):
+    """A systematic error that was tested."""
+
+    code: str
+    subject: str
+    unit: str
+    size: float | None
+    sigma: float | None
+    p_value: float | None
+    found: bool
+    explained_by: str | None
+    confounded: bool
+    detectable: float | None
+    alike: Many[str]
+    location_shift_m: Many[Known]
+    direction_shift_rad: Many[Known]
+    location_error_m: Many[Known]
+    direction_error_rad: Many[Known]
+    message: str
+    remedy: str
+
+
+class TriedRecord(_Record):
+    """A start that was tried, and the rms residual it led to; None if it led nowhere."""
+
+    method: str
+    rms_m: float | None
+
+
+class StartRecord(_Record):
+    """The start that was used, and all that were tried."""
+
+    method: str
+    tried: Many[TriedRecord]
+
+
+class CalibrationFile(_Record):
+    """What the JSON file of a calibration holds; see docs/files.md for its fields.
+
+    It can be compared, copied and pickled, and `write_calibration` writes it as it was. Matrices are
+    rows of numbers: `numpy.array(file.beam_covariance)`.
+    """
+
+    format: Literal["handlaser-calibration"]
+    version: Annotated[int, Field(ge=1, le=1)]
+    status: Literal["converged", "unobservable", "not_converged"]
+    message: str
+    warnings: Many[WarningRecord]
+    beams: Many[BeamRecord]
+    beam_covariance: Many[Numbers] | None
+    planes: Many[PlaneRecord]
+    fit: FitRecord
+    observability: ObservabilityRecord
+    correlations: Many[CorrelationRecord]
+    range_error_scales: ScalesRecord | None
+    systematic: Many[SystematicRecord]
+    start: StartRecord
+    iterations: int
+
+    @property
+    def success(self) -> bool:
+        """Whether the calibration converged."""
+        return self.status == "converged"
+
+
+def read_calibration(path: Path | str) -> CalibrationFile:
+    """Read what `write_calibration` or `handlaser calibrate --out` wrote.
+
+    Raises
+    ------
+    InputError
+        No such file, or one that is no calibration of this version.
+    """
+    return read_json(path, CalibrationFile)

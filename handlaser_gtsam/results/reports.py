@@ -1,0 +1,188 @@
+"""What a calibration reports beside its estimates: fit, noise, scales, rank and start."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ..arrays import FloatArray, IntArray
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.value import Value
+from ..model.joint import JointCovariance
+from ..model.losses import LossName
+from ..model.sensor import Rejected
+from ..observability.rank import Indices
+from ..observability.wording import OpenPart
+
+POOR_SIGMA = 0.5
+"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Fit(Value):
+    """How well the readings agree with the calibration.
+
+    Attributes
+    ----------
+    readings : int
+        Readings used.
+    rms, max_residual : float
+        Root mean square and largest absolute residual [m].
+    max_residual_at : (str, str)
+        Station and beam of the largest residual.
+    chi2 : float
+        Sum of squared residuals in units of the covariance behind the weights. If all readings weigh
+        the same and no range sigma was given: over 1 m^2.
+    dof : int
+        Readings, and pseudo-readings of the prior of range errors, less determined unknowns.
+    sigma0 : float
+        sqrt(chi2 / dof): near 1 when the given sigmas are right; the estimated range sigma in metres
+        if all readings weigh the same and none was given.
+    range_sigma : float
+        Standard deviation of a reading behind the covariances, given or estimated [m]; the median of
+        the beams where it was estimated by beam.
+    range_sigma_given : bool
+    poses : str
+        How errors of the hand poses counted: `exact`, `marginalised` or `estimated`.
+    median_reading, typical_range : float
+        Median of the readings, and the natural unit of lengths [m]: the same unless some are negative.
+    loss : str
+        `gaussian`, or the robust loss of the estimate.
+    max_standardized_residual : float
+        Largest residual in units of its own standard deviation, that of the reading and its pose.
+    max_standardized_residual_at : (str, str)
+        Station and beam of it.
+    residuals : (M, B)
+        Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
+    rejected : readings left out, each with its reason
+    """
+
+    readings: int
+    rms: float
+    max_residual: float
+    max_residual_at: tuple[str, str]
+    chi2: float
+    dof: int
+    sigma0: float
+    range_sigma: float
+    range_sigma_given: bool
+    poses: Literal["exact", "marginalised", "estimated"]
+    median_reading: float
+    typical_range: float
+    loss: LossName
+    max_standardized_residual: float
+    max_standardized_residual_at: tuple[str, str]
+    residuals: FloatArray
+    rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class NoiseComponent(Value):
+    """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
+
+    `prior_carries` says that the recording hardly tells the sigma: what is expected of such a robot or
+    sensor decides about it. With a robust loss the error is not known, and NaN.
+    """
+
+    name: str
+    sigma: float
+    error: float
+
+    @property
+    def prior_carries(self) -> bool:
+        """Whether the sigma is hardly determined by the recording."""
+        return self.error >= POOR_SIGMA * self.sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RangeErrorScales(Value):
+    """What the range errors of all beams typically are, learned from them.
+
+    Attributes
+    ----------
+    k1, k2_per_m : float
+        Standard deviations of the zero-mean prior of k1 [1] and k2 [1/m]: posterior means.
+    linearity : float
+        Scale of the half-Cauchy prior of both, as a part of the reading.
+    """
+
+    k1: float
+    k2_per_m: float
+    linearity: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BeamMixture(Value):
+    """The posterior of the beams as a mixture of Gaussians, one a set of scales.
+
+    Attributes
+    ----------
+    weight : (C,)
+    means, sigmas : (C, B, 8)
+        Of (x, y, z, vx, vy, vz, k1, k2); means counted from the estimate.
+    members : (C, 2) of int
+        Which points and scales of `Calibration.learned` are behind each.
+    """
+
+    weight: FloatArray
+    means: FloatArray
+    sigmas: FloatArray
+    members: IntArray
+
+    def grown(self, factor: float) -> "BeamMixture":
+        """Return the mixture spread out about the estimate."""
+        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ScaledSolution(Value):
+    """The solution at the most probable scales, over which nothing is integrated: others can repeat it.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        In the order of the recording, world frame.
+    covariance : JointCovariance
+    range_error_prior : RangeErrorPrior or None
+    """
+
+    parameters: Parameters
+    covariance: JointCovariance
+    range_error_prior: RangeErrorPrior | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Determined(Value):
+    """What the readings determine; see `diagnosis.observability`.
+
+    Attributes
+    ----------
+    rank, unknowns : int
+    condition : float or None
+        Condition number in natural units; None when rank is short.
+    undetermined : tuple of str
+        What is left open, in words.
+    advice : tuple of str
+        Which motion would determine it.
+    open_parts : tuple of OpenPart
+        The same as names and axes.
+    indices : Indices or None
+        Observability indices O1 to O4; None when rank is short.
+    weakest : str
+        Along what the solution is known worst, in words; empty when rank is short.
+    """
+
+    rank: int
+    unknowns: int
+    condition: float | None
+    undetermined: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+    open_parts: tuple[OpenPart, ...] = ()
+    indices: Indices | None = None
+    weakest: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class StartReport(Value):
+    """Which start was used, and the rms residual [m] of every start tried, lowest first."""
+
+    method: str
+    tried: tuple[tuple[str, float], ...]

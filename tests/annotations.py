@@ -1,0 +1,54 @@
+"""What the public names take and return, found by walking their annotations."""
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Callable, Iterator
+
+import gtsam
+import polars
+
+import handlaser_gtsam as hl
+
+LATE = {"gtsam": gtsam, "pl": polars, "CalibrationGraph": hl.CalibrationGraph}
+"""Names that modules import for type checkers only."""
+
+
+def named(hint: object) -> Iterator[type]:
+    """Yield the classes of this package inside an annotation."""
+    if isinstance(hint, type) and hint.__module__.startswith("handlaser_gtsam"):
+        yield hint
+    for inner in typing.get_args(hint):
+        for one in inner if isinstance(inner, list) else [inner]:  # the arguments of a Callable
+            yield from named(one)
+
+
+def callables(thing: object) -> Iterator[Callable[..., object]]:
+    """Yield a function itself, or the public methods and properties of a class."""
+    if inspect.isfunction(thing):
+        yield thing
+    if inspect.isclass(thing):
+        for name, member in vars(thing).items():
+            inner = getattr(member, "fget", None) or getattr(member, "__func__", member)
+            if inspect.isfunction(inner) and (name == "__init__" or not name.startswith("_")):
+                yield inner
+
+
+def hints_of(thing: object) -> list[object]:
+    """Return the annotations of one public name."""
+    hints = [typing.get_type_hints(one, None, LATE) for one in callables(thing)]
+    if dataclasses.is_dataclass(thing):
+        hints.append(typing.get_type_hints(thing))
+    return [hint for one in hints for hint in one.values()]
+
+
+def reachable() -> set[type]:
+    """Return every class that the public names take or return, and those inside them."""
+    found: set[type] = set()
+    waiting: list[object] = [getattr(hl, name) for name in hl.__all__]
+    while waiting:
+        hints = hints_of(waiting.pop())
+        new = {kind for hint in hints for kind in named(hint)} - found
+        found |= new
+        waiting += new
+    return found
