@@ -14,7 +14,7 @@ from handlaser_gtsam.outliers.snooping import screen
 from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.partial import grow
-from handlaser_gtsam.starts.robust import robust_starts
+from handlaser_gtsam.starts.robust import robust_search
 
 SIGMA = {"paper": 3e-5, "arm": 1e-3}
 NONE = hl.CalibrationOptions("none")
@@ -167,10 +167,14 @@ def test_robust_starts_agree_on_the_good_readings():
     readings = with_garbage(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 
-    def scale_of(_, scale):
-        return scale
+    class LeastScale:
+        def criterion(self, refined):
+            return refined.scale
 
-    best = robust_starts(readings, others, None, 0, scale_of, lambda *_: -1.0)[0]
+        def convinced(self, *_):
+            return False
+
+    best = robust_search(readings, others, None, 0, LeastScale())[0]
     angle = np.linalg.norm(np.cross(best.parameters.directions, truth.directions), axis=1)
     assert np.degrees(angle.max()) < 1.0
 

@@ -18,7 +18,7 @@ from ..model import sensor as limits
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, residuals, test
-from ..starts import Effort, Start, find_start
+from ..starts import Start, find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .solve import Progress, solve
@@ -111,20 +111,18 @@ class _First:
 
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
     terms = options.terms
-    reject = options.outliers == "reject"
     # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
     certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
     sigma = noise.range_sigma
-    effort: Effort = "quick" if reject else "thorough"
-    start = find_start(readings, sigma, terms, effort=effort, certain=certain)
-    if reject:
-        found = find_consensus(readings, start, sigma if certain else None, terms)
+    if options.outliers == "reject":
+        found = find_consensus(readings, sigma, terms, certain)
     else:
+        start = find_start(readings, sigma, terms, certain=certain)
         everything = np.ones(len(readings), dtype=bool)
-        found = Consensus(everything, start.parameters, start.method, None)
+        found = Consensus(start, everything, start.parameters, start.method, None)
     steep = np.isfinite(residuals(found.parameters, readings))
     scale = found.range_sigma or _scale(readings, found.parameters)
-    return _First(start, found.kept & steep, found.parameters, found.method, scale)
+    return _First(found.start, found.kept & steep, found.parameters, found.method, scale)
 
 
 def _scale(readings: Readings, parameters: Parameters) -> float | None:

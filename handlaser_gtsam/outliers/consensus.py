@@ -1,7 +1,11 @@
-"""Which readings agree on one solution, before that solution is trusted."""
+"""Which readings agree on one solution, before that solution is trusted.
 
+The plain start is screened first. The robust search follows only where that screening does not
+settle the matter, and a thorough plain search only where nothing else fits.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -9,12 +13,13 @@ from ..arrays import BoolArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import Loss
-from ..solvers.refine import Scale, refine_many
+from ..solvers.refine import Refined, Scale, refine_many
 from ..starts import Start, find_start
-from ..starts.choice import POOR_FIT, usable_terms
-from ..starts.part import part_of
-from ..starts.robust import RobustStart, robust_starts
-from .snooping import Screening, beyond_chance, quick_evidence, screen
+from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
+from ..starts.part import Part, part_of
+from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
+from ..starts.search import Candidate, Round, agreeing
+from .snooping import Screening, beyond_chance, quick_evidence, residuals, screen
 
 SUSPICIOUS = 0.35
 """Where most readings agree this much better than all of them do, there are outliers to look for;
@@ -27,113 +32,161 @@ CONVINCING = 3.0
 SURE_FIT = 0.02
 """Readings that agree within this part of their spread do not hide a station of another plane, which
 range errors and a tilted plane can take up to a few hundredths of it."""
+FEW = 0.2
+"""Where a plain screening leaves out more than this part of the readings of a beam or a plane, that
+beam or plane may have followed its outliers, and what was left out may be what is good."""
+SAME_PART = 0.1
+"""Criteria are the same to this part of what is beyond chance: not every candidate has arrived."""
 STEPS = 20
+RIVALS = 5
+"""So many other candidates of the plain search compete in the robust one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """The readings that agree, what they agree on and within what sigma [m], and how it was found."""
+    """The readings that agree, what they agree on and within what sigma [m], and how it was found.
 
+    The `start` is the plain one, found as if all readings were good.
+    """
+
+    start: Start
     kept: BoolArray
     parameters: Parameters
     method: str
     range_sigma: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class PlainJudge:
+    """Whether the screening of a plain start settles which readings are good."""
+
+    readings: Readings
+    terms: int
+    range_sigma: float | None
+
+    def accepts(self, candidate: Parameters, agreed: bool) -> bool:
+        """Tell whether a candidate, on which several starts may have `agreed`, needs no rivals."""
+        if not agreed and self.range_sigma is None:
+            return False
+        return self.settles(self.screened(candidate), agreed)
+
+    def screened(self, candidate: Parameters, scale: float | None = None) -> Screening | None:
+        """Return what contradicts the rest, from a candidate on."""
+        return screen(self.readings, candidate, self.terms, self.range_sigma, scale)
+
+    def settles(self, one: Screening | None, agreed: bool) -> bool:
+        """Tell whether what was left out is little, and the rest hides no further outliers."""
+        if one is None or not self._leaves_few_out(one):
+            return False
+        good = self.readings.subset(np.flatnonzero(one.kept))
+        if self.range_sigma is not None:
+            e = residuals(one.parameters, good)
+            if fits_sigma(float(e @ e), good, self.range_sigma, self.terms):
+                return True
+        if not (agreed and self.fits_well(one, SURE_FIT)):
+            return False
+        unknowns = (5 + self.terms) * good.beams + 3 * good.planes
+        share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
+        rule = Scale(least_scale(good, self.range_sigma), max(share, 0.5))
+        most = refine_many([one.parameters], good, self.terms, STEPS, Loss("cauchy"), rule)[0]
+        return most is not None and most.scale > SUSPICIOUS * max(one.range_sigma, rule.least)
+
+    def fits_well(self, one: Screening, part: float = POOR_FIT) -> bool:
+        """Tell whether the readings kept fit the given sigma, or to a part of the readings' spread."""
+        if self.range_sigma is not None:
+            return one.range_sigma <= CONVINCING * self.range_sigma
+        return one.range_sigma <= part * self.readings.spread()
+
+    def _leaves_few_out(self, one: Screening) -> bool:
+        readings = self.readings
+        for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
+            whole = np.bincount(index, minlength=count)
+            if (np.bincount(index[~one.kept], minlength=count) > FEW * whole).any():
+                return False
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class _ConsensusJudge:
+    """Compares candidates by the readings that agree with them."""
+
+    readings: Readings
+    terms: int
+    range_sigma: float | None
+
+    def criterion(self, refined: Refined) -> float:
+        """Return the criterion of a screening without its fit."""
+        at, scale = refined.parameters, refined.scale
+        return quick_evidence(self.readings, self.terms, self.range_sigma, at, scale)
+
+    def convinced(self, found: Sequence[Candidate], latest: Round, _before: float) -> bool:
+        """Tell whether the best is beyond chance, and enough others are where it is."""
+        best = found[0]
+        beyond = beyond_chance(
+            self.readings, self.terms, self.range_sigma, best.parameters, best.scale
+        )
+        same = best.criterion + max(SAME_CRITERION, SAME_PART * beyond)
+        return beyond > 0.0 and agreeing(found, same) >= latest.agreeing
+
+
 def find_consensus(
-    readings: Readings, start: Start, range_sigma: float | None, terms: int
+    readings: Readings, range_sigma: float | None, terms: int, certain: bool
 ) -> Consensus:
     """Leave out what contradicts the rest; all readings are kept where no majority agrees.
 
     Parameters
     ----------
     readings : Readings
-    start : Start
-        Found as if all readings were good.
     range_sigma : float, optional
         Standard deviation of a reading [m].
     terms : int
         Most range-error terms.
+    certain : bool
+        Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     """
-    terms = usable_terms(readings, terms)
-    plain = screen(readings, start.parameters, terms, range_sigma)
-    found: list[tuple[str, Screening]] = [] if plain is None else [(start.method, plain)]
-    if not start.fits:
-        for candidate in _robust(readings, start, plain, range_sigma, terms)[:SCREENED]:
-            one = screen(readings, candidate.parameters, terms, range_sigma, candidate.scale)
-            if one is not None:
-                found.append(("consensus", one))
-    if not start.fits and not _convincing(found, readings, range_sigma):
-        start = find_start(readings, range_sigma, terms)
-        plain = screen(readings, start.parameters, terms, range_sigma)
-        if plain is not None:
-            found.append((start.method, plain))
+    sigma, usable = range_sigma if certain else None, usable_terms(readings, terms)
+    part, judge = part_of(readings), PlainJudge(readings, usable, sigma)
+    accepts = PlainJudge(part.readings, usable, sigma).accepts
+    start = find_start(
+        readings, range_sigma, terms, effort="quick", certain=certain, accepts=accepts
+    )
+    plain = judge.screened(start.parameters)
+    found = [] if plain is None else [(start.method, plain)]
+    settled = start.fits or judge.settles(plain, start.believed)
+    last = start
+    if not settled:
+        for one in _robust(judge, part, start, plain)[:SCREENED]:
+            tight = judge.screened(one.parameters, one.scale)
+            found += [] if tight is None else [(METHOD, tight)]
+        best = min(found, key=_evidence, default=None)
+        settled = best is not None and judge.fits_well(best[1])
+    if not settled:
+        last = find_start(readings, sigma, usable, earlier=start)
+        plain = judge.screened(last.parameters)
+        found += [] if plain is None else [(last.method, plain)]
     if not found:
-        return Consensus(np.ones(len(readings), dtype=bool), start.parameters, start.method, None)
-    method, best = min(found, key=lambda entry: entry[1].evidence)
-    return Consensus(best.kept, best.parameters, method, best.range_sigma)
+        everything = np.ones(len(readings), dtype=bool)
+        return Consensus(start, everything, last.parameters, last.method, None)
+    method, kept = min(found, key=_evidence)
+    return Consensus(start, kept.kept, kept.parameters, method, kept.range_sigma)
 
 
-def _convincing(
-    found: list[tuple[str, Screening]], readings: Readings, range_sigma: float | None
-) -> bool:
-    """Tell whether the best screening fits well enough to end the search."""
-    best = min((one for _, one in found), key=lambda one: one.evidence, default=None)
-    return _fits_well(best, readings, range_sigma)
-
-
-def _fits_well(
-    one: Screening | None, readings: Readings, range_sigma: float | None, part: float = POOR_FIT
-) -> bool:
-    """Tell whether what a screening kept fits the given sigma, or to a part of the readings' spread."""
-    if one is None:
-        return False
-    if range_sigma is not None:
-        return one.range_sigma <= CONVINCING * range_sigma
-    return one.range_sigma <= part * readings.spread()
+def _evidence(found: tuple[str, Screening]) -> float:
+    return found[1].evidence
 
 
 def _robust(
-    readings: Readings,
-    start: Start,
-    plain: Screening | None,
-    range_sigma: float | None,
-    terms: int,
-) -> list[RobustStart]:
-    """Return robust candidates; none where the start at hand is believed and shows no outliers."""
-    alike = start.believed and _fits_well(plain, readings, range_sigma, SURE_FIT)
-    if alike and _spread_ratio(readings, start.parameters, range_sigma, terms) > SUSPICIOUS:
-        return []
-    others = [start.parameters, *start.rivals]
-    others = others if plain is None else [plain.parameters, *others]
-    part = part_of(readings)
-    evidence = partial(quick_evidence, part.readings, terms, range_sigma)
-    beyond = partial(beyond_chance, part.readings, terms, range_sigma)
+    judge: PlainJudge, part: Part, start: Start, plain: Screening | None
+) -> list[Candidate]:
+    """Return candidates among outliers for the whole recording, the best first."""
+    readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
+    others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [part.restricted(parameters) for parameters in others]
-    found = robust_starts(part.readings, known, range_sigma, terms, evidence, beyond)
+    known += [rival.parameters for rival in start.found[1 : RIVALS + 1]]
+    found = robust_search(readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma))
     if part.is_whole:
         return found
-    rule = Scale(_least_scale(readings, range_sigma), MAJORITY)
+    rule = Scale(least_scale(part.whole, sigma), MAJORITY)
     grown = [part.extended(candidate.parameters) for candidate in found[:SCREENED]]
-    whole = refine_many(grown, readings, terms, STEPS, Loss("cauchy"), rule)
-    return [RobustStart(one.parameters, one.scale, 0.0) for one in whole if one is not None]
-
-
-def _least_scale(readings: Readings, range_sigma: float | None) -> float:
-    return max(range_sigma or 0.0, 1e-9 * readings.largest_range())
-
-
-def _spread_ratio(
-    readings: Readings, parameters: Parameters, range_sigma: float | None, terms: int
-) -> float:
-    """Return how much smaller the residuals of most readings can be than those of all."""
-    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
-    total = len(readings)
-    good = max((unknowns + 0.5 * max(total - unknowns, 0)) / total, 0.5)
-    all_of_them = refine_many([parameters], readings, terms, STEPS)[0]
-    if all_of_them is None:
-        return 0.0
-    sigma = float(np.sqrt(all_of_them.squares / max(total - unknowns, 1)))
-    rule = Scale(_least_scale(readings, range_sigma), good)
-    most = refine_many([parameters], readings, terms, STEPS, Loss("cauchy"), rule)[0]
-    return 0.0 if most is None else most.scale / max(sigma, rule.least)
+    whole = refine_many(grown, part.whole, terms, STEPS, Loss("cauchy"), rule)
+    return [Candidate(METHOD, one.parameters, 0.0, one.scale) for one in whole if one is not None]

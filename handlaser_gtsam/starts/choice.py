@@ -4,8 +4,9 @@ Cheap starts come first. The search ends early only on evidence: when the residu
 the given range sigma says, or, where no sigma is given, when several starts agree on the optimum.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -13,11 +14,12 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import plausible_range_errors
-from ..solvers.refine import refine_many
+from ..solvers.refine import Refined, refine_many
 from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
 from .part import part_of
 from .partial import PartialStart, grow
+from .search import Candidate, Round, agreeing, rank, search
 from .sweep import SweepOptions, sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
 
@@ -35,19 +37,19 @@ MANY, MAJORITY = 10, 0.6
 HOPELESS = 5.0
 """Unless residuals exceed so many of the given sigmas: then everything is tried."""
 SAME_COST = 1.01
-TIED_DIGITS = 9
-"""Costs that agree to so many digits are one optimum reached twice; further digits are rounding, which
-differs between machines. Of such candidates the one tried first wins."""
 EXACT = 1e-9
 """Residuals below this part of the range are those of readings without noise."""
-RIVALS = 5
-"""So many other candidates are handed on."""
 SPARE = 5
 """So many readings more than unknowns let range errors be told from chance."""
 MISFIT = 3.0
 """Residuals beyond so many of the given sigmas are not believed however many starts agree;"""
 POOR_FIT = 0.05
 """nor, where no sigma is given, beyond this part of the spread of the readings."""
+
+Effort = Literal["quick", "normal", "thorough"]
+Accepts = Callable[[Parameters, bool], bool]
+"""Whether the best candidate is believed for other reasons; the second argument says that several
+starts agree on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +69,8 @@ class Start:
         Whether the residuals are as small as the given range sigma says.
     believed : bool
         Whether the search ended on evidence, and not because there was nothing left to try.
-    rivals : Parameters, each
-        The best other candidates.
+    found : Candidate, each
+        All candidates, the best first, for the part of the recording that `part_of` chooses.
     """
 
     parameters: Parameters
@@ -76,20 +78,7 @@ class Start:
     tried: tuple[tuple[str, float], ...]
     fits: bool = False
     believed: bool = False
-    rivals: tuple[Parameters, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A refined start and its sum of squared residuals [m^2]."""
-
-    method: str
-    parameters: Parameters
-    squares: float
-
-
-Seeds = list[tuple[str, PartialStart]]
-Effort = Literal["quick", "normal", "thorough"]
+    found: tuple[Candidate, ...] = ()
 
 
 def find_start(
@@ -99,6 +88,8 @@ def find_start(
     *,
     effort: Effort = "thorough",
     certain: bool = True,
+    accepts: Accepts | None = None,
+    earlier: Start | None = None,
 ) -> Start:
     """Return the best start for `readings`.
 
@@ -114,18 +105,33 @@ def find_start(
         those and random starts.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
+    accepts : callable, optional
+        Asked where the residuals alone do not convince.
+    earlier : Start, optional
+        Of a quick search, which this one goes on with.
     """
     terms = usable_terms(readings, terms)
     part = part_of(readings)
-    start = _search(part.readings, range_sigma, terms, effort, certain)
-    if part.is_whole:
-        return start
-    grown = part.extended(start.parameters)
-    whole = refine_many([grown], readings, terms, FIRST_STEPS)[0]
-    fits = whole is not None and _fits(whole.squares, readings, range_sigma, terms)
-    parameters = grown if whole is None else whole.parameters
-    rivals = tuple(part.extended(rival) for rival in start.rivals)
-    return replace(start, parameters=parameters, fits=fits, rivals=rivals)
+    some = part.readings
+    judge = _LeastSquaresJudge(some, range_sigma, terms, certain, accepts)
+    rounds = chain(
+        _first_rounds(some, terms) if earlier is None else (), _later_rounds(some, effort)
+    )
+    before = () if earlier is None else earlier.found
+    found, believed = search(rounds, _LeastSquares(some, terms), judge, before)
+    if not found:
+        lost = grow(PartialStart.empty(readings), readings)
+        return Start(lost, "least norm", (("least norm", float("inf")),))
+    best, fits = found[0].parameters, fits_sigma(found[0].criterion, some, range_sigma, terms)
+    if not part.is_whole:
+        best = part.extended(best)
+        whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
+        fits = whole is not None and fits_sigma(whole.squares, readings, range_sigma, terms)
+        best = best if whole is None else whole.parameters
+    lowest: dict[str, float] = {}
+    for one in found:
+        lowest.setdefault(one.method, float(np.sqrt(one.criterion / len(some))))
+    return Start(best, found[0].method, tuple(lowest.items()), fits, believed, tuple(found))
 
 
 def usable_terms(readings: Readings, terms: int) -> int:
@@ -134,93 +140,8 @@ def usable_terms(readings: Readings, terms: int) -> int:
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
-def _search(
-    readings: Readings, range_sigma: float | None, terms: int, effort: Effort, certain: bool
-) -> Start:
-    upper = range_sigma if certain else None
-    found: list[Candidate] = []
-    believed = False
-    for seeds in _rounds(readings, terms, effort):
-        before = found[0].squares if found else np.inf
-        found += _refined(seeds, readings, terms)
-        found.sort(key=lambda candidate: _rank(candidate.squares))
-        believed = bool(found) and (
-            _fits(found[0].squares, readings, range_sigma, terms)
-            or _believed(found, readings, upper, terms)
-        )
-        if seeds and seeds[0][0] == "random" and before <= SAME_COST * found[0].squares:
-            enough = _agreeing(found) >= AGREEING
-            believed = believed or (enough and not _hopeless(found, readings, upper))
-        if believed:
-            break
-    if not found:
-        lost = grow(PartialStart.empty(readings), readings)
-        return Start(lost, "least norm", (("least norm", float("inf")),))
-    lowest: dict[str, float] = {}
-    for candidate in found:
-        lowest.setdefault(candidate.method, float(np.sqrt(candidate.squares / len(readings))))
-    return Start(
-        found[0].parameters,
-        found[0].method,
-        tuple(lowest.items()),
-        _fits(found[0].squares, readings, range_sigma, terms),
-        believed,
-        tuple(candidate.parameters for candidate in found[1 : RIVALS + 1]),
-    )
-
-
-def _rounds(readings: Readings, terms: int, effort: Effort) -> Iterator[Seeds]:
-    """Yield seeds, the cheap ones first."""
-    closed = translation_start(readings)
-    if closed is not None:
-        yield [("translations", closed)]
-    with_errors = translation_start_with_range_errors(readings) if terms else None
-    yield (
-        ([("translations with range error", with_errors)] if with_errors is not None else [])
-        + [("lifted", s) for s in lifted_starts(readings, 2)]
-        + [("sweep", s) for s in sweep_starts(readings)]
-        + [("directions", s) for s in direction_starts(readings, 6)]
-    )
-    if effort == "quick":
-        return
-    yield [("directions", s) for s in direction_starts(readings, 40, tried=600)]
-    options = SweepOptions(refined=16, seeds=8, kept=4)
-    yield [("sweep", s) for s in sweep_starts(readings, options)]
-    rng = np.random.default_rng(0)
-    for _ in range(RANDOM_ROUNDS if effort == "thorough" else 0):
-        yield [("random", s) for s in random_starts(readings, RANDOM_STARTS, rng)]
-
-
-def _refined(seeds: Seeds, readings: Readings, terms: int) -> list[Candidate]:
-    """Grow and refine all seeds a little, the best to the end."""
-    starts = [grow(partial, readings) for _, partial in seeds]
-    if len(starts) == 1:
-        one = refine_many(starts, readings, terms, CLOSED_STEPS)[0]
-        if one is not None and not plausible_range_errors(one.parameters, readings):
-            one = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
-        return [] if one is None else [Candidate(seeds[0][0], one.parameters, one.squares)]
-    first = refine_many(starts, readings, 0, FIRST_STEPS)
-    usable = [i for i, one in enumerate(first) if one is not None]
-    rank = {i: _rank(one.squares) for i in usable if (one := first[i]) is not None}
-    best = sorted(usable, key=lambda i: rank[i])[: max(FINALISTS, len(seeds) // 4)]
-    parameters = [one.parameters for i in best if (one := first[i]) is not None]
-    last = refine_many(parameters, readings, terms, LAST_STEPS)
-    found = []
-    for i, early, late in zip(best, (first[i] for i in best), last, strict=True):
-        plausible = late is not None and plausible_range_errors(late.parameters, readings)
-        one = late if plausible else early
-        if one is not None:
-            found.append(Candidate(seeds[i][0], one.parameters, one.squares))
-    return found
-
-
-def _rank(squares: float) -> float:
-    """Return what candidates are sorted by: equal where their costs differ by rounding alone."""
-    return float(f"{squares:.{TIED_DIGITS}g}")
-
-
-def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
-    """Tell whether a sum of squares [m^2] agrees with the given range sigma."""
+def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
+    """Tell whether a sum of squares [m^2] agrees with the given range sigma [m]."""
     if squares <= len(readings) * (EXACT * readings.largest_range()) ** 2:
         return True
     dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
@@ -229,30 +150,101 @@ def _fits(squares: float, readings: Readings, range_sigma: float | None, terms: 
     return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))
 
 
-def _believed(
-    found: Sequence[Candidate], readings: Readings, range_sigma: float | None, terms: int
-) -> bool:
-    """Tell whether the best of `found` needs no rivals."""
-    squares = found[0].squares
-    if _fits(squares, readings, range_sigma, terms):
-        return True
-    if range_sigma is not None:
-        poor = squares > MISFIT**2 * range_sigma**2 * len(readings)
-    else:
-        poor = squares > len(readings) * (POOR_FIT * readings.spread()) ** 2
-    agreeing = _agreeing(found)
-    most = len(found) >= MANY and agreeing >= MAJORITY * len(found)
-    most = most and not _hopeless(found, readings, range_sigma)
-    return most or (agreeing >= AGREEING and not poor)
+def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
+    """Yield the cheap starts."""
+    closed = translation_start(readings)
+    if closed is not None:
+        yield _grown("translations", [closed], readings)
+    with_errors = translation_start_with_range_errors(readings) if terms else None
+    corrected = [] if with_errors is None else [with_errors]
+    rounds = (
+        _grown("translations with range error", corrected, readings),
+        _grown("lifted", lifted_starts(readings, 2), readings),
+        _grown("sweep", sweep_starts(readings), readings),
+        _grown("directions", direction_starts(readings, 6), readings),
+    )
+    yield Round([start for one in rounds for start in one.starts])
 
 
-def _hopeless(found: Sequence[Candidate], readings: Readings, range_sigma: float | None) -> bool:
-    """Tell whether the best candidate misses the given sigma so far that no agreement counts."""
-    if range_sigma is None:
-        return False
-    return found[0].squares > HOPELESS**2 * range_sigma**2 * len(readings)
+def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
+    """Yield finer sweeps and random starts, as far as the effort goes."""
+    if effort == "quick":
+        return
+    yield _grown("directions", direction_starts(readings, 40, tried=600), readings)
+    options = SweepOptions(refined=16, seeds=8, kept=4)
+    yield _grown("sweep", sweep_starts(readings, options), readings)
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_ROUNDS if effort == "thorough" else 0):
+        yield _grown("random", random_starts(readings, RANDOM_STARTS, rng), readings)
 
 
-def _agreeing(found: Sequence[Candidate]) -> int:
-    """Return how many candidates, the best first, are at the optimum of the best."""
-    return sum(c.squares <= SAME_COST * found[0].squares for c in found)
+def _grown(method: str, starts: Sequence[PartialStart], readings: Readings) -> Round:
+    return Round([(method, grow(start, readings)) for start in starts])
+
+
+@dataclass(frozen=True, slots=True)
+class _LeastSquares:
+    """All seeds are refined a little by least squares, and the best of them to the end."""
+
+    readings: Readings
+    terms: int
+
+    def refined(self, latest: Round) -> list[tuple[str, Refined]]:
+        """Return the finalists, with range errors where those are plausible."""
+        starts, readings = [start for _, start in latest.starts], self.readings
+        if len(starts) == 1:
+            one = refine_many(starts, readings, self.terms, CLOSED_STEPS)[0]
+            if one is not None and not plausible_range_errors(one.parameters, readings):
+                one = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
+            return [] if one is None else [(latest.starts[0][0], one)]
+        first = refine_many(starts, readings, 0, FIRST_STEPS)
+        usable = [
+            (method, one)
+            for (method, _), one in zip(latest.starts, first, strict=True)
+            if one is not None
+        ]
+        best = sorted(usable, key=lambda pair: rank(pair[1].squares))
+        best = best[: max(FINALISTS, len(starts) // 4)]
+        last = refine_many([one.parameters for _, one in best], readings, self.terms, LAST_STEPS)
+        return [
+            (method, late if late and plausible_range_errors(late.parameters, readings) else early)
+            for (method, early), late in zip(best, last, strict=True)
+        ]
+
+    def mended(self, _best: Sequence[Candidate], _latest: Round) -> list[Refined | None]:
+        """Return nothing: least squares fits every plane to all its readings."""
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class _LeastSquaresJudge:
+    """Compares sums of squares [m^2]."""
+
+    readings: Readings
+    range_sigma: float | None
+    terms: int
+    certain: bool
+    accepts: Accepts | None
+
+    def criterion(self, refined: Refined) -> float:
+        """Return the sum of squares."""
+        return refined.squares
+
+    def convinced(self, found: Sequence[Candidate], latest: Round, before: float) -> bool:
+        """Tell whether the best candidate fits, or enough others agree with it."""
+        best, readings = found[0].criterion, self.readings
+        if fits_sigma(best, readings, self.range_sigma, self.terms):
+            return True
+        upper = self.range_sigma if self.certain else None
+        hopeless, poor = False, best > len(readings) * (POOR_FIT * readings.spread()) ** 2
+        if upper is not None:
+            poor = best > MISFIT**2 * upper**2 * len(readings)
+            hopeless = best > HOPELESS**2 * upper**2 * len(readings)
+        same = agreeing(found, SAME_COST * best)
+        most = len(found) >= MANY and same >= MAJORITY * len(found)
+        if (most and not hopeless) or (same >= AGREEING and not poor):
+            return True
+        exhausted = latest.starts[:1] and latest.starts[0][0] == "random"
+        if exhausted and before <= SAME_COST * best and same >= AGREEING and not hopeless:
+            return True
+        return self.accepts is not None and self.accepts(found[0].parameters, same >= AGREEING)

@@ -6,21 +6,22 @@ anything, and so tightens by itself; a few steps with Tukey's loss let go of the
 agree with nothing: the candidates that reach the strongest evidence are those that found the consensus.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import Loss
-from ..solvers.refine import Scale, refine_many
+from ..solvers.refine import Refined, Scale, refine_many
 from .directions import direction_starts, random_starts
 from .mending import mended
-from .partial import grow
+from .partial import PartialStart, grow
+from .search import Candidate, Judge, Round, search
 from .subsets import subset_starts
 
+METHOD = "consensus"
 FIRST_SWEPT, SWEPT, TRIED = 12, 32, 400
 SUBSET_ROUNDS = 4
 RANDOM_ROUNDS, RANDOM_STARTS = 3, 48
@@ -30,8 +31,8 @@ SHARES = (0.5, 0.25, 0.0)
 AGREEING, LATE_AGREEING = 4, 2
 """So many candidates of the same evidence end the search where the best is beyond chance, and so many
 where sweeps on subsets have not brought about more."""
-SAME_EVIDENCE, SAME_PART = 0.5, 0.1
-"""The same to so much, or to this part of what is beyond chance: not every candidate has arrived."""
+SAME_CRITERION = 0.5
+"""Candidates whose criteria differ by less are one solution."""
 FIRST_MENDED, MENDING = 8, 3.0
 """So many of the best candidates are mended in each round, with so many times their scale."""
 KEPT = 6
@@ -39,81 +40,67 @@ FAR = 5.0
 """Readings so many times beyond three quarters of them take no part in the starts."""
 
 
-@dataclass(frozen=True, slots=True)
-class RobustStart:
-    """A candidate, the scale of the readings that agree with it [m], and its evidence (low is good)."""
-
-    parameters: Parameters
-    scale: float
-    evidence: float
-
-
-Evidence = Callable[[Parameters, float], float]
-"""Of a candidate and its scale; lower is better."""
-BeyondChance = Callable[[Parameters, float], float]
-"""By how much [nats] a candidate and its scale are beyond chance; negative where they are not."""
-
-
-def robust_starts(
+def robust_search(
     readings: Readings,
-    others: list[Parameters],
+    others: Sequence[Parameters],
     range_sigma: float | None,
     terms: int,
-    evidence: Evidence,
-    beyond_chance: BeyondChance,
-) -> list[RobustStart]:
-    """Return the best candidates for readings with outliers, the strongest evidence first.
+    judge: Judge,
+) -> list[Candidate]:
+    """Return the best candidates for readings with outliers that differ, the best first.
 
     Parameters
     ----------
     readings : Readings
-    others : Parameters, each
+    others : sequence of Parameters
         Candidates of other starts, which compete.
     range_sigma : float, optional
         Standard deviation of a reading [m]; the scale never falls below it.
     terms : int
         Range-error terms of the last steps.
-    evidence : callable
-    beyond_chance : callable
+    judge : Judge
+        Compares candidates by the readings that agree with them.
     """
-    least = max(range_sigma or 0.0, 1e-9 * readings.largest_range())
-    found: list[RobustStart] = []
     rng = np.random.default_rng(0)
-    for starts, good, needed in _rounds(readings, others, terms, rng):
-        found += _tightened(starts, readings, terms, Scale(least, good), evidence)
-        found = _mended(found, readings, terms, Scale(least, good), evidence, rng)
-        if found and needed <= _agreeing(found, beyond_chance(found[0].parameters, found[0].scale)):
-            break
-    return _different(found)
+    loss = _RobustLoss(readings, terms, least_scale(readings, range_sigma), rng)
+    found, _ = search(_rounds(readings, others, terms, rng), loss, judge)
+    found = [one for one in found if np.isfinite(one.criterion)]
+    values = np.array([one.criterion for one in found])
+    first = np.flatnonzero(np.diff(values, prepend=-np.inf) > SAME_CRITERION)
+    return [found[i] for i in first[:KEPT]]
 
 
-def _agreeing(found: list[RobustStart], beyond: float) -> int:
-    """Return how many candidates are where the best one is; none if that is not `beyond` chance."""
-    same = found[0].evidence + max(SAME_EVIDENCE, SAME_PART * beyond)
-    return sum(one.evidence <= same for one in found) if beyond > 0.0 else 0
+def least_scale(readings: Readings, range_sigma: float | None) -> float:
+    """Return the least scale of a robust loss [m]: the given sigma, or rounding."""
+    return max(range_sigma or 0.0, 1e-9 * readings.largest_range())
 
 
 def _rounds(
-    readings: Readings, others: list[Parameters], terms: int, rng: np.random.Generator
-) -> Iterator[tuple[list[Parameters], float, int]]:
-    """Yield starts, the part of the readings that must be good, and how many must agree to end."""
+    readings: Readings, others: Sequence[Parameters], terms: int, rng: np.random.Generator
+) -> Iterator[Round]:
+    """Yield starts on subsets, sweeps of all readings and random starts."""
     total = len(readings)
     unknowns = (5 + terms) * readings.beams + 3 * readings.planes
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     near = _without_far_readings(readings)
-    few = [grow(start, near) for start in subset_starts(near, FIRST_SWEPT, TRIED, rng)]
-    yield [*others, *few], parts[0], AGREEING
+
+    def grown(starts: list[PartialStart]) -> list[tuple[str, Parameters]]:
+        return [(METHOD, grow(start, near)) for start in starts]
+
+    known = [(METHOD, other) for other in others]
+    few = grown(subset_starts(near, FIRST_SWEPT, TRIED, rng))
+    yield Round([*known, *few], parts[0], AGREEING)
     for number in range(SUBSET_ROUNDS):
-        drawn = [grow(start, near) for start in subset_starts(near, SWEPT, TRIED, rng)]
-        yield drawn, parts[number % len(parts)], AGREEING
-    swept = [grow(start, near) for start in direction_starts(near, SWEPT, TRIED)]
+        drawn = grown(subset_starts(near, SWEPT, TRIED, rng))
+        yield Round(drawn, parts[number % len(parts)], AGREEING)
+    swept = grown(direction_starts(near, SWEPT, TRIED))
     for part in parts:
-        yield [*others, *swept], part, LATE_AGREEING
+        yield Round([*known, *swept], part, LATE_AGREEING)
     for _ in range(RANDOM_ROUNDS):
-        drawn = [grow(start, near) for start in random_starts(near, RANDOM_STARTS, rng)]
+        drawn = grown(random_starts(near, RANDOM_STARTS, rng))
         for part in parts:
-            yield drawn, part, LATE_AGREEING
+            yield Round(drawn, part, LATE_AGREEING)
 
 
 def _without_far_readings(readings: Readings) -> Readings:
@@ -124,48 +111,37 @@ def _without_far_readings(readings: Readings) -> Readings:
     return near if seen.all() else readings
 
 
-def _tightened(
-    starts: list[Parameters], readings: Readings, terms: int, rule: Scale, evidence: Evidence
-) -> list[RobustStart]:
-    loose = refine_many(starts, readings, 0, CAUCHY_STEPS, Loss("cauchy"), rule)
-    usable = [one.parameters for one in loose if one is not None]
-    return _tight(usable, readings, terms, rule, evidence)
+@dataclass(frozen=True, slots=True)
+class _RobustLoss:
+    """Cauchy's loss, then Tukey's; planes of the best candidates are mended."""
 
+    readings: Readings
+    terms: int
+    least: float
+    rng: np.random.Generator
 
-def _tight(
-    starts: list[Parameters], readings: Readings, terms: int, rule: Scale, evidence: Evidence
-) -> list[RobustStart]:
-    tight = refine_many(starts, readings, terms, TUKEY_STEPS, Loss("tukey"), rule)
-    return [
-        RobustStart(one.parameters, one.scale, evidence(one.parameters, one.scale))
-        for one in tight
-        if one is not None
-    ]
+    def refined(self, latest: Round) -> list[tuple[str, Refined]]:
+        """Return all starts after both losses."""
+        rule, starts = Scale(self.least, latest.good), [start for _, start in latest.starts]
+        loose = refine_many(starts, self.readings, 0, CAUCHY_STEPS, Loss("cauchy"), rule)
+        pairs = zip(latest.starts, self._tight(loose, rule), strict=True)
+        return [(method, one) for (method, _), one in pairs if one is not None]
 
+    def mended(self, best: Sequence[Candidate], latest: Round) -> list[Refined | None]:
+        """Return the best candidates with planes that more readings agree with."""
+        rule = Scale(self.least, latest.good)
+        new = [
+            mended(one.parameters, self.readings, MENDING * one.scale, self.rng)
+            for one in best[:FIRST_MENDED]
+        ]
+        steps = TUKEY_STEPS
+        return self._tight(
+            refine_many(new, self.readings, self.terms, steps, Loss("cauchy"), rule), rule
+        )
 
-def _mended(
-    found: list[RobustStart],
-    readings: Readings,
-    terms: int,
-    rule: Scale,
-    evidence: Evidence,
-    rng: np.random.Generator,
-) -> list[RobustStart]:
-    """Return the candidates in order, the best of them with planes mended where that is better."""
-    found = sorted(found, key=lambda candidate: candidate.evidence)
-    new = [
-        mended(one.parameters, readings, MENDING * one.scale, rng) for one in found[:FIRST_MENDED]
-    ]
-    again = refine_many(new, readings, terms, TUKEY_STEPS, Loss("cauchy"), rule)
-    usable = [one.parameters for one in again if one is not None]
-    tight = _tight(usable, readings, terms, rule, evidence)
-    both = [min(pair, key=lambda one: one.evidence) for pair in zip(found, tight, strict=False)]
-    return sorted([*both, *found[len(both) :]], key=lambda candidate: candidate.evidence)
-
-
-def _different(found: list[RobustStart]) -> list[RobustStart]:
-    """Return the best few candidates that differ in their evidence."""
-    found = [candidate for candidate in found if np.isfinite(candidate.evidence)]
-    evidence: FloatArray = np.array([candidate.evidence for candidate in found])
-    first = np.flatnonzero(np.diff(evidence, prepend=-np.inf) > SAME_EVIDENCE)
-    return [found[i] for i in first[:KEPT]]
+    def _tight(self, loose: list[Refined | None], rule: Scale) -> list[Refined | None]:
+        usable = [one.parameters for one in loose if one is not None]
+        tight = iter(
+            refine_many(usable, self.readings, self.terms, TUKEY_STEPS, Loss("tukey"), rule)
+        )
+        return [None if one is None else next(tight) for one in loose]
