@@ -157,16 +157,23 @@ def _variances(solution: Solution, order: Order, fit: Fit) -> Variances | None:
 
 def _noise_estimate(solution: Solution, names: Names) -> tuple[NoiseComponent, ...]:
     """Name the scales of the noise that were estimated, beams in the order of the recording."""
-    beams = {i: (number, name) for number, (name, i) in enumerate(names.beams)}
+    place = {i: number for number, (_, i) in enumerate(names.beams)}
+    beams = {i: name for name, i in names.beams}
 
-    def of(one: ScaleEstimate) -> tuple[int, str]:
+    def position(one: ScaleEstimate) -> int:
         if one.scale.beam is None:
-            return (-1 if one.scale.name == RANGE else len(beams)), one.scale.name
-        number, name = beams[one.scale.beam]
-        return number, f"{RANGE} of beam {name}"
+            return -1 if one.scale.name == RANGE else len(place)
+        return place[one.scale.beam]
 
-    ordered = sorted(solution.scales, key=lambda one: of(one)[0])
-    return tuple(NoiseComponent(of(one)[1], one.sigma, one.error) for one in ordered)
+    return tuple(
+        NoiseComponent(
+            one.scale.name,
+            one.sigma,
+            one.error,
+            None if one.scale.beam is None else beams[one.scale.beam],
+        )
+        for one in sorted(solution.scales, key=position)
+    )
 
 
 def _label_warnings(
