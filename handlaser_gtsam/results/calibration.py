@@ -179,7 +179,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class NoiseComponent:
-    """An estimated sigma: what it is of, its value and its own standard deviation [m], or [rad] to turn.
+    """What a sigma is of, its estimate, and the standard deviation of that [m], or [rad] to turn.
 
     `quantity` is `range`, `pose translation` or `pose rotation`; `beam` is the name of the beam where a
     range sigma is that of one beam. `prior_carries` says that the recording hardly tells the sigma:

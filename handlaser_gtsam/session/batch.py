@@ -6,7 +6,6 @@ import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.ordering import Order
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..estimation.covariance import covariance
@@ -20,11 +19,11 @@ from ..model.weighting import Whitening, unequal, whitening
 from ..observability.rank import Observability, ObservabilityOptions, observability
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
+from ..results.problem import Problem
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
 from ..solvers.incremental import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
-from ..starts import Start
 from .contents import Contents
 from .reports import Comparison
 from .setting import Setting
@@ -182,14 +181,14 @@ class Inside:
 
     def calibration(self, contents: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
-        problem, marginal = self.problem(self.at, self.poses)
-        result = evaluated(problem, "the incremental estimate")
+        graph, marginal = self.problem(self.at, self.poses)
+        result = evaluated(graph, "the incremental estimate")
         variances = self.setting.variances(len(self.recording.plane_labels))
         differ = unequal(self.at, self.own(), variances)
         found, learned = self._observability(marginal), self.setting.learned
         own, how = (variances, marginal) if differ else (None, None)
         prior = self.setting.prior
-        solution = Solution(problem, result, self.at, found, own, how, prior)
+        solution = Solution(graph, result, self.at, found, own, how, prior)
         if learned is not None:
             whole = posterior(self.scale_problem(self.at), learned)
             solution = replace(solution, posterior=whole, scales=whole.scales)
@@ -198,14 +197,13 @@ class Inside:
             self.used,
             self._because(contents, OUTSIDE),
             self._because(contents, FLAT),
-            Start(self.at, METHOD, ((METHOD, rms),)),
             METHOD,
+            ((METHOD, rms),),
             solution,
         )
-        sizes = (len(self.recording.plane_labels), len(self.setting.names), len(self.origins))
-        order = Order(*(np.arange(size) for size in sizes))
         noise = self.setting.noise
-        return assemble(self.recording, self.readings, order, self.origins, noise, selection)
+        problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise)
+        return assemble(problem, selection)
 
     def _because(self, contents: Contents, reason: str) -> BoolArray:
         """Return which readings (N,) were left out for a reason."""

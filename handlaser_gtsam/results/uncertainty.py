@@ -1,0 +1,120 @@
+"""How well a solution is known: its covariance, its scales of noise, and its mixture over them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..estimation.covariance import covariance, covariance_of_determined
+from ..estimation.posterior import ScaleEstimate
+from ..estimation.scales import RANGE
+from ..estimation.solution import Solution
+from ..model.joint import JointCovariance
+from ..model.losses import GAUSSIAN
+from ..model.weighting import Variances
+from .calibration import (
+    BeamMixture,
+    Fit,
+    NoiseComponent,
+    RangeErrorScales,
+    ScaledSolution,
+)
+from .fit import robust_sigma
+from .problem import Problem
+
+
+def joint_covariance(problem: Problem, solution: Solution, fit: Fit) -> JointCovariance:
+    """Return the covariance of what is determined, in the order of the recording, world frame."""
+    names = problem.names
+    found = _covariance(solution, fit, problem.origins)
+    return found.arranged(names.beams, names.planes)
+
+
+def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovariance:
+    graph, loss = solution.problem, solution.problem.loss
+    if solution.posterior is not None and solution.observability.full:
+        joint = solution.posterior.joint
+        return replace(joint, origins=joint.origins + origins)
+    known = fit.range_sigma_given or solution.scales_estimated
+    sigma = graph.range_sigma if known else robust_sigma(solution) or fit.sigma0
+    if loss != GAUSSIAN:
+        standardized = solution.result.white / graph.range_sigma
+        sigma *= np.sqrt(loss.variance_factor(standardized, solution.observability.rank))
+    if loss == GAUSSIAN and solution.observability.full:
+        try:
+            found = covariance(graph, solution.result.values, origins)
+        except (RuntimeError, np.linalg.LinAlgError):
+            pass
+        else:
+            return found.scaled((sigma / graph.range_sigma) ** 2)
+    if solution.whitening is not None:  # the diagnosis eliminates poses beforehand
+        sigma *= solution.whitening.sigma / graph.range_sigma
+    return covariance_of_determined(solution.observability, solution.parameters, sigma, origins)
+
+
+def variances_as_recorded(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:
+    """Return what the weights follow from, in the order of the recording."""
+    found, order = solution.variances, problem.order
+    if found is None:
+        return None
+    ranges, pose = np.empty_like(found.range_sigma), None
+    ranges[order.beams] = found.range_sigma
+    if not fit.range_sigma_given and not solution.scales_estimated:
+        ranges[:] = fit.range_sigma
+    if found.pose is not None:
+        pose = np.zeros((len(order.stations), 6, 6))
+        pose[order.stations[: len(found.pose)]] = found.pose
+    return Variances(ranges, found.incidence_sigma, pose)
+
+
+def noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponent, ...]:
+    """Name the scales of the noise that were estimated, beams in the order of the recording."""
+    place, names = problem.order.beams, problem.recording.beam_names
+
+    def position(one: ScaleEstimate) -> int:
+        if one.scale.beam is None:
+            return -1 if one.scale.name == RANGE else len(names)
+        return int(place[one.scale.beam])
+
+    return tuple(
+        NoiseComponent(
+            one.scale.name,
+            one.sigma,
+            one.error,
+            None if one.scale.beam is None else names[place[one.scale.beam]],
+        )
+        for one in sorted(solution.scales, key=position)
+    )
+
+
+def range_error_scales(solution: Solution) -> RangeErrorScales | None:
+    """Return the learned scales of the range errors; None where they have no prior."""
+    found = solution.posterior
+    if found is None or found.range_error_scales is None:
+        return None
+    k1, k2 = found.range_error_scales.tolist()
+    return RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
+
+
+def beam_mixture(problem: Problem, solution: Solution) -> BeamMixture | None:
+    """Return the mixture of the beams, in the order of the recording; None without one."""
+    found = solution.posterior
+    if found is None:
+        return None
+    beams = np.argsort(problem.order.beams)
+    means, sigmas = (
+        array.reshape(len(found.weight), -1, 8)[:, beams] for array in (found.means, found.sigmas)
+    )
+    return BeamMixture(found.weight, means, sigmas, found.members)
+
+
+def solution_at_scales(problem: Problem, solution: Solution, fit: Fit) -> ScaledSolution | None:
+    """Return the solution at the most probable scales; None where none are integrated over."""
+    if solution.posterior is None:
+        return None
+    alone = replace(solution, posterior=None)
+    return ScaledSolution(
+        problem.in_world(solution.parameters),
+        joint_covariance(problem, alone, fit),
+        solution.prior,
+    )
