@@ -10,24 +10,31 @@ from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances, whitening
-from ..observability.wording import LEAK, open_coordinates
+from ..observability.mirror import mirror_image_fits
+from ..observability.rank import observability
+from ..observability.wording import (
+    LEAK,
+    MIRROR,
+    MIRROR_ADVICE,
+    Names,
+    advice,
+    open_coordinates,
+    open_parts,
+    undetermined,
+    weakest,
+)
 from ..outliers.reasons import Reasons
-from .calibration import Calibration, Fit, StartReport
+from .calibration import Calibration, Determined, Fit, StartReport, Status
 from .dependence import INDEPENDENT, Dependence, dependence
-from .determined import determined_by, message_of, status_of
 from .file_mistakes import better_ways
 from .fit import fit_of
 from .problem import Estimate, Problem
 from .systematic import SystematicError, systematic_errors
-from .uncertainty import (
-    beam_mixture,
-    joint_covariance,
-    noise_estimate,
-    range_error_scales,
-    solution_at_scales,
-    variances_as_recorded,
-)
-from .warnings import doubts, few_readings, misfit, suspicious
+from .uncertainty import joint_covariance, with_scales
+from .warnings import doubts, few_readings, misfit, noise_advice, suspicious
+
+NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
+NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
 def assemble(problem: Problem, selection: Selection) -> Calibration:
@@ -35,58 +42,54 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     solution, names = selection.solution, problem.names
     used = problem.chosen(selection.used)
     fit, why = fit_of(problem, selection)
-    determined = determined_by(names, used, solution, fit)
+    determined = _determined_by(names, used, solution, fit)
     wrong = misfit(problem.recording, used, solution.best, fit)
-    status = status_of(solution, determined, wrong)
+    status = _status_of(solution, determined, wrong)
     systematic, together = _tested(problem, used, solution, fit, trusted=status == "converged")
-    full, joint = solution.observability.full, None
-    settled = solution.result.status == "converged" and fit.range_sigma > 0.0
-    if status == "converged" or (status == "unobservable" and settled and not full):
+    trusted = status == "converged" or _is_settled(solution, status, fit)
+    joint = None
+    if trusted:
         joint = joint_covariance(problem, solution, fit)
         joint = joint.grown(together.growth, together.plane_growth)
-    reach = open_coordinates(solution.observability, solution.parameters)
+    beams, planes = open_coordinates(solution.observability, solution.parameters)
     estimate = Estimate(
         problem.recording.beam_names,
         problem.recording.plane_names,
         problem.in_world(solution.best),
         tuple(solution.problem.terms[i] for _, i in names.beams),
         joint,
-        (
-            reach[0][[i for _, i in names.beams]] > LEAK,
-            reach[1][[p for _, p in names.planes]] > LEAK,
-        ),
+        (beams[[i for _, i in names.beams]] > LEAK, planes[[p for _, p in names.planes]] > LEAK),
         status,
-        message_of(status, solution, determined, wrong),
+        _message_of(status, solution, determined, wrong),
         fit,
         determined,
         StartReport(selection.method, selection.tried),
         solution.result.iterations,
         solution.result.status == "interrupted",
     )
+    sorted_beams, found = names.sorted_beams(), solution.best
     warnings = (
         *_ways(problem, used, fit, solution, wrong),
-        *(() if wrong is None else (wrong,)),
+        *_some(wrong),
         *_wrong_labels(problem, why),
-        *doubts(used, solution.best, fit, problem.noise, solution.variances, names.sorted_beams()),
+        *doubts(used, found, fit, problem.noise, solution.variances, sorted_beams),
         *few_readings(solution.redundancy, fit),
-        *(() if together.warning is None else (together.warning,)),
-        *(
-            CalibrationWarning(f"systematic-{one.code}", one.warning)
-            for one in systematic
-            if one.warning
-        ),
+        *_some(together.warning),
+        *(CalibrationWarning(f"systematic-{s.code}", s.warning) for s in systematic if s.warning),
     )
-    mixture = None if joint is None else beam_mixture(problem, solution)
-    return replace(
-        estimate.calibration(warnings),
-        variances=variances_as_recorded(problem, solution, fit),
-        noise_estimate=noise_estimate(problem, solution),
-        range_error_scales=range_error_scales(solution),
-        mixture=None if mixture is None else mixture.grown(together.growth),
-        at_scales=None if joint is None else solution_at_scales(problem, solution, fit),
-        learned=None if solution.posterior is None else solution.posterior.learned,
-        systematic=systematic,
-    )
+    result = replace(estimate.calibration(warnings), systematic=systematic)
+    growth = together.growth if trusted else None
+    return with_scales(result, problem, solution, growth)
+
+
+def _some(one: CalibrationWarning | None) -> tuple[CalibrationWarning, ...]:
+    return () if one is None else (one,)
+
+
+def _is_settled(solution: Solution, status: Status, fit: Fit) -> bool:
+    """Tell whether standard deviations mean something although not everything is determined."""
+    settled = solution.result.status == "converged" and fit.range_sigma > 0.0
+    return status == "unobservable" and settled and not solution.observability.full
 
 
 def _tested(
@@ -152,3 +155,71 @@ def _ways(
         return ()
     ways = better_ways(problem.recording, max(solution.problem.terms))
     return tuple(CalibrationWarning("file-mistake", words) for words in ways)
+
+
+def _determined_by(names: Names, used: Readings, solution: Solution, fit: Fit) -> Determined:
+    """Return what the readings that were used, each plane in its own frame, determine."""
+    found, parameters = solution.observability, solution.parameters
+    parts = open_parts(found, parameters, names)
+    if solution.prior is not None:  # what is known of range errors without any reading
+        parts = tuple(part for part in parts if part.quantity != "range error")
+    words, help_ = undetermined(parts), advice(parts)
+    if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
+        words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
+    elif found.full and _is_ambiguous(used, solution, fit):
+        words, help_ = (MIRROR,), (MIRROR_ADVICE,)
+    elif not found.full and _motion_determines(used, solution):
+        help_ = (noise_advice(fit),)
+    return Determined(
+        found.rank,
+        found.unknowns,
+        found.condition if found.full else None,
+        words,
+        help_,
+        parts,
+        found.indices(),
+        weakest(found, parameters, names),
+    )
+
+
+def _motion_determines(used: Readings, solution: Solution) -> bool:
+    """Tell whether readings without noise would determine everything."""
+    at, terms = solution.parameters, solution.observability.terms
+    return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
+
+
+def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
+    """Tell whether the mirror image of the solution fits as well."""
+    squares = float(solution.result.residual @ solution.result.residual)
+    sigma = fit.range_sigma if solution.whitening is None else solution.whitening.sigma
+    return mirror_image_fits(solution.parameters, readings, squares, sigma)
+
+
+def _status_of(
+    solution: Solution, determined: Determined, wrong: CalibrationWarning | None
+) -> Status:
+    """Return the status; `wrong` says that the readings do not fit at all."""
+    if solution.result.status == "interrupted":
+        return "not_converged"
+    if determined.undetermined:
+        return "unobservable"
+    return (
+        "converged" if wrong is None and solution.result.status == "converged" else "not_converged"
+    )
+
+
+def _message_of(
+    status: Status,
+    solution: Solution,
+    determined: Determined,
+    wrong: CalibrationWarning | None,
+) -> str:
+    """Return the status in words, with what to do."""
+    if status == "unobservable":
+        return (
+            f"the recording does not determine {'; '.join(determined.undetermined)}. "
+            f"To determine it: {'; '.join(determined.advice)}"
+        )
+    if wrong is not None and status == "not_converged":
+        return wrong.message
+    return solution.result.message

@@ -70,11 +70,19 @@ def read_graph(
         that cannot be printed, values without some of the graph's variables or that are no numbers or
         beyond sense, or constrained noise models.
     """
-    if not isinstance(values, gtsam.Values):
-        raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
+    require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
-    require_values(values)
+    return _estimate(graph, values, beams, planes)
+
+
+def _estimate(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    beams: Mapping[str, BeamKeys],
+    planes: Mapping[str, int],
+) -> Calibration:
+    """Read beams and planes, eliminate everything else, and judge what is left."""
     wanted = variables_of(graph, values, beams, planes)
     linear = graph.linearize(values)
     unknowns = linear.gradientAtZero().vector().size

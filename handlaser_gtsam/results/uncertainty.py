@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..estimation.covariance import covariance, covariance_of_determined
-from ..estimation.posterior import ScaleEstimate
+from ..estimation.posterior import Posterior, ScaleEstimate
 from ..estimation.scales import RANGE
 from ..estimation.solution import Solution
 from ..model.joint import JointCovariance
@@ -14,6 +14,7 @@ from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
 from .calibration import (
     BeamMixture,
+    Calibration,
     Fit,
     NoiseComponent,
     RangeErrorScales,
@@ -52,7 +53,42 @@ def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovar
     return covariance_of_determined(solution.observability, solution.parameters, sigma, origins)
 
 
-def variances_as_recorded(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:
+def with_scales(
+    result: Calibration, problem: Problem, solution: Solution, growth: float | None
+) -> Calibration:
+    """Return a result with the scales of noise and range errors, and what follows from them.
+
+    Parameters
+    ----------
+    result : Calibration
+    problem : Problem
+    solution : Solution
+    growth : float or None
+        By how much the standard deviations of the beams are larger than with independent noise; None
+        where they mean nothing.
+    """
+    fit, found = result.fit, solution.posterior
+    result = replace(
+        result,
+        variances=_variances(problem, solution, fit),
+        noise_estimate=_noise_estimate(problem, solution),
+    )
+    if found is None:
+        return result
+    result = replace(result, range_error_scales=_range_error_scales(found), learned=found.learned)
+    if growth is None:
+        return result
+    alone = replace(solution, posterior=None)
+    at_scales = ScaledSolution(
+        problem.in_world(solution.parameters),
+        joint_covariance(problem, alone, fit),
+        solution.prior,
+    )
+    mixture = _mixture(problem, found).grown(growth)
+    return replace(result, mixture=mixture, at_scales=at_scales)
+
+
+def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:
     """Return what the weights follow from, in the order of the recording."""
     found, order = solution.variances, problem.order
     if found is None:
@@ -67,7 +103,7 @@ def variances_as_recorded(problem: Problem, solution: Solution, fit: Fit) -> Var
     return Variances(ranges, found.incidence_sigma, pose)
 
 
-def noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponent, ...]:
+def _noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponent, ...]:
     """Name the scales of the noise that were estimated, beams in the order of the recording."""
     place, names = problem.order.beams, problem.recording.beam_names
 
@@ -87,34 +123,17 @@ def noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponent
     )
 
 
-def range_error_scales(solution: Solution) -> RangeErrorScales | None:
-    """Return the learned scales of the range errors; None where they have no prior."""
-    found = solution.posterior
-    if found is None or found.range_error_scales is None:
+def _range_error_scales(found: Posterior) -> RangeErrorScales | None:
+    if found.range_error_scales is None:
         return None
     k1, k2 = found.range_error_scales.tolist()
     return RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
 
 
-def beam_mixture(problem: Problem, solution: Solution) -> BeamMixture | None:
-    """Return the mixture of the beams, in the order of the recording; None without one."""
-    found = solution.posterior
-    if found is None:
-        return None
+def _mixture(problem: Problem, found: Posterior) -> BeamMixture:
+    """Return the mixture of the beams, in the order of the recording."""
     beams = np.argsort(problem.order.beams)
     means, sigmas = (
         array.reshape(len(found.weight), -1, 8)[:, beams] for array in (found.means, found.sigmas)
     )
     return BeamMixture(found.weight, means, sigmas, found.members)
-
-
-def solution_at_scales(problem: Problem, solution: Solution, fit: Fit) -> ScaledSolution | None:
-    """Return the solution at the most probable scales; None where none are integrated over."""
-    if solution.posterior is None:
-        return None
-    alone = replace(solution, posterior=None)
-    return ScaledSolution(
-        problem.in_world(solution.parameters),
-        joint_covariance(problem, alone, fit),
-        solution.prior,
-    )

@@ -1,22 +1,31 @@
 """Everything a session knows once there is a calibration, and what follows from it; never changed."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
-from ..keys import pose_key
-from ..solvers.incremental import BeamState, IncrementalGraph, IncrementalOptions, PlaneFactors
-from .batch import Inside
+from ..factors import RangeBlock
+from ..keys import plane_key, pose_key
+from ..solvers.graph import parameters_of, start_values
+from ..solvers.incremental import (
+    BeamStart,
+    BeamState,
+    IncrementalGraph,
+    IncrementalOptions,
+    PlaneFactors,
+)
+from .batch import BatchProblem
+from .config import SessionConfig
 from .contents import Contents
 from .drift import History, Moved
 from .fitted import FittedPlane, fit_plane
 from .integration import ScaleSums
 from .joining import Joining, join_planes
-from .setting import Setting
 
 MOVED = 3e-3
 """Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
@@ -25,23 +34,25 @@ MOVED_WITH_SCALES = 5e-4
 """The same where scales are integrated over: how probable they are depends on how well all planes fit,
 which is known to second order in such a move."""
 TRUSTED = 4
-"""Planes inside from which others may be put aside."""
+"""Planes inside from which others may be excluded."""
 ROUNDS = 5
 """Of new weights after a new beginning."""
 
 
-@dataclass(frozen=True, slots=True)
-class Now:
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionState:
     """The calibration of a session, and how it came about.
 
     Attributes
     ----------
     contents : Contents
-    setting : Setting
+    config : SessionConfig
     options : IncrementalOptions
     graph : IncrementalGraph
+    factors : mapping of int to PlaneFactors
+        What every plane brought into the graph, by its number.
     state : BeamState
-        Its beams.
+        The beams of the graph.
     weighed : Beams
         Those behind the weights.
     compared : BeamState
@@ -49,28 +60,30 @@ class Now:
     changes : int
         Since then.
     history : History
-    doubtful : frozenset of str
-        Planes that do not fit, whatever has moved.
+    inconsistent : frozenset of str
+        Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
     sums : ScaleSums or None
         What the planes say for all scales; None where none are integrated over.
+    estimate : BeamState or None
+        The beams with all scales integrated over, once that has been done.
     """
 
     contents: Contents
-    setting: Setting
+    config: SessionConfig
     options: IncrementalOptions
     graph: IncrementalGraph
+    factors: Mapping[int, PlaneFactors]
     state: BeamState
     weighed: Beams
     compared: BeamState
     changes: int
     history: History
-    doubtful: frozenset[str]
+    inconsistent: frozenset[str]
     learned_with: int
     sums: ScaleSums | None = None
     estimate: BeamState | None = None
-    """The beams with all scales integrated over, once that has been done."""
 
     def integrated(self) -> BeamState:
         """Return the beams with all scales integrated over."""
@@ -81,28 +94,28 @@ class Now:
     @property
     def current(self) -> tuple[str, ...]:
         """Names of the beams as they are, without those that were before a move."""
-        return tuple(name for name in self.setting.names if name not in self.contents.names)
+        return tuple(name for name in self.config.names if name not in self.contents.names)
 
     @property
     def trusted(self) -> bool:
-        """Whether planes that were put aside are rather at fault than the beams as they are.
+        """Whether planes that were excluded are rather at fault than the beams as they are.
 
         A few planes may have begun with the wrong beams; many that agree on one beam speak for a move.
         """
-        inside, aside = len(self.contents.numbers), self.contents.aside
-        culprits = set(aside.values())
+        inside, excluded = len(self.contents.numbers), self.contents.excluded
+        culprits = set(excluded.values())
         agree = len(culprits) == 1 and "" not in culprits
-        return inside >= TRUSTED and (len(aside) <= 0.5 * inside or agree)
+        return inside >= TRUSTED and (len(excluded) <= 0.5 * inside or agree)
 
-    def inside(self) -> Inside:
+    def inside(self) -> BatchProblem:
         """Return what is in the graph as one problem, at the present estimate."""
         graph, contents = self.graph, self.contents
         at = graph.parameters()
         place = {number: index for index, number in enumerate(graph.planes)}
         order = [place[number] for number in contents.numbers.values()]
         at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
-        found = Inside.of(contents, self.setting, at)
-        if self.setting.poses != "estimated":
+        found = BatchProblem.of(contents, self.config, at)
+        if self.config.poses != "estimated":
             return found
         poses, names = gtsam.Values(), found.recording.station_names
         for j in np.unique(found.readings.station[found.used]).tolist():
@@ -113,15 +126,15 @@ class Now:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        found, far = self.history.search(self.setting.sigma_dof, epochs), self._moved_far()
+        found, far = self.history.search(self.config.sigma_dof, epochs), self._moved_far()
         if found is None or far is None or far.beam != found.beam:
             return found or far
-        order = list(self.contents.stations)
+        order = list(self.contents.planes)
         return replace(found, since=min(found.since, far.since, key=order.index))
 
     def _moved_far(self) -> Moved | None:
-        """Return the beam without which planes that were put aside would fit: it has moved far."""
-        for plane, beam in self.contents.aside.items():
+        """Return the beam without which planes that were excluded would fit: it has moved far."""
+        for plane, beam in self.contents.excluded.items():
             if beam:
                 unknown = float("nan")
                 return Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
@@ -129,7 +142,7 @@ class Now:
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...], *, reject: bool
-    ) -> tuple["Now", Joining]:
+    ) -> tuple["SessionState", Joining]:
         """Return what follows from `contents`, in which only `planes` differ from what is in.
 
         Raises
@@ -137,38 +150,42 @@ class Now:
         InputError
             The beams would not be determined.
         """
-        joining = join_planes(self.setting, self.state, self.history, contents, planes, reject)
+        start = Joining(contents, self.history)
+        joining = join_planes(self.config, self.state, start, planes, reject=reject)
         if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
-            lost = joining.contents.without_readings(self.setting.names)
+            lost = joining.contents.without_readings(self.config.names)
             if lost:
                 raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
-        left = [n for p, n in self.contents.numbers.items() if p not in joining.contents.numbers]
-        doubtful = (self.doubtful - set(planes)) | set(joining.doubtful)
+        inside = joining.contents.numbers
+        gone = [number for plane, number in self.contents.numbers.items() if plane not in inside]
+        kept = {number: one for number, one in self.factors.items() if number not in gone}
         new = replace(
             self,
             contents=joining.contents,
+            factors={**kept, **joining.factors},
             history=joining.history,
             changes=self.changes + 1,
-            doubtful=doubtful,
-            sums=_summed(self.sums, joining),
+            inconsistent=(self.inconsistent - set(planes)) | set(joining.inconsistent),
+            sums=None if self.sums is None else self.sums.changed(joining.fitted, inside),
             estimate=None,
         )
-        if not (joining.factors or left):
-            return new, joining
-        try:
-            graph, state = self.graph.changed(
-                joining.factors, left, None, self.setting.determines, fine=bool(doubtful)
-            )
-            new = replace(new, graph=graph, state=state).reweighed()
-        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
-            new = new.solved_at_once()
-        if left and not self.setting.links and not new.inside().determined():
-            raise InputError(
-                "a change after which the beams are open", "planes that determine them"
-            )
+        if joining.factors or gone:
+            new = new._solved(joining.factors, gone)
+        if gone and not self.config.links and not new.inside().determined():
+            raise _undetermined()
         return new, joining
 
-    def solved_at_once(self) -> "Now":
+    def _solved(self, factors: Mapping[int, PlaneFactors], gone: list[int]) -> "SessionState":
+        """Return the same with planes added to the graph and others taken out."""
+        try:
+            graph, state = self.graph.changed(
+                factors, gone, None, self.config.determines, fine=bool(self.inconsistent)
+            )
+            return replace(self, graph=graph, state=state).reweighed()
+        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
+            return self.solved_at_once()
+
+    def solved_at_once(self) -> "SessionState":
         """Return the same from a batch solution of the contents, beside the present beams.
 
         Raises
@@ -176,49 +193,88 @@ class Now:
         InputError
             The beams are not determined.
         """
-        fitted = fitted_planes(self.contents, self.setting, self.state.beams)
+        fitted = fitted_planes(self.contents, self.config, self.state.beams)
         try:
             if not fitted:
                 raise RuntimeError("no plane is left")
-            contents = _placed(self.contents, fitted)
+            contents = self.contents.numbered({plane: p.origin for plane, p in fitted.items()})
             planes = [one.at for one in fitted.values()]
-            r, v, k = self.state.beams
             normals = np.concatenate([one.normals for one in planes])
-            at = Parameters(r, v, k, normals, np.concatenate([one.offsets for one in planes]))
-            beams = Inside.of(contents, self.setting, at).batch_beams()
-            found = begin(self.contents, self.setting, beams, self.options)
-            if not self.setting.determines(found.state):
+            offsets = np.concatenate([one.offsets for one in planes])
+            at = Parameters(*self.state.beams, normals, offsets)
+            beams = BatchProblem.of(contents, self.config, at).batch_beams()
+            found = begin(self.contents, self.config, beams, self.options)
+            if not self.config.determines(found.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
-            raise InputError(
-                f"a change after which the beams are open ({error})", "planes that determine them"
-            ) from error
+            raise _undetermined(f" ({error})") from error
         return replace(
             found, compared=self.compared, changes=self.changes, learned_with=self.learned_with
         )
 
-    def reweighed(self) -> "Now":
+    def reweighed(self) -> "SessionState":
         """Return the same with the weights of the present beams, where these have moved."""
-        setting, state = self.setting, self.state
-        limit = MOVED if setting.learned is None else MOVED_WITH_SCALES
-        if not setting.weights_depend or setting.apart(state.beams, self.weighed) < limit:
+        config, beams = self.config, self.state.beams
+        limit = MOVED if config.learned is None else MOVED_WITH_SCALES
+        if not config.weights_depend or config.apart(beams, self.weighed) < limit:
             return self
-        factors, all_fitted = {}, {}
-        for plane, number in self.contents.numbers.items():
-            used = self.contents.used(plane)
-            fitted = fit_plane(setting, used, state.beams, self.contents.origins[plane])
-            if fitted is None:
+        fitted = {}
+        for plane in self.contents.numbers:
+            own = self.contents.planes[plane]
+            found = fit_plane(config, own.used(), beams, own.origin)
+            if found is None:
                 return self
-            factors[number] = fitted.factors(number, self.contents.station_numbers, used)
-            all_fitted[plane] = fitted
-        graph, found = self.graph.changed(factors, fine=bool(self.doubtful))
-        sums = _sums(setting, state.beams, all_fitted)
+            fitted[plane] = found
+        factors = _factors(self.contents, fitted)
+        graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
         return replace(
-            self, graph=graph, state=found, weighed=state.beams, sums=sums, estimate=None
+            self,
+            graph=graph,
+            factors=factors,
+            state=state,
+            weighed=beams,
+            sums=_sums(config, beams, fitted),
+            estimate=None,
         )
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the state be copied and pickled: what GTSAM holds is made anew, linearised as it is."""
+        point, config = self.graph.linearization_point(), self.config
+        at = parameters_of(point, config.beams, [plane_key(number) for number in self.factors])
+        blocks = [block for one in self.factors.values() for block in one.blocks]
+        poses = {key: point.atPose3(key) for key in poses_of(blocks)}
+        brought = {number: (one.blocks, one.others) for number, one in self.factors.items()}
+        known = [getattr(self, one.name) for one in fields(self)]
+        fine = bool(self.inconsistent)
+        return _restored, (brought, at, poses, fine, tuple(known[:3]), tuple(known[5:]))
 
-def begin(contents: Contents, setting: Setting, beams: Beams, options: IncrementalOptions) -> Now:
+
+def _restored(
+    brought: Mapping[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
+    at: Parameters,
+    poses: Mapping[int, gtsam.Pose3],
+    fine: bool,
+    first: tuple[Contents, SessionConfig, IncrementalOptions],
+    rest: tuple[Any, ...],
+) -> SessionState:
+    """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
+    _, config, options = first
+    factors = {}
+    for number, normal, offset in zip(brought, at.normals, at.offsets, strict=True):
+        values, (blocks, others) = gtsam.Values(), brought[number]
+        values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
+        for key in poses_of(blocks):
+            values.insert(key, poses[key])
+        factors[number] = PlaneFactors(blocks, others, values)
+    start = BeamStart(start_values(at, config.beams, (), config.terms), config.known)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph, _ = graph.changed(factors, (), start, fine=fine)
+    return SessionState(*first, graph, factors, *rest)
+
+
+def begin(
+    contents: Contents, config: SessionConfig, beams: Beams, options: IncrementalOptions
+) -> SessionState:
     """Return a new graph of every plane that is determined beside `beams`.
 
     Raises
@@ -226,34 +282,32 @@ def begin(contents: Contents, setting: Setting, beams: Beams, options: Increment
     RuntimeError
         GTSAM calls the system indeterminate, or the estimate does not settle.
     """
-    fitted = fitted_planes(contents, setting, beams)
-    contents = _placed(contents, fitted)
-    factors: dict[int, PlaneFactors] = {}
-    history, doubtful = setting.history(beams), set[str]()
+    fitted = fitted_planes(contents, config, beams)
+    contents = contents.numbered({plane: one.origin for plane, one in fitted.items()})
+    factors = _factors(contents, fitted)
+    history, inconsistent = config.history(beams), set[str]()
     for plane, one in fitted.items():
-        number, used = contents.numbers[plane], contents.used(plane)
-        factors[number] = one.factors(number, contents.station_numbers, used)
         own = one.information(history.reference)
         if one.fits(own, history.reference):
             history = history.with_plane(plane, own)
         else:
-            doubtful.add(plane)
-    graph = IncrementalGraph(setting.beams, setting.terms, setting.length, options)
-    start = setting.start(beams)
-    graph, state = graph.changed(factors, (), start, fine=bool(doubtful))
-    now = Now(
+            inconsistent.add(plane)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
+    now = SessionState(
         contents,
-        setting,
+        config,
         options,
         graph,
+        factors,
         state,
         beams,
         state,
         0,
         history,
-        frozenset(doubtful),
+        frozenset(inconsistent),
         len(fitted),
-        _sums(setting, beams, fitted),
+        _sums(config, beams, fitted),
     )
     for _ in range(ROUNDS):
         before, now = now, now.reweighed()
@@ -262,44 +316,42 @@ def begin(contents: Contents, setting: Setting, beams: Beams, options: Increment
     return replace(now, compared=now.state)
 
 
-def _sums(setting: Setting, beams: Beams, fitted: Mapping[str, FittedPlane]) -> ScaleSums | None:
-    """Return what planes say for all scales, counted from `beams`; None where none are learned."""
-    if setting.learned is None:
-        return None
-    found = ScaleSums.empty(setting.learned, setting.history(beams), setting.members)
-    for plane, one in fitted.items():
-        found = found.with_plane(plane, one)
-    return found
+def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
+    """Return the keys of the hand poses that are variables of some blocks, each once."""
+    return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
 
 
-def _summed(sums: ScaleSums | None, joining: Joining) -> ScaleSums | None:
-    """Return the sums after planes have joined, changed and left."""
-    if sums is None:
-        return None
-    for plane in tuple(sums.pieces):
-        if plane not in joining.contents.numbers:
-            sums = sums.without_plane(plane)
-    for plane, fitted in joining.fitted.items():
-        sums = sums.with_plane(plane, fitted)
-    return sums
-
-
-def fitted_planes(contents: Contents, setting: Setting, beams: Beams) -> Mapping[str, FittedPlane]:
-    """Return the planes that are determined beside `beams`."""
+def fitted_planes(
+    contents: Contents, config: SessionConfig, beams: Beams
+) -> Mapping[str, FittedPlane]:
+    """Return the planes that are determined beside `beams`, and not excluded."""
     found = {}
-    for plane in contents.stations:
-        if plane in contents.aside:
-            continue
-        fitted = fit_plane(setting, contents.used(plane), beams)
+    for name, plane in contents.planes.items():
+        fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
         if fitted is not None and fitted.determined():
-            found[plane] = fitted
+            found[name] = fitted
     return found
 
 
-def _placed(contents: Contents, fitted: Mapping[str, FittedPlane]) -> Contents:
-    """Return the contents with these planes in the graph, numbered anew."""
-    return replace(
-        contents,
-        numbers={plane: number for number, plane in enumerate(fitted)},
-        origins={plane: one.origin for plane, one in fitted.items()},
-    )
+def _factors(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
+    """Return what planes of the contents bring into a graph, by their number."""
+    numbers, stations = contents.numbers, contents.station_numbers
+    return {
+        numbers[plane]: one.factors(numbers[plane], stations, contents.planes[plane].used())
+        for plane, one in fitted.items()
+    }
+
+
+def _sums(
+    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
+) -> ScaleSums | None:
+    """Return what planes say for all scales, counted from `beams`; None where none are learned."""
+    if config.learned is None:
+        return None
+    found = ScaleSums.empty(config.learned, config.history(beams), config.members)
+    return found.changed(fitted, fitted)
+
+
+def _undetermined(why: str = "") -> InputError:
+    found = f"a change after which the beams are undetermined{why}"
+    return InputError(found, "planes that determine them")
