@@ -2,7 +2,7 @@
 
     python -m benchmarks.session_chaos [--sequences 1000] [--jobs J]
 
-Planes and stations are added and removed, bad data are offered, a beam is told to have moved,
+Planes and stations are added and removed, bad data are offered, a beam is split because it moved,
 exceptions and Ctrl-C fall into the evaluation of factors at a random call. Poses are exact,
 marginalised or estimated, or range error and range sigma are found on the way. A sequence is good when
 nothing but the exception itself came out and, after every step, the beams agree with the batch solution
@@ -32,8 +32,8 @@ ACTIONS = (
     "remove plane",
     "remove station",
     "bad data",
-    "garbage",
-    "forget",
+    "gross errors",
+    "split beam",
     "exception",
     "Ctrl-C",
 )
@@ -83,11 +83,11 @@ def act(
             session.remove_station(str(rng.choice(session.recording().station_names)))
         elif action == "bad data":
             session.add(session.recording().part([0]))  # a station that is there already
-        elif action == "garbage" and fresh:
+        elif action == "gross errors" and fresh:
             session.add(_spoilt(fresh.pop(0), rng))
-        elif action == "forget":
+        elif action == "split beam":
             beams = session.beams().names
-            session.forget(str(rng.choice(beams)), str(rng.choice(session.planes)))
+            session.split_beam(str(rng.choice(beams)), str(rng.choice(session.planes)))
         elif fresh:
             error = KeyboardInterrupt if action == "Ctrl-C" else ValueError
             with _Falling(error, int(rng.integers(0, 8))):

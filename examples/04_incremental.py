@@ -1,7 +1,7 @@
-"""Recalibrate as planes are added, in milliseconds; notice a beam that was knocked, and go on with it.
+"""Recalibrate as planes are added, in milliseconds; notice a displaced beam, and go on with it.
 
 Four beams look at one plane after the other. Every plane joins an iSAM2 graph; the session says what
-it taught. Before the 13th plane, beam 2 is knocked by 0.3 degrees: the session names the beam and the
+it taught. Before the 13th plane, beam 2 is displaced by 0.3 degrees: the session names the beam and the
 plane, and is told to let that beam have moved.
 """
 
@@ -13,7 +13,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 
-SIGMA, PLANES, KNOCKED = 1e-4, 16, 12
+SIGMA, PLANES, DISPLACED = 1e-4, 16, 12
 rng = np.random.default_rng(7)
 truth, stations = SCENES["arm"](Layout(beams=4, planes=PLANES, stations=8), rng)
 turned = truth.directions.copy()
@@ -25,7 +25,7 @@ after = simulate(replace(truth, directions=turned), stations, Errors(SIGMA), rng
 session = hl.Session(hl.Noise(range_sigma=SIGMA), hl.CalibrationOptions("none"))
 print("plane  learnt   largest standard deviation of a location")
 for number, name in enumerate(before.plane_names):
-    recording = before if number < KNOCKED else after
+    recording = before if number < DISPLACED else after
     update = session.add(recording.plane(name))
     if update.sigma is None:
         print(f"{name:5}  waits: {update.message[:70]}")
@@ -36,8 +36,8 @@ for number, name in enumerate(before.plane_names):
         moved = update.moved
         turn = np.degrees(moved.turn)
         print(f"       beam {moved.beam} has moved before plane {moved.since}, by {turn:.2f} deg")
-        assert (moved.beam, moved.since) == ("2", before.plane_names[KNOCKED])
-        session.forget(moved.beam, since=moved.since)
+        assert (moved.beam, moved.since) == ("2", before.plane_names[DISPLACED])
+        session.split_beam(moved.beam, since=moved.since)
 
 largest = session.compare().largest
 print(f"from the batch solution: {largest:.4f} standard deviations at most")

@@ -14,6 +14,7 @@ from .estimation.options import CalibrationOptions
 from .estimation.selection import select
 from .results.assemble import assemble
 from .results.calibration import Calibration
+from .results.problem import Problem
 from .solvers.levenberg import Trial
 
 
@@ -67,5 +68,5 @@ def calibrate(
         recording, readings.seen_from(origins), noise.reordered(order.stations), options, progress
     )
     # 4. Covariances of what is determined, in the names and the order of the recording.
-    result = assemble(recording, readings, order, origins, noise, selection)
+    result = assemble(Problem(recording, readings, order, origins, noise), selection)
     return replace(result, warnings=(*found.warnings, *result.warnings), recording=recording)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from helpers import GRIPPER
-from test_drift import knocked
+from test_drift import displaced
 
 import handlaser_gtsam as hl
 
@@ -41,13 +41,13 @@ def test_json_alone_is_printed(handlaser):
 
 
 def test_a_beam_that_has_moved_is_named(handlaser, tmp_path):
-    recording, _ = knocked()
-    path = tmp_path / "knocked.csv"
+    recording, _ = displaced()
+    path = tmp_path / "displaced.csv"
     hl.write_recording(path, recording)
     _, out, err = handlaser("calibrate", path, "--incremental", "--range-sigma-mm", "0.1")
     text = " ".join((out + err).split())
     assert "beam 2 has moved before plane G" in text
-    assert "tell a Session to forget" in text
+    assert "split the beam in a Session" in text
 
 
 def test_what_does_not_determine_the_beams_says_so_as_ever(handlaser, tmp_path):

@@ -51,12 +51,12 @@ def plane_by_plane(
         for name in recording.plane_names:
             updates.append((name, session.add(recording.plane(name))))
             bar.advance(task)
-        told = tuple(updates)
+        fed = tuple(updates)
         if not session.started or session.waiting:
-            return PlaneByPlane(calibrate(recording, noise, options), recording, told, None)
+            return PlaneByPlane(calibrate(recording, noise, options), recording, fed, None)
         moved = session.moved()
-        comparison = session.settle()
-        if comparison.message:  # what had moved may have been noise that is known better now
+        comparison = session.recalibrate()
+        if comparison.changes:  # what had moved may have been noise that is known better now
             moved = session.moved()
     result = session.calibration()
     if moved is not None:
@@ -64,18 +64,18 @@ def plane_by_plane(
         words = (
             f"beam {moved.beam} seems to have moved before plane {moved.since}, "
             f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
-            f"themselves, or tell a Session to forget"
+            f"themselves, or split the beam in a Session"
         )
         more = CalibrationWarning("beam-moved", words)
         result = replace(result, warnings=(more, *result.warnings))
-    return PlaneByPlane(result, session.recording(), told, comparison)
+    return PlaneByPlane(result, session.recording(), fed, comparison)
 
 
 def update_table(fed: PlaneByPlane) -> Table:
     """Return what every plane taught, and how standard deviations fell; those of the result last."""
     table = Table(box=SIMPLE_HEAD, title="plane by plane", title_justify="left")
     table.add_column("plane")
-    for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "left out"):
+    for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected"):
         table.add_column(name, justify="right")
     table.add_column("notes")
     for name, update in fed.updates:
@@ -110,7 +110,7 @@ def _remark(name: str, update: Update) -> str:
         words.append("waits for more")
     if update.moved is not None:
         words.append(f"beam {update.moved.beam} has moved before plane {update.moved.since}")
-    if update.doubtful:
+    if update.inconsistent:
         words.append("does not fit, and waits")
     if update.comparison is not None and update.comparison.message:
         words.append(update.comparison.message)

@@ -8,7 +8,11 @@ from ..results.calibration import Calibration, NoiseComponent
 from .lines import DEG, MM, some
 
 SHOWN = 4
-KINDS = {"pose translation": "hand position", "pose rotation": "hand rotation"}
+KINDS = {
+    "range": "a reading",
+    "pose translation": "hand position",
+    "pose rotation": "hand rotation",
+}
 
 
 def noise_words(result: Calibration, *, brief: bool = False) -> str:
@@ -17,7 +21,7 @@ def noise_words(result: Calibration, *, brief: bool = False) -> str:
     In brief, those of several beams are summed up by the least and the largest.
     """
     estimated = {one.name: one for one in result.noise_estimate}
-    ranges = [one for one in result.noise_estimate if one.name.startswith("range")]
+    ranges = [one for one in result.noise_estimate if one.quantity == "range"]
     parts = [estimate_words(one) for one in ranges]
     if brief and len(parts) > 1:
         sigmas = [one.sigma * MM for one in ranges]
@@ -25,9 +29,9 @@ def noise_words(result: Calibration, *, brief: bool = False) -> str:
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {result.fit.range_sigma * MM:.3g} mm ({how})"]
-    poses = [estimate_words(one) for one in result.noise_estimate if one.name in KINDS]
+    poses = [estimate_words(one) for one in result.noise_estimate if one.quantity != "range"]
     words = ", ".join([*parts, *poses, *_given_poses(result, set(estimated))])
-    carried = [KINDS.get(name, name) for name, one in estimated.items() if one.prior_carries]
+    carried = [_owner(one) for one in estimated.values() if one.prior_carries]
     if carried:
         words += f"; the prior decides that of {some(carried, SHOWN)}"
     return f"noise, standard deviations: {words}"
@@ -35,11 +39,16 @@ def noise_words(result: Calibration, *, brief: bool = False) -> str:
 
 def estimate_words(one: NoiseComponent) -> str:
     """Return an estimated sigma with its own standard deviation."""
-    scale, unit = (DEG, "deg") if one.name == "pose rotation" else (MM, "mm")
-    name = KINDS.get(one.name, one.name.replace("range", "a reading", 1))
+    scale, unit = (DEG, "deg") if one.quantity == "pose rotation" else (MM, "mm")
+    name = _owner(one)
     if not math.isfinite(one.error):
         return f"{name} {one.sigma * scale:.2g} {unit} (estimated)"
     return f"{name} {one.sigma * scale:.2g} +- {one.error * scale:.1g} {unit} (estimated)"
+
+
+def _owner(one: NoiseComponent) -> str:
+    """Return what a sigma is of."""
+    return KINDS[one.quantity] + ("" if one.beam is None else f" of beam {one.beam}")
 
 
 def _given_poses(result: Calibration, estimated: set[str]) -> list[str]:

@@ -37,9 +37,10 @@ class Selection:
     used : (N,) of bool
     outside, flat : (N,) of bool
         Left out by the sensor's limits; what else is left out is an outlier.
-    start : Start
     method : str
         Of the start that led to the solution.
+    tried : tuple of (str, float)
+        Every start that was tried, with the rms of its residuals [m].
     solution : Solution
         Of the readings `used`, in their order.
     """
@@ -47,8 +48,8 @@ class Selection:
     used: BoolArray
     outside: BoolArray
     flat: BoolArray
-    start: Start
     method: str
+    tried: tuple[tuple[str, float], ...]
     solution: Solution
 
     def outliers(self) -> BoolArray:
@@ -95,7 +96,7 @@ def select(
         if (used == before).all():
             break
         solution = solved(solution.parameters)
-    return Selection(used, ~inside, flat, first.start, first.method, solution)
+    return Selection(used, ~inside, flat, first.method, first.start.tried, solution)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,104 +1,140 @@
-"""How well a solution fits its readings, and what was left out of it."""
+"""How well a solution fits its readings, and what was rejected."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..data.noise import Noise
-from ..data.ordering import Order
-from ..data.recording import Readings, Recording, typical_range
+from ..arrays import FloatArray, IntArray
+from ..data.recording import typical_range
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
-from ..model.losses import GAUSSIAN
+from ..model.losses import GAUSSIAN, LossName
 from ..model.sensor import FLAT, OUTSIDE, Rejected
 from ..model.weighting import reading_sigmas
-from ..observability.wording import Names
 from ..outliers.reasons import Reasons, reasons
 from .calibration import Fit
+from .problem import Problem
 
 
-def fit_of(
-    recording: Recording,
-    readings: Readings,
-    order: Order,
-    origins: FloatArray,
-    noise: Noise,
-    selection: Selection,
-    names: Names,
-) -> tuple[Fit, Reasons]:
-    """Return the fit, and the reasons for what was left out, in the order of the recording."""
-    solution = selection.solution
-    e = solution.result.residual
-    if solution.posterior is not None and not solution.problem.poses:
-        used = readings.subset(np.flatnonzero(selection.used)).seen_from(origins)
-        e = residuals(scene(solution.best, used), used.distance)
-    squares = float(e @ e)
-    given = noise.range_sigma is not None
-    dof = solution.dof
-    chi2, sigma0, sigma = sizes(solution, given=given)
-    station, beam = order.stations[readings.station], order.beams[readings.beam]
-    table = np.full(recording.ranges.shape, np.nan)
-    table[station[selection.used], beam[selection.used]] = e
-    of_used = np.flatnonzero(selection.used)
-    worst = of_used[int(np.abs(e).argmax())]
-    far = _in_sigmas(solution, e, readings.subset(of_used).seen_from(origins), sigma)
-    farthest = int(far.argmax())
-    parameters = solution.best.seen_from(-origins)
-    fitted = max(sigma, float(np.sqrt(squares / max(dof, 1))))
-    why = reasons(readings, ~selection.outliers(), parameters, fitted, names)
-    fit = Fit(
+@dataclass(frozen=True, slots=True, eq=False)
+class FitRows:
+    """Residuals with what they are of, one a row.
+
+    Attributes
+    ----------
+    stations, beams : sequences of str
+        Names of the rows and columns of the table of residuals.
+    station, beam : (N,)
+        Where each residual stands in it.
+    residual : (N,)
+        [m]
+    standardized : (N,)
+        The same in units of its own standard deviation.
+    ranges : (N,)
+        Readings [m]; NaN where they are not known.
+    """
+
+    stations: Sequence[str]
+    beams: Sequence[str]
+    station: IntArray
+    beam: IntArray
+    residual: FloatArray
+    standardized: FloatArray
+    ranges: FloatArray
+
+
+def fit_of_rows(
+    rows: FitRows,
+    *,
+    chi2: float,
+    dof: int,
+    range_sigma: float,
+    given: bool,
+    poses: Literal["exact", "marginalised", "estimated"],
+    loss: LossName,
+) -> Fit:
+    """Return the fit of residuals, of which nothing is rejected; see `Fit` for the rest."""
+    e, far, known = rows.residual, np.abs(rows.standardized), rows.ranges[~np.isnan(rows.ranges)]
+    table = np.full((len(rows.stations), len(rows.beams)), np.nan)
+    table[rows.station, rows.beam] = e
+    worst, farthest = int(np.abs(e).argmax()), int(far.argmax())
+    return Fit(
         readings=len(e),
-        rms=float(np.sqrt(squares / len(e))),
-        max_residual=float(np.abs(e).max()),
-        max_residual_at=(
-            recording.station_names[station[worst]],
-            recording.beam_names[beam[worst]],
-        ),
+        rms=float(np.sqrt(float(e @ e) / len(e))),
+        max_residual=float(np.abs(e[worst])),
+        max_residual_at=(rows.stations[rows.station[worst]], rows.beams[rows.beam[worst]]),
         chi2=chi2,
         dof=dof,
-        sigma0=sigma0,
-        range_sigma=sigma,
+        sigma0=_sigma0(chi2, dof),
+        range_sigma=range_sigma,
         range_sigma_given=given,
-        poses=solution.poses,
-        loss=solution.problem.loss.name,
-        median_reading=float(np.median(readings.distance[of_used])),
-        typical_range=typical_range(readings.distance[of_used]),
+        poses=poses,
+        loss=loss,
+        median_reading=float(np.median(known)) if known.size else np.nan,
+        typical_range=typical_range(known) if known.size else np.nan,
         max_standardized_residual=float(far[farthest]),
         max_standardized_residual_at=(
-            recording.station_names[station[of_used[farthest]]],
-            recording.beam_names[beam[of_used[farthest]]],
+            rows.stations[rows.station[farthest]],
+            rows.beams[rows.beam[farthest]],
         ),
         residuals=table,
-        rejected=_rejected(recording, readings, order, selection, why),
+        rejected=(),
     )
-    return fit, why
 
 
-def sizes(solution: Solution, *, given: bool) -> tuple[float, float, float]:
-    """Return chi2, sigma0 and the range sigma [m] behind the covariances; see `Fit`."""
+def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
+    """Return the fit, and the reasons for what was rejected, in the order of the recording."""
+    solution, recording, order = selection.solution, problem.recording, problem.order
+    used = problem.chosen(selection.used)
+    e = solution.result.residual
+    if solution.posterior is not None and not solution.problem.poses:
+        e = residuals(scene(solution.best, used), used.distance)
+    given = problem.noise.range_sigma is not None
+    chi2, sigma = _size(solution, given=given)
+    at = solution.parameters
+    standardized = np.zeros(len(e))  # of an exact fit
+    if solution.variances is not None:
+        variances = solution.variances
+        if solution.problem.poses:  # what is left once the poses have moved
+            variances = variances.without_poses()
+        standardized = e / reading_sigmas(at, used, variances)
+    elif sigma > 0.0:
+        standardized = e / sigma
+    station, beam = order.stations[used.station], order.beams[used.beam]
+    names = recording.station_names, recording.beam_names
+    rows = FitRows(*names, station, beam, e, standardized, used.distance)
+    fit = fit_of_rows(
+        rows,
+        chi2=chi2,
+        dof=solution.dof,
+        range_sigma=sigma,
+        given=given,
+        poses=solution.poses,
+        loss=solution.problem.loss.name,
+    )
+    in_world = solution.best.seen_from(-problem.origins)
+    fitted = max(sigma, float(np.sqrt(float(e @ e) / max(fit.dof, 1))))
+    kept = ~selection.outliers()
+    why = reasons(problem.readings, kept, in_world, fitted, problem.names)
+    return replace(fit, rejected=_rejected(problem, selection, why)), why
+
+
+def _sigma0(chi2: float, dof: int) -> float:
+    return float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
+
+
+def _size(solution: Solution, *, given: bool) -> tuple[float, float]:
+    """Return chi2 and the range sigma [m] behind the covariances; see `Fit`."""
     unit, known = solution.problem.range_sigma, given or solution.scales_estimated
-    dof = solution.dof
     chi2 = solution.chi2 if known else solution.chi2 * unit**2
-    sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
     typical = 1.0
     if solution.variances is not None:
         typical = float(np.median(solution.variances.range_sigma)) / unit
-    if known:
-        return chi2, sigma0, unit * typical
-    return chi2, sigma0, (robust_sigma(solution) or sigma0) * typical
-
-
-def _in_sigmas(
-    solution: Solution, residual: FloatArray, used: Readings, sigma: float
-) -> FloatArray:
-    """Return how many of its standard deviations each reading is off; zero for an exact fit."""
-    e = np.abs(residual)
-    if solution.variances is None:
-        return e / sigma if sigma > 0.0 else np.zeros(len(e))
-    variances = solution.variances
-    if solution.problem.poses:  # what is left once the poses have moved
-        variances = variances.without_poses()
-    return np.asarray(e / reading_sigmas(solution.parameters, used, variances))
+    sigma = unit if known else robust_sigma(solution) or _sigma0(chi2, solution.dof)
+    return chi2, sigma * typical
 
 
 def robust_sigma(solution: Solution) -> float | None:
@@ -106,10 +142,9 @@ def robust_sigma(solution: Solution) -> float | None:
     return None if solution.problem.loss == GAUSSIAN else solution.problem.range_sigma
 
 
-def _rejected(
-    recording: Recording, readings: Readings, order: Order, selection: Selection, why: Reasons
-) -> tuple[Rejected, ...]:
-    """Name what was left out, in the order of the recording."""
+def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rejected, ...]:
+    """Name what was rejected, in the order of the recording."""
+    recording, readings, order = problem.recording, problem.readings, problem.order
     words = np.full(len(readings), "", dtype=object)
     words[selection.outliers()] = why.words
     words[selection.flat] = FLAT

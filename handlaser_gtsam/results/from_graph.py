@@ -5,29 +5,36 @@ the information of beams and planes. Whether the values are the optimum of the g
 whether the graph determines the beams.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import gtsam
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from ..arrays import FloatArray
-from ..checks import require_kind, require_names
+from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..keys import BeamKeys
 from ..model.joint import JointCovariance
 from ..observability.rank import ObservabilityOptions
+from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
-from .calibration import Beam, Calibration, Determined, Plane, StartReport, Status
-from .correlations import strong_correlations
-from .graph_fit import fit_of_graph, key_name
+from .calibration import Calibration, Determined, Fit, StartReport, Status
+from .graph_fit import fit_of_graph
+from .graph_variables import Variable, variables_of
+from .problem import Estimate
 
 METHOD = "graph"
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
 UNLIKELY = 1e-6
+"""A chi2 of the graph that is less probable contradicts its noise models."""
+ANCHOR = (
+    "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
+    "all lengths are metres"
+)
+MOVE_MORE = "add stations in other orientations, and check that all lengths are metres"
 
 
 def read_graph(
@@ -54,7 +61,7 @@ def read_graph(
     Calibration
         Its fit lists the rows of the range factors; chi2 and dof are those of the whole graph.
         `not_converged` where the values are no optimum, `unobservable` where the graph leaves beams or
-        planes open.
+        planes undetermined.
 
     Raises
     ------
@@ -63,135 +70,63 @@ def read_graph(
         that cannot be printed, values without some of the graph's variables or that are no numbers or
         beyond sense, or constrained noise models.
     """
-    if not isinstance(values, gtsam.Values):
-        raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
+    require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
-    for keys in beams.values():
-        require_kind("the keys of a beam", keys, BeamKeys)
-    require_values(values)
-    wanted = _wanted(graph, values, beams, planes)
-    linear = graph.linearize(values)
-    unknowns = linear.gradientAtZero().vector().size
-    fit = fit_of_graph(graph, values, beams, planes, unknowns)
-    information = _information(graph, linear, wanted)
-    length = fit.typical_range if fit.typical_range > 0.0 else 1.0
-    status, message, found = _judged(information, wanted, length)
-    if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
-        status = "not_converged"
-        message = "the values are not at the optimum of the graph: optimise further"
-    joint = None if found is None else _joint(found[0], wanted, values, beams, planes)
-    told = joint if status == "converged" else None
-    tail = float(chi2_distribution.sf(fit.chi2, fit.dof)) if fit.dof > 0 else 1.0
-    doubt = CalibrationWarning(
-        "sigmas-too-small",
-        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise",
-    )
-    return Calibration(
-        status,
-        message,
-        (doubt,) if tail < UNLIKELY else (),
-        MappingProxyType(dict(zip(beams, _beams(values, beams, told), strict=True))),
-        MappingProxyType(dict(zip(planes, _planes(values, planes, told), strict=True))),
-        fit,
-        _determined(found, wanted, message if status == "unobservable" else ""),
-        StartReport(METHOD, ()),
-        0,
-        covariance=told,
-        correlations=() if told is None else strong_correlations(told),
-    )
+    return _estimate(graph, values, beams, planes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A kind of variable: how it is read, its type in words, and its natural units.
-
-    The units are powers of the typical range.
-    """
-
-    words: str
-    read: Callable[[gtsam.Values, int], object]
-    expected: str
-    powers: tuple[int, ...]
-
-
-LOCATION = _Kind("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1))
-DIRECTION = _Kind("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0))
-RANGE_ERROR = _Kind(
-    "range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)
-)
-PLANE = _Kind("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1))
-
-
-@dataclass(frozen=True, slots=True)
-class _Variable:
-    """A variable that is read: what it is, its key, and its columns among all that are read."""
-
-    kind: _Kind
-    name: str
-    key: int
-    columns: slice
-
-    @property
-    def words(self) -> str:
-        """What it is, with its name."""
-        return f"{self.kind.words} {self.name}"
-
-    @property
-    def powers(self) -> tuple[int, ...]:
-        """Natural units of its columns."""
-        return self.kind.powers[: self.columns.stop - self.columns.start]
-
-
-def _wanted(
+def _estimate(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     beams: Mapping[str, BeamKeys],
     planes: Mapping[str, int],
-) -> list[_Variable]:
-    """Return the variables to be read, each once."""
-    if not beams:
-        raise InputError("no beams", "a name and BeamKeys for each")
-    inside = set(graph.keyVector())
-    for key in inside:
-        if not values.exists(key):
-            raise InputError(f"no value of {key_name(key)}", "one for every variable of the graph")
-    asked: list[tuple[_Kind, str, int]] = []
-    for name, beam in beams.items():
-        asked += [(LOCATION, name, beam.location), (DIRECTION, name, beam.direction)]
-        if beam.range_error is not None:
-            asked.append((RANGE_ERROR, name, beam.range_error))
-    asked += [(PLANE, name, key) for name, key in planes.items()]
-    found: dict[int, _Variable] = {}
-    first = 0
-    for kind, name, key in asked:
-        if key not in inside:
-            words = f"{kind.words} {name} under {key_name(key)}"
-            raise InputError(words, "a variable of the graph")
-        dim = _dimension(values, kind, name, key)
-        if key not in found:
-            found[key] = _Variable(kind, name, key, slice(first, first + dim))
-            first += dim
-    return list(found.values())
+) -> Calibration:
+    """Read beams and planes, eliminate everything else, and judge what is left."""
+    wanted = variables_of(graph, values, beams, planes)
+    linear = graph.linearize(values)
+    unknowns = linear.gradientAtZero().vector().size
+    fit = fit_of_graph(graph, values, beams, planes, unknowns)
+    found = _judged(_information(graph, linear, wanted), wanted, fit)
+    status, message, joint = found.status, found.message, None
+    if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
+        status = "not_converged"
+        message = "the values are not at the optimum of the graph: optimise further"
+    if status == "converged":
+        joint = _joint(found.covariance, wanted, values, beams, planes)
+    estimate = Estimate(
+        tuple(beams),
+        tuple(planes),
+        parameters_of(values, list(beams.values()), list(planes.values())),
+        tuple(_terms(values, beam) for beam in beams.values()),
+        joint,
+        None,
+        status,
+        message,
+        fit,
+        found.determined,
+        StartReport(METHOD, ()),
+    )
+    return estimate.calibration(_warnings(fit))
 
 
-def _dimension(values: gtsam.Values, kind: _Kind, name: str, key: int) -> int:
-    """Return the dimension of a variable; raises InputError where it is of another type."""
-    try:
-        value = kind.read(values, key)
-    except RuntimeError as error:
-        found = f"another type under {key_name(key)}, {kind.words} {name}"
-        raise InputError(found, f"a {kind.expected}") from error
-    dim = np.asarray(value).size if kind is RANGE_ERROR else len(kind.powers)
-    if not 1 <= dim <= len(kind.powers):
-        raise InputError(f"{dim} numbers as {kind.words} {name}", f"a {kind.expected}")
-    return dim
+def _terms(values: gtsam.Values, beam: BeamKeys) -> int:
+    return 0 if beam.range_error is None else int(values.atVector(beam.range_error).size)
+
+
+def _warnings(fit: Fit) -> tuple[CalibrationWarning, ...]:
+    if fit.dof <= 0 or float(chi2_distribution.sf(fit.chi2, fit.dof)) >= UNLIKELY:
+        return ()
+    words = (
+        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
+    )
+    return (CalibrationWarning("sigmas-too-small", words),)
 
 
 def _information(
-    graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph, wanted: list[_Variable]
+    graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph, wanted: list[Variable]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the information of what is read and the right-hand side; None if others are open."""
+    """Return the information of what is read, and its right-hand side; None if it has none."""
     keys = [one.key for one in wanted]
     order = gtsam.Ordering.ColamdConstrainedLastNonlinearFactorGraph(graph, keys)
     others, last = gtsam.Ordering(), gtsam.Ordering()
@@ -223,43 +158,54 @@ def _left_to_go(linear: gtsam.GaussianFactorGraph) -> float:
     return float(np.sqrt(max(decrement, 0.0))) if np.isfinite(decrement) else float("inf")
 
 
-def _judged(
-    information: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable], length: float
-) -> tuple[Status, str, tuple[FloatArray, FloatArray] | None]:
-    """Return status and message, and (covariance, eigenvalues) where there is a covariance.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judgement:
+    """What the information of beams and planes says of the values; no covariance of what is open."""
 
-    Eigenvalues are those in natural units, with `length` [m] for the typical range, as everywhere.
-    """
+    status: Status
+    message: str
+    determined: Determined
+    covariance: FloatArray
+
+
+def _judged(
+    information: tuple[FloatArray, FloatArray] | None, wanted: list[Variable], fit: Fit
+) -> _Judgement:
+    """Judge the values by the information of what is read, in natural units as everywhere."""
+    unknowns = wanted[-1].columns.stop
     if information is None:
-        words = (
-            "the graph leaves variables open: anchor at least one pose, tie every pose to others by a "
-            "prior, odometry or a fix, and check that all lengths are metres"
-        )
-        return "unobservable", words, None
+        words = "the graph leaves variables undetermined"
+        return _undetermined(0, unknowns, words, (words,), ANCHOR)
     matrix, vector = information
+    length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.array([power for one in wanted for power in one.powers], dtype=float)
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
     weak = values < ObservabilityOptions().most_sigma ** -2
     if weak.any():
         share = (axes[:, weak] ** 2).sum(axis=1)
-        open_ = [one.words for one in wanted if share[one.columns].sum() > 0.1]
-        words = (
-            f"the graph does not determine {', '.join(open_)}: add stations in other orientations, "
-            f"and check that all lengths are metres"
-        )
-        return "unobservable", words, None
+        names = tuple(one.words for one in wanted if share[one.columns].sum() > 0.1)
+        words = f"the graph does not determine {', '.join(names)}"
+        return _undetermined(int((~weak).sum()), unknowns, words, names, MOVE_MORE)
     covariance = (axes / values) @ axes.T * np.outer(unit, unit)
     away = float((np.abs(covariance @ vector) / np.sqrt(np.diagonal(covariance))).max())
-    found = covariance, values
+    determined = Determined(unknowns, unknowns, float(np.sqrt(values[-1] / values[0])))
     if not away <= OPTIMAL:
         words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
-        return "not_converged", words, found
-    return "converged", "the values are the optimum of the graph", found
+        return _Judgement("not_converged", words, determined, covariance)
+    words = "the values are the optimum of the graph"
+    return _Judgement("converged", words, determined, covariance)
+
+
+def _undetermined(
+    rank: int, unknowns: int, words: str, names: tuple[str, ...], remedy: str
+) -> _Judgement:
+    determined = Determined(rank, unknowns, None, names, (remedy,))
+    return _Judgement("unobservable", f"{words}: {remedy}", determined, np.empty((0, 0)))
 
 
 def _joint(
     S: FloatArray,
-    wanted: list[_Variable],
+    wanted: list[Variable],
     values: gtsam.Values,
     beams: Mapping[str, BeamKeys],
     planes: Mapping[str, int],
@@ -289,50 +235,9 @@ def _joint(
         (W @ np.linalg.pinv(expand)).reshape(count, 3, -1),
         alone,
         np.array([values.atUnit3(beam.direction).basis() for beam in beams.values()]),
-        np.array([_plane(values, k).normal().basis() for k in planes.values()]).reshape(-1, 3, 2),
+        np.array(
+            [values.atOrientedPlane3(key).normal().basis() for key in planes.values()]
+        ).reshape(-1, 3, 2),
         np.zeros((count, 3)),
         coupling,
     )
-
-
-def _beams(
-    values: gtsam.Values, beams: Mapping[str, BeamKeys], joint: JointCovariance | None
-) -> list[Beam]:
-    covariances = [None] * len(beams) if joint is None else joint.all_beams()
-    found = []
-    for (name, keys), S in zip(beams.items(), covariances, strict=True):
-        k = np.zeros(2)
-        terms = 0
-        if keys.range_error is not None:
-            own = values.atVector(keys.range_error)
-            terms, k[: own.size] = own.size, own
-        sigma = None if S is None else np.sqrt(np.maximum(np.diagonal(S), 0.0))
-        r, v = values.atPoint3(keys.location), values.atUnit3(keys.direction).point3()
-        found.append(Beam(name, r, v, k, terms, S, sigma))
-    return found
-
-
-def _planes(
-    values: gtsam.Values, planes: Mapping[str, int], joint: JointCovariance | None
-) -> list[Plane]:
-    covariances = [None] * len(planes) if joint is None else joint.all_planes()
-    found = []
-    for (name, key), S in zip(planes.items(), covariances, strict=True):
-        plane = _plane(values, key)
-        sigma = None if S is None else np.sqrt(np.maximum(np.diagonal(S), 0.0))
-        found.append(Plane(name, plane.normal().point3(), plane.distance(), S, sigma))
-    return found
-
-
-def _plane(values: gtsam.Values, key: int) -> gtsam.OrientedPlane3:
-    return values.atOrientedPlane3(key)
-
-
-def _determined(
-    found: tuple[FloatArray, FloatArray] | None, wanted: list[_Variable], open_: str
-) -> Determined:
-    unknowns = wanted[-1].columns.stop
-    if found is None:
-        return Determined(0, unknowns, None, (open_,))
-    values = found[1]
-    return Determined(unknowns, unknowns, float(np.sqrt(values[-1] / values[0])))

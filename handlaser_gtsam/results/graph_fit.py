@@ -10,6 +10,8 @@ from ..arrays import FloatArray
 from ..errors import InputError
 from ..keys import BeamKeys
 from .calibration import Fit
+from .fit import FitRows, fit_of_rows
+from .graph_variables import key_name
 
 LEAST_OBLIQUE = 1e-6
 """Squared sine of the incidence below which a row says nothing of its range."""
@@ -48,32 +50,22 @@ def fit_of_graph(
     for i, name in enumerate(beams):
         if all(row.beam != i for row in rows):
             raise InputError(f"no range factor of beam {name} to these planes", "at least one")
-    e, sigma = (np.array([getattr(row, name) for row in rows]) for name in ("residual", "sigma"))
-    names, size = tuple(beams), sum(graph.at(i).dim() for i in _indices(graph))
-    chi2, dof = 2.0 * graph.error(values), size - unknowns
+    chi2 = 2.0 * graph.error(values)
+    dof = sum(graph.at(i).dim() for i in _indices(graph)) - unknowns
     if not np.isfinite(chi2):
         raise InputError(f"an error of the graph of {chi2}", "values that are finite numbers")
-    worst, far = int(np.abs(e).argmax()), int(np.abs(e / sigma).argmax())
-    table = np.full((len(rows), len(beams)), np.nan)
-    table[np.arange(len(rows)), [row.beam for row in rows]] = e
-    return Fit(
-        readings=len(rows),
-        rms=float(np.sqrt(np.mean(e**2))),
-        max_residual=float(np.abs(e).max()),
-        max_residual_at=(rows[worst].label, names[rows[worst].beam]),
+    e, sigma, s = np.array([(row.residual, row.sigma, row.range) for row in rows]).T
+    labels, own = [row.label for row in rows], np.array([row.beam for row in rows])
+    of_rows = FitRows(labels, tuple(beams), np.arange(len(rows)), own, e, e / sigma, s)
+    posed = any(row.posed for row in rows)
+    return fit_of_rows(
+        of_rows,
         chi2=chi2,
         dof=dof,
-        sigma0=float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0,
         range_sigma=float(np.median(sigma)),
-        range_sigma_given=True,
-        poses="estimated" if any(row.posed for row in rows) else "exact",
-        median_reading=_median([row.range for row in rows]),
-        typical_range=_median([abs(row.range) for row in rows]),
+        given=True,
+        poses="estimated" if posed else "exact",
         loss="gaussian",
-        max_standardized_residual=float(np.abs(e / sigma).max()),
-        max_standardized_residual_at=(rows[far].label, names[rows[far].beam]),
-        residuals=table,
-        rejected=(),
     )
 
 
@@ -96,11 +88,10 @@ def _rows(
             continue
         name = key_name(keys[-1]) if posed else f"factor {i}"
         e = np.atleast_1d(factor.unwhitenedError(values))
-        sigma = _sigmas(factor.noiseModel(), len(e))
-        ranges = _ranges(factor, values)
-        for row in range(len(e)):
+        sigma, ranges = _sigmas(factor.noiseModel(), len(e)), _ranges(factor, values)
+        for row, one in enumerate(zip(e.tolist(), sigma.tolist(), ranges.tolist(), strict=True)):
             label = name if len(e) == 1 else f"{name} row {row + 1}"
-            yield _Row(label, beam, float(e[row]), float(sigma[row]), float(ranges[row]), posed)
+            yield _Row(label, beam, *one, posed)
 
 
 def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
@@ -119,12 +110,6 @@ def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
     return found
 
 
-def _median(ranges: list[float]) -> float:
-    """Return the median of what is known; NaN where nothing is."""
-    known = [one for one in ranges if not np.isnan(one)]
-    return float(np.median(known)) if known else float("nan")
-
-
 def _keys(beam: BeamKeys) -> list[int]:
     keys = (beam.location, beam.direction, beam.range_error)
     return [key for key in keys if key is not None]
@@ -139,8 +124,3 @@ def _sigmas(model: gtsam.noiseModel.Base, rows: int) -> FloatArray:
     inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
     sigmas = inner.sigmas() if hasattr(inner, "sigmas") else np.ones(rows)
     return np.asarray(sigmas, dtype=np.float64)
-
-
-def key_name(key: int) -> str:
-    """Return a key as people write it: x3, or the number."""
-    return str(gtsam.DefaultKeyFormatter(key))

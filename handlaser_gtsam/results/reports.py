@@ -76,15 +76,23 @@ class Fit(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class NoiseComponent(Value):
-    """An estimated sigma: its name, its value and its own standard deviation [m], or [rad] to turn.
+    """What a sigma is of, its estimate, and the standard deviation of that [m], or [rad] to turn.
 
-    `prior_carries` says that the recording hardly tells the sigma: what is expected of such a robot or
-    sensor decides about it. With a robust loss the error is not known, and NaN.
+    `quantity` is `range`, `pose translation` or `pose rotation`; `beam` is the name of the beam where a
+    range sigma is that of one beam. `prior_carries` says that the recording hardly tells the sigma:
+    what is expected of such a robot or sensor decides about it. With a robust loss the error is not
+    known, and NaN.
     """
 
-    name: str
+    quantity: str
     sigma: float
     error: float
+    beam: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The quantity, with its beam."""
+        return self.quantity if self.beam is None else f"{self.quantity} of beam {self.beam}"
 
     @property
     def prior_carries(self) -> bool:

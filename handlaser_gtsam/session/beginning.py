@@ -1,82 +1,108 @@
-"""How a session begins: from a batch calibration of everything that has come so far."""
+"""What a session was given, and how it begins: from a batch calibration of everything so far."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..checks import require_kind
 from ..data.noise import Noise
+from ..data.parameters import Beams
 from ..errors import InputError
 from ..estimation.options import CalibrationOptions
-from ..model.sensor import Sensor
+from ..model.sensor import Rejected
+from ..pipeline import calibrate
 from ..results.calibration import Calibration
+from ..solvers.incremental import IncrementalOptions
+from .config import SessionConfig
 from .contents import Contents
-from .setting import Setting
+from .state import SessionState, begin
 
 
-def refuse(noise: Noise, options: CalibrationOptions) -> None:
-    """Refuse what planes that come one by one cannot have.
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Noise and options of a session.
 
     Raises
     ------
     InputError
+        What planes that come one by one cannot have.
     """
-    S = noise.pose_covariance
-    if S is not None and S.ndim == 3:
-        raise InputError("a pose covariance a station", "one for all stations to come")
-    for wrong, found in (
-        (options.estimate_noise, "noise to be estimated while planes are added"),
-        (options.range_sigma_by_beam, "a range sigma by beam while planes are added"),
-    ):
-        if wrong:
-            raise InputError(found, "sigmas that are given: estimate them with calibrate")
-    if options.loss != "gaussian":
-        raise InputError(f"loss {options.loss} while planes are added", "the gaussian loss")
-    options.require_consistent(noise)
+
+    noise: Noise = field(default_factory=Noise)
+    options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    incremental: IncrementalOptions = field(default_factory=IncrementalOptions)
+
+    def __post_init__(self) -> None:
+        require_kind("noise", self.noise, Noise)
+        require_kind("options", self.options, CalibrationOptions)
+        require_kind("incremental", self.incremental, IncrementalOptions)
+        S = self.noise.pose_covariance
+        if S is not None and S.ndim == 3:
+            raise InputError("a pose covariance a station", "one for all stations to come")
+        for wrong, found in (
+            (self.options.estimate_noise, "noise to be estimated while planes are added"),
+            (self.options.range_sigma_by_beam, "a range sigma by beam while planes are added"),
+        ):
+            if wrong:
+                raise InputError(found, "sigmas that are given: estimate them with calibrate")
+        if self.options.loss != "gaussian":
+            found = f"loss {self.options.loss} while planes are added"
+            raise InputError(found, "the gaussian loss")
+        self.options.require_consistent(self.noise)
+
+    @property
+    def reject(self) -> bool:
+        """Whether readings that the others contradict are rejected."""
+        return self.options.outliers == "reject"
+
+    def calibrated(self, contents: Contents) -> Calibration:
+        """Return the batch calibration of everything."""
+        return calibrate(contents.everything(), self.noise, self.options)
+
+    def config(self, found: Calibration) -> SessionConfig:
+        """Return what all planes have in common after a calibration."""
+        beams = found.beams.values()
+        known = self.noise.range_sigma is not None
+        return SessionConfig(
+            tuple(beam.name for beam in beams),
+            tuple(beam.terms for beam in beams),
+            found.fit.typical_range,
+            found.fit.range_sigma,
+            np.inf if known else float(max(found.fit.dof, 1)),
+            self.noise,
+            found.fit.poses,
+            self.options.sensor,
+            learned=found.learned,
+        )
+
+    def begun(
+        self, contents: Contents, found: Calibration, beams: Beams | None = None
+    ) -> SessionState:
+        """Begin anew from a calibration of everything; from other beams, in its order, where given."""
+        contents = rejected_from(contents, found)
+        start = found.parameters().beams if beams is None else beams
+        return begin(contents, self.config(found), start, self.incremental)
 
 
-def setting_of(found: Calibration, noise: Noise, sensor: Sensor) -> Setting:
-    """Return the setting of a session that begins with a calibration."""
-    beams = found.beams.values()
-    given = noise.range_sigma is not None
-    return Setting(
-        tuple(beam.name for beam in beams),
-        tuple(beam.terms for beam in beams),
-        found.fit.typical_range,
-        found.fit.range_sigma,
-        np.inf if given else float(max(found.fit.dof, 1)),
-        noise,
-        found.fit.poses,
-        sensor,
-        learned=found.learned,
-    )
-
-
-def begun(contents: Contents, found: Calibration) -> Contents:
-    """Return contents of which nothing is in a graph, without the readings that `found` left out."""
-    fresh = replace(
-        contents,
-        left_out={
-            plane: np.zeros(one.ranges.shape, dtype=bool)
-            for plane, one in contents.stations.items()
-        },
-        rejected=(),
-        numbers={},
-        origins={},
-        aside={},
-    )
-    by_plane: dict[str, list[tuple[str, str, str]]] = {}
+def rejected_from(contents: Contents, found: Calibration) -> Contents:
+    """Return contents of which nothing is in a graph, without the readings that `found` rejected."""
     plane_of = {
-        name: plane for plane, one in contents.stations.items() for name in one.station_names
+        station: name
+        for name, plane in contents.planes.items()
+        for station in plane.recording.station_names
     }
+    rejected: dict[str, list[Rejected]] = {name: [] for name in contents.planes}
     for one in found.fit.rejected:
-        by_plane.setdefault(plane_of[one.station], []).append((one.station, one.beam, one.reason))
-    for plane, bad in by_plane.items():
-        recording = contents.stations[plane]
-        for reason in {reason for _, _, reason in bad}:
-            mask = np.zeros(recording.ranges.shape, dtype=bool)
-            for station, beam, why in bad:
-                if why == reason:
-                    row = recording.station_names.index(station)
-                    mask[row, recording.beam_names.index(beam)] = True
-            fresh = fresh.leaving_out(plane, recording, mask, reason)
-    return fresh
+        rejected[plane_of[one.station]].append(replace(one, residual=None))
+    planes = {
+        name: replace(plane, rejected=tuple(rejected[name]), culprit=None)
+        for name, plane in contents.planes.items()
+    }
+    return replace(contents, planes=planes).numbered({})
+
+
+def beams_of(found: Calibration, names: tuple[str, ...]) -> Beams:
+    """Return the beams of a calibration by their names."""
+    order = [list(found.beams).index(name) for name in names]
+    r, v, k = (array[order] for array in found.parameters().beams)
+    return r, v, k

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -11,56 +10,109 @@ from ..data.recording import Recording, join
 from ..errors import InputError
 from ..model.sensor import OUTSIDE, Rejected, Sensor
 
-Item = TypeVar("Item")
-
-BAD = "contradicted by the beams and the other readings"
+CONTRADICTED = "contradicted by the beams and the other readings"
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
-    """Recordings by plane, and what is not used of them.
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneContents:
+    """What was added of one plane, and what is used of it.
 
     Attributes
     ----------
-    stations : mapping of str to Recording
-        Everything that was added, by plane, in the order of the planes.
-    left_out : mapping of str to (M, B) of bool
-        Readings of these planes that are not used.
+    recording : Recording
+        Everything, under the names that beams have now.
     rejected : tuple of Rejected
-        The same with reasons, under the beams' names now.
-    numbers : mapping of str to int
-        Number of every plane that is in the graph.
-    origins : mapping of str to (3,)
-        Origin of the frame of each of them [m].
+        Readings that are not used.
+    number : int or None
+        Of the plane in the graph; None where it is not in.
+    origin : (3,) or None
+        Of its frame in the world [m].
+    culprit : str or None
+        Of a plane that is excluded because it fits no beams as they are: the beam without which it
+        would fit, or an empty name. None where it is not excluded.
+    """
+
+    recording: Recording
+    rejected: tuple[Rejected, ...] = ()
+    number: int | None = None
+    origin: FloatArray | None = None
+    culprit: str | None = None
+
+    def unused(self) -> BoolArray:
+        """Return which readings (M, B) are not used."""
+        row = {name: j for j, name in enumerate(self.recording.station_names)}
+        column = {name: i for i, name in enumerate(self.recording.beam_names)}
+        mask = np.zeros(self.recording.ranges.shape, dtype=bool)
+        for one in self.rejected:
+            mask[row[one.station], column[one.beam]] = True
+        return mask
+
+    def used(self) -> Recording:
+        """Return all stations with the readings that are used."""
+        return self.recording.without(self.unused())
+
+    def joined(self, recording: Recording, rejected: tuple[Rejected, ...]) -> "PlaneContents":
+        """Return the plane with more stations."""
+        return replace(
+            self,
+            recording=join([self.recording, recording]),
+            rejected=(*self.rejected, *rejected),
+        )
+
+    def renamed(self, beam: str, name: str) -> "PlaneContents":
+        """Return the plane with another name for a beam."""
+        rejected = (replace(r, beam=name) if r.beam == beam else r for r in self.rejected)
+        recording = self.recording.renamed(beam, name)
+        return replace(self, recording=recording, rejected=tuple(rejected))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """All planes of a session.
+
+    Attributes
+    ----------
+    planes : mapping of str to PlaneContents
+        In the order in which they came.
     station_numbers : mapping of str to int
         Number of every station, never given twice.
     names : mapping of str to str
         What a beam is called outside, where it has been renamed because it moved.
-    aside : mapping of str to str
-        Planes that fit no beams as they are, with the beam without which they would; empty if none.
     """
 
-    stations: Mapping[str, Recording]
-    left_out: Mapping[str, BoolArray]
-    rejected: tuple[Rejected, ...]
-    numbers: Mapping[str, int]
-    origins: Mapping[str, FloatArray]
-    station_numbers: dict[str, int]
-    names: Mapping[str, str]
-    aside: Mapping[str, str] = field(default_factory=dict)
+    planes: Mapping[str, PlaneContents] = field(default_factory=dict)
+    station_numbers: Mapping[str, int] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
 
-    @classmethod
-    def empty(cls) -> "Contents":
-        """Return contents of nothing."""
-        return cls({}, {}, (), {}, {}, {}, {})
+    @property
+    def numbers(self) -> dict[str, int]:
+        """Number of every plane that is in the graph, in their order."""
+        found = {name: p.number for name, p in self.planes.items() if p.number is not None}
+        return dict(sorted(found.items(), key=lambda one: one[1]))
 
-    def used(self, plane: str) -> Recording:
-        """Return what is used of a plane; all of its stations."""
-        return self.stations[plane].without(self.left_out[plane])
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """Planes that are not in the graph."""
+        return tuple(name for name, plane in self.planes.items() if plane.number is None)
+
+    @property
+    def rejected(self) -> tuple[Rejected, ...]:
+        """Readings that are not used, under the names that beams have now."""
+        return tuple(one for plane in self.planes.values() for one in plane.rejected)
+
+    @property
+    def excluded(self) -> dict[str, str]:
+        """Planes that fit no beams as they are, with the beam without which they would, if any."""
+        found = self.planes.items()
+        return {name: p.culprit for name, p in found if p.culprit is not None}
+
+    def origins(self) -> FloatArray:
+        """Return the origins (P, 3) of the planes in the graph [m], in their order."""
+        return np.array([self.planes[name].origin for name in self.numbers])
 
     def inside(self) -> Recording:
         """Return all of the planes that are in the graph, in their order."""
-        return join([self.stations[plane] for plane in self.numbers])
+        return join([self.planes[name].recording for name in self.numbers])
 
     def everything(self) -> Recording:
         """Return everything as it was added.
@@ -70,10 +122,11 @@ class Contents:
         InputError
             There is nothing.
         """
-        if not self.stations:
+        if not self.planes:
             raise InputError("an empty session", "a recording added first")
         original = []
-        for one in self.stations.values():
+        for plane in self.planes.values():
+            one = plane.recording
             names = tuple(self.names.get(name, name) for name in one.beam_names)
             beams = tuple(dict.fromkeys(names))
             ranges = np.full((len(one.ranges), len(beams)), np.nan)
@@ -94,40 +147,25 @@ class Contents:
         twice = next((n for n in recording.station_names if n in self.station_numbers), None)
         if twice is not None:
             raise InputError(f"station {twice!r} twice", "names that are not in the session yet")
-        stations, left_out, rejected = dict(self.stations), dict(self.left_out), list(self.rejected)
-        for index, plane in enumerate(recording.plane_names):
+        planes = dict(self.planes)
+        for index, name in enumerate(recording.plane_names):
             new = recording.part(np.flatnonzero(recording.plane_of_station == index))
             outside = (new.ranges < sensor.range_min) | (new.ranges > sensor.range_max)
-            rejected += _named(new, outside, OUTSIDE)
-            if plane in stations:
-                old = stations[plane]
-                stations[plane] = join([old, new])
-                left_out[plane] = _stacked(stations[plane], (old, left_out[plane]), (new, outside))
-            else:
-                stations[plane], left_out[plane] = new, outside
+            rejected = named(new, outside, OUTSIDE)
+            old = planes.get(name)
+            planes[name] = (
+                PlaneContents(new, rejected) if old is None else old.joined(new, rejected)
+            )
         first = max(self.station_numbers.values(), default=-1) + 1
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
-        return replace(
-            self,
-            stations=stations,
-            left_out=left_out,
-            rejected=tuple(rejected),
-            station_numbers=self.station_numbers | numbers,
-        )
+        return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
 
-    def leaving_out(
-        self, plane: str, recording: Recording, bad: BoolArray, reason: str = BAD
-    ) -> "Contents":
-        """Return the contents with more readings (M, B) of a part of a plane left out."""
-        bad = _stacked(self.stations[plane], (recording, bad))
-        new = bad & ~self.left_out[plane]
-        return replace(
-            self,
-            left_out={**self.left_out, plane: self.left_out[plane] | bad},
-            rejected=(*self.rejected, *_named(self.stations[plane], new, reason)),
-        )
+    def rejecting(self, plane: str, more: tuple[Rejected, ...]) -> "Contents":
+        """Return the contents with more readings of a plane rejected."""
+        own = self.planes[plane]
+        return self._with(plane, replace(own, rejected=(*own.rejected, *more)))
 
-    def without_plane(self, plane: str) -> "Contents":
+    def without_plane(self, name: str) -> "Contents":
         """Return the contents without a plane.
 
         Raises
@@ -135,18 +173,13 @@ class Contents:
         InputError
             No such plane.
         """
-        if plane not in self.stations:
-            raise InputError(f"plane {plane!r}", f"one of {', '.join(self.stations) or 'none'}")
-        gone = set(self.stations[plane].station_names)
+        if name not in self.planes:
+            raise InputError(f"plane {name!r}", f"one of {', '.join(self.planes) or 'none'}")
+        gone = self.planes[name].recording.station_names
         return replace(
             self,
-            stations=_except(self.stations, (plane,)),
-            left_out=_except(self.left_out, (plane,)),
-            rejected=tuple(one for one in self.rejected if one.station not in gone),
-            numbers=_except(self.numbers, (plane,)),
-            origins=_except(self.origins, (plane,)),
-            station_numbers=_except(self.station_numbers, gone),
-            aside=_except(self.aside, (plane,)),
+            planes={other: plane for other, plane in self.planes.items() if other != name},
+            station_numbers={s: n for s, n in self.station_numbers.items() if s not in gone},
         )
 
     def plane_of(self, station: str) -> str:
@@ -157,9 +190,9 @@ class Contents:
         InputError
             No such station.
         """
-        for plane, one in self.stations.items():
-            if station in one.station_names:
-                return plane
+        for name, plane in self.planes.items():
+            if station in plane.recording.station_names:
+                return name
         raise InputError(f"station {station!r}", "the name of a station that was added")
 
     def without_station(self, station: str) -> "Contents":
@@ -170,90 +203,62 @@ class Contents:
         InputError
             No such station.
         """
-        plane = self.plane_of(station)
-        one = self.stations[plane]
-        rows = np.array([j for j, name in enumerate(one.station_names) if name != station])
+        name = self.plane_of(station)
+        plane = self.planes[name]
+        one = plane.recording
+        rows = np.array([j for j, other in enumerate(one.station_names) if other != station])
         if not rows.size or np.isnan(one.ranges[rows]).all():
-            return self.without_plane(plane)
-        part = one.part(rows)
-        left_out = _stacked(part, (one, self.left_out[plane]))
-        return replace(
-            self,
-            stations={**self.stations, plane: part},
-            left_out={**self.left_out, plane: left_out},
-            rejected=tuple(other for other in self.rejected if other.station != station),
-            station_numbers=_except(self.station_numbers, (station,)),
-        )
+            return self.without_plane(name)
+        rejected = tuple(other for other in plane.rejected if other.station != station)
+        less = self._with(name, replace(plane, recording=one.part(rows), rejected=rejected))
+        numbers = {s: number for s, number in self.station_numbers.items() if s != station}
+        return replace(less, station_numbers=numbers)
 
-    def placed(self, plane: str, number: int | None, origin: FloatArray | None) -> "Contents":
-        """Return the contents with a plane in the graph under a number, or out of it."""
-        if number is None or origin is None:
-            return replace(
-                self,
-                numbers=_except(self.numbers, (plane,)),
-                origins=_except(self.origins, (plane,)),
-            )
-        return replace(
-            self,
-            numbers={**self.numbers, plane: number},
-            origins={**self.origins, plane: origin},
-        )
+    def placed(self, plane: str, number: int, origin: FloatArray) -> "Contents":
+        """Return the contents with a plane in the graph under a number; it is not excluded."""
+        own = self.planes[plane]
+        return self._with(plane, replace(own, number=number, origin=origin, culprit=None))
 
-    def put_aside(self, plane: str, beam: str) -> "Contents":
-        """Return the contents with a plane out of the graph that only fits without `beam`, or never."""
-        out = self.placed(plane, None, None)
-        return replace(out, aside={**self.aside, plane: beam})
+    def taken_out(self, plane: str, culprit: str | None = None) -> "Contents":
+        """Return the contents with a plane out of the graph; excluded where a culprit is given."""
+        own = self.planes[plane]
+        culprit = own.culprit if culprit is None else culprit
+        return self._with(plane, replace(own, number=None, origin=None, culprit=culprit))
 
-    def taken_back(self, planes: Iterable[str]) -> "Contents":
-        """Return the contents with planes that are not put aside any more."""
-        return replace(self, aside=_except(self.aside, planes))
+    def numbered(self, origins: Mapping[str, FloatArray]) -> "Contents":
+        """Return the contents with just these planes in the graph, numbered anew."""
+        number = {name: number for number, name in enumerate(origins)}
+        planes = {
+            name: replace(plane, number=number.get(name), origin=origins.get(name))
+            for name, plane in self.planes.items()
+        }
+        return replace(self, planes=planes)
+
+    def included(self, names: Iterable[str]) -> "Contents":
+        """Return the contents with planes that are not excluded any more."""
+        planes = {name: replace(self.planes[name], culprit=None) for name in names}
+        return replace(self, planes={**self.planes, **planes})
 
     def without_readings(self, names: Iterable[str]) -> list[str]:
         """Return which of the beams have no reading in the graph."""
-        seen = set()
-        for plane in self.numbers:
-            one = self.stations[plane]
-            read = ~np.isnan(one.ranges) & ~self.left_out[plane]
-            seen |= {one.beam_names[i] for i in np.flatnonzero(read.any(axis=0))}
+        seen = {name for plane in self.numbers for name in self.planes[plane].used().beam_names}
         return [name for name in names if name not in seen]
 
     def split(self, beam: str, since: str, before: str) -> "Contents":
         """Return the contents with a beam named `before` in the planes that came before `since`."""
-        order = list(self.stations)
-        early = order[: order.index(since)]
-        renamed = {plane: self.stations[plane].renamed(beam, before) for plane in early}
-        stations = {**self.stations, **renamed}
-        own = {name for plane in early for name in self.stations[plane].station_names}
-        rejected = tuple(
-            replace(one, beam=before) if one.beam == beam and one.station in own else one
-            for one in self.rejected
-        )
+        early = list(self.planes)[: list(self.planes).index(since)]
+        planes = {name: self.planes[name].renamed(beam, before) for name in early}
         names = {**self.names, before: self.names.get(beam, beam)}
-        return replace(self, stations=stations, rejected=rejected, names=names)
+        return replace(self, planes={**self.planes, **planes}, names=names)
+
+    def _with(self, name: str, plane: PlaneContents) -> "Contents":
+        return replace(self, planes={**self.planes, name: plane})
 
 
-def _named(recording: Recording, which: BoolArray, reason: str) -> list[Rejected]:
+def named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:
+    """Return the readings (M, B) of a recording that are rejected for a reason."""
     station, beam = np.nonzero(which & ~np.isnan(recording.ranges))
-    return [
+    return tuple(
         Rejected(recording.station_names[j], recording.beam_names[i], reason, None)
         for j, i in zip(station.tolist(), beam.tolist(), strict=True)
-    ]
-
-
-def _stacked(whole: Recording, *parts: tuple[Recording, BoolArray]) -> BoolArray:
-    """Return masks of parts in the rows and columns of the whole."""
-    mask = np.zeros(whole.ranges.shape, dtype=bool)
-    row = {name: j for j, name in enumerate(whole.station_names)}
-    column = {name: i for i, name in enumerate(whole.beam_names)}
-    for part, own in parts:
-        station, beam = np.nonzero(own)
-        for j, i in zip(station.tolist(), beam.tolist(), strict=True):
-            at = row.get(part.station_names[j]), column.get(part.beam_names[i])
-            if None not in at:
-                mask[at] = True
-    return mask
-
-
-def _except(mapping: Mapping[str, Item], gone: Iterable[str]) -> dict[str, Item]:
-    out = set(gone)
-    return {key: value for key, value in mapping.items() if key not in out}
+    )

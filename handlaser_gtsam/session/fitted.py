@@ -1,5 +1,6 @@
 """One plane beside beams that are known: fitted, judged, and made into factors."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -21,8 +22,8 @@ from ..solvers.graph import station_blocks
 from ..solvers.incremental import BeamState, PlaneFactors
 from ..solvers.poses import pose_priors
 from ..solvers.reduction import NormalEquations, normal_equations
+from .config import SessionConfig
 from .drift import Information, Reference, plane_information
-from .setting import Setting
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""
@@ -30,7 +31,7 @@ DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
-MOST_LEFT_OUT = 0.3
+MOST_REJECTED = 0.3
 """Part of the new readings of a plane: if more contradict the beams, the readings are not at fault."""
 UNLIKELY = 1e-6
 """Readings with so improbable a chi2 fit no plane."""
@@ -42,7 +43,7 @@ class FittedPlane:
 
     Attributes
     ----------
-    setting : Setting
+    config : SessionConfig
     readings : Readings
     at : Parameters
     residual : (N,)
@@ -55,7 +56,7 @@ class FittedPlane:
         Of the frame in the world [m].
     """
 
-    setting: Setting
+    config: SessionConfig
     readings: Readings
     at: Parameters
     residual: FloatArray
@@ -68,6 +69,15 @@ class FittedPlane:
         unit = np.array([1.0, 1.0, self.readings.typical_range()])
         information = self.normal.plane[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
         return bool(np.linalg.eigvalsh(information)[0] > MOST_SIGMA**-2)
+
+    def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
+        """Return where some of the readings stand in the recording (M, B) that they are of."""
+        column = {name: i for i, name in enumerate(recording.beam_names)}
+        mask = np.zeros(recording.ranges.shape, dtype=bool)
+        for row in np.flatnonzero(rows).tolist():
+            beam = column[self.config.names[self.readings.beam[row]]]
+            mask[self.readings.station[row], beam] = True
+        return mask
 
     def information(self, reference: Reference) -> Information:
         """Return what the plane knows of the beams."""
@@ -116,7 +126,7 @@ class FittedPlane:
         return self._likely(self.misfit(state), len(self.readings) - 3)
 
     def _likely(self, chi2: float, free: int) -> bool:
-        dof = self.setting.sigma_dof
+        dof = self.config.sigma_dof
         if np.isfinite(dof):  # an estimated sigma may be wrong by so much
             chi2 /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
         return free <= 0 or bool(chi2_distribution.sf(chi2, free) > UNLIKELY)
@@ -134,7 +144,7 @@ class FittedPlane:
 
     def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
-        setting, at, readings = self.setting, self.at, self.readings
+        config, at, readings = self.config, self.at, self.readings
         lin = model.linearize(model.scene(at, readings), readings.distance)
         v_basis = model.tangent_basis(at.directions)
         own = np.hstack(
@@ -144,8 +154,8 @@ class FittedPlane:
                 lin.range_error,
             )
         )
-        active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in setting.terms]))
-        J = np.zeros((len(readings), len(setting.names), 7))
+        active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
+        J = np.zeros((len(readings), len(config.names), 7))
         J[np.arange(len(J)), readings.beam] = own
         lift = block_diag(*(beam_lift(B, 2) for B in v_basis))[:, active]
         S = lift.T @ state.covariance @ lift
@@ -155,13 +165,15 @@ class FittedPlane:
         rows = (J.reshape(len(J), -1)[:, active], lin.normal @ n_basis, lin.offset[:, None])
         return np.hstack(rows), prior
 
-    def factors(self, number: int, stations: dict[str, int], recording: Recording) -> PlaneFactors:
+    def factors(
+        self, number: int, stations: Mapping[str, int], recording: Recording
+    ) -> PlaneFactors:
         """Return what plane `number` brings into a graph.
 
         Parameters
         ----------
         number : int
-        stations : dict
+        stations : mapping of str to int
             Number of every station in the session, for the keys of estimated poses.
         recording : Recording
             Of this plane.
@@ -170,20 +182,20 @@ class FittedPlane:
         values.insert(plane_key(number), self._plane())
         rows: IntArray = np.lexsort((readings.beam, readings.station))
         plane = (plane_key(number),)
-        if self.setting.poses != "estimated":
-            keys = (self.setting.beams, plane, None)
+        if self.config.poses != "estimated":
+            keys = (self.config.beams, plane, None)
             blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
             return PlaneFactors(blocks, (), values)
         names = recording.station_names
         own = np.array([stations[name] for name in names])
-        variances = self.setting.variances(len(names))
+        variances = self.config.variances(len(names))
         if variances.pose is None:
             raise ValueError("estimated poses without a covariance")
         how = whitening(self.at, readings, variances.without_poses())
         local = pose_priors(readings, variances.pose)
         priors = replace(local, stations=own[local.stations])
         here = replace(readings, station=own[readings.station])
-        keys_of_poses = (self.setting.beams, plane, priors)
+        keys_of_poses = (self.config.beams, plane, priors)
         blocks = station_blocks(here, how, rows, here.station, keys_of_poses)
         graph = gtsam.NonlinearFactorGraph()
         priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
@@ -195,24 +207,24 @@ class FittedPlane:
 
 
 def fit_plane(
-    setting: Setting, recording: Recording, beams: Beams, origin: FloatArray | None = None
+    config: SessionConfig, recording: Recording, beams: Beams, origin: FloatArray | None = None
 ) -> FittedPlane | None:
     """Return the plane that fits a recording of it and known beams; None where a beam grazes it.
 
     Parameters
     ----------
-    setting : Setting
+    config : SessionConfig
     recording : Recording
         Of one plane.
     beams : Beams
     origin : (3,), optional
         Of the plane's frame [m]; amid its stations where not given.
     """
-    readings = setting.readings(recording)
+    readings = config.readings(recording)
     if origin is None:
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
-    variances = setting.variances(len(recording.plane_labels))
+    variances = config.variances(len(recording.plane_labels))
     at = _through_spots(beams, readings)
     try:
         how = whitening(at, readings, variances)
@@ -221,7 +233,7 @@ def fit_plane(
         e = model.residuals(model.scene(at, readings), readings.distance)
     except GrazingBeamError:
         return None
-    return FittedPlane(setting, readings, at, e, how, normal, origin)
+    return FittedPlane(config, readings, at, e, how, normal, origin)
 
 
 def _through_spots(beams: Beams, readings: Readings) -> Parameters:
@@ -257,26 +269,24 @@ def _stepped(
 def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:
     """Return which readings (M, B) of a recording its others and the beams contradict.
 
-    The farthest is left out, the plane fitted again, until none is far. None where that does not end
+    The farthest is rejected, the plane fitted again, until none is far. None where that does not end
     soon: then it is not the readings that are at fault.
     """
-    dof = fitted.setting.sigma_dof
+    dof = fitted.config.sigma_dof
     tail = float(norm.sf(CUT))
     cut = CUT if np.isinf(dof) else float(student.isf(tail, dof))
     bad = np.zeros(recording.ranges.shape, dtype=bool)
-    column = {name: i for i, name in enumerate(recording.beam_names)}
-    beam_of = [column.get(name, -1) for name in fitted.setting.names]
     total, now = int((~np.isnan(recording.ranges)).sum()), fitted
     while True:
         t = np.abs(now.standardized(state))
         worst = int(np.argmax(t))
         if t[worst] <= cut:
             return bad
-        if bad.sum() + 1 > MOST_LEFT_OUT * total:
+        if bad.sum() + 1 > MOST_REJECTED * total:
             return None
-        bad[now.readings.station[worst], beam_of[now.readings.beam[worst]]] = True
+        bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)
-        again = fit_plane(fitted.setting, rest, fitted.at.beams, fitted.origin)
+        again = fit_plane(fitted.config, rest, fitted.at.beams, fitted.origin)
         if again is None or not again.determined():
             return None
         now = again

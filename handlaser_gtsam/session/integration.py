@@ -6,7 +6,7 @@ what integrating over all of them changes in mean and covariance follows from th
 and is added to what iSAM2 has. So a new plane costs what one plane costs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.joint import beam_lift
-from ..model.weighting import Variances
 from ..solvers.incremental import BeamState
 from .drift import History, Reference, turns
 from .fitted import FittedPlane
@@ -61,10 +60,7 @@ class ScaleSums:
     def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
         """Return the sums with a plane, in place of what was known of it."""
         learned, readings = self.learned, fitted.readings
-        base, pose = learned.base, None
-        if base.pose is not None:
-            pose = np.broadcast_to(base.pose[0], (int(readings.station.max()) + 1, 6, 6))
-        variances = Variances(base.range_sigma, base.incidence_sigma, pose)
+        variances = learned.base.for_stations(int(readings.station.max()) + 1)
         rows = LinearReadings(fitted.at, readings, learned.terms, learned.length, variances)
         points = [learned.mode, *learned.points]
         found, _ = rows.information([learned.scales.noise(u) for u in points])
@@ -73,9 +69,13 @@ class ScaleSums:
         counted = _counted_from(found, turn, shift)
         return replace(self, pieces={**self.pieces, plane: counted})
 
-    def without_plane(self, plane: str) -> "ScaleSums":
-        """Return the sums without a plane, whether it is there or not."""
-        return replace(self, pieces={p: one for p, one in self.pieces.items() if p != plane})
+    def changed(self, fitted: Mapping[str, FittedPlane], inside: Collection[str]) -> "ScaleSums":
+        """Return the sums of the planes that are `inside`, of which some have been fitted anew."""
+        kept = {plane: one for plane, one in self.pieces.items() if plane in inside}
+        found = replace(self, pieces=kept)
+        for plane, one in fitted.items():
+            found = found.with_plane(plane, one)
+        return found
 
     def integrated(self, state: BeamState) -> BeamState:
         """Return beams at the most probable scales with all scales integrated over."""

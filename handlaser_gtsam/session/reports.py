@@ -1,19 +1,41 @@
 """What a session says about what happened to it."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.sensor import Rejected
 from .drift import Moved
 
+ChangeCode = Literal[
+    "scales", "range-sigma", "outliers", "excluded-planes", "from-batch", "not-converged"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Something that a comparison with the batch solution found otherwise, and that was taken over.
+
+    Attributes
+    ----------
+    code : str
+        `scales` of noise and range errors, an estimated `range-sigma`, the choice of `outliers`,
+        `excluded-planes` that take part again, or `from-batch`: the graph was begun anew from the batch
+        solution, which it had left. `not-converged`: the batch calibration did not, and nothing was.
+    message : str
+    """
+
+    code: ChangeCode
+    message: str
+
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison(Value):
     """The incremental estimate against a batch solution.
 
-    Of the same readings, with the same range-error terms and range sigma; `Session.settle` compares
-    with a calibration that chooses all of these by itself.
+    Of the same readings, with the same range-error terms and range sigma; `Session.recalibrate`
+    compares with a calibration that chooses all of these by itself.
 
     Attributes
     ----------
@@ -21,13 +43,18 @@ class Comparison(Value):
         Largest difference of a coordinate of a beam, in its standard deviations.
     largest_sigma : float
         Largest relative difference of a standard deviation.
-    message : str
-        What followed from it; empty where the two agree and nothing was chosen anew.
+    changes : tuple of Change
+        What followed from it; none where the two agree and nothing was chosen anew.
     """
 
     largest: float
     largest_sigma: float
-    message: str = ""
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def message(self) -> str:
+        """The changes in words; empty where there are none."""
+        return "; ".join(one.message for one in self.changes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -53,7 +80,7 @@ class Update(Value):
         New readings that the others contradict; they are kept, and not used.
     moved : Moved or None
         The beam that the planes so far show to have moved, and since when.
-    doubtful : tuple of str
+    inconsistent : tuple of str
         Planes that do not fit, whichever beam has moved a little. They wait, and take no part, unless
         outliers are to be kept; `moved` names the beam without which they would fit, if there is one.
     comparison : Comparison or None
@@ -68,5 +95,5 @@ class Update(Value):
     message: str = ""
     rejected: tuple[Rejected, ...] = ()
     moved: Moved | None = None
-    doubtful: tuple[str, ...] = ()
+    inconsistent: tuple[str, ...] = ()
     comparison: Comparison | None = None

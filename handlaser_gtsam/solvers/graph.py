@@ -200,17 +200,25 @@ def start_values(
 
 def read_parameters(problem: CalibrationGraph, values: gtsam.Values) -> Parameters:
     """Return the beams and planes of `values` as arrays."""
-    k = np.zeros((len(problem.beams), 2))
-    for i, beam in enumerate(problem.beams):
+    return parameters_of(values, problem.beams, problem.planes)
+
+
+def parameters_of(
+    values: gtsam.Values, beams: Sequence[BeamKeys], planes: Sequence[int]
+) -> Parameters:
+    """Return the beams and planes under the given keys as arrays."""
+    k = np.zeros((len(beams), 2))
+    for i, beam in enumerate(beams):
         if beam.range_error is not None:
-            k[i, : problem.terms[i]] = values.atVector(beam.range_error)
-    planes = [values.atOrientedPlane3(key) for key in problem.planes]
+            own = values.atVector(beam.range_error)
+            k[i, : own.size] = own
+    found = [values.atOrientedPlane3(key) for key in planes]
     return Parameters(
-        np.array([values.atPoint3(beam.location) for beam in problem.beams]),
-        np.array([values.atUnit3(beam.direction).point3() for beam in problem.beams]),
+        np.array([values.atPoint3(beam.location) for beam in beams]),
+        np.array([values.atUnit3(beam.direction).point3() for beam in beams]),
         k,
-        np.array([plane.normal().point3() for plane in planes]),
-        np.array([plane.distance() for plane in planes]),
+        np.array([plane.normal().point3() for plane in found]).reshape(-1, 3),
+        np.array([plane.distance() for plane in found]),
     )
 
 

@@ -237,6 +237,11 @@ class IncrementalGraph:
             np.array([plane.distance() for plane in planes]),
         )
 
+    def linearization_point(self) -> gtsam.Values:
+        """Return where all variables are linearised."""
+        with self._lock:
+            return gtsam.Values(self._view)
+
     def pose(self, key: int) -> gtsam.Pose3:
         """Return a hand pose that is a variable, in the frame of its blocks."""
         with self._lock:

@@ -14,12 +14,14 @@ MOST = 1e12
 
 
 def require_values(values: gtsam.Values) -> None:
-    """Refuse points, vectors, planes and poses with numbers that are not finite or beyond `MOST`.
+    """Refuse what is no Values, and numbers in them that are not finite or beyond `MOST`.
 
     Raises
     ------
     InputError
     """
+    if not isinstance(values, gtsam.Values):
+        raise InputError(f"{type(values).__name__} as values", "gtsam.Values: the result's .values")
     readers: tuple[Callable[[int], ArrayLike], ...] = (
         values.atPoint3,
         values.atVector,

@@ -19,6 +19,7 @@ from ..model.weighting import Variances
 from ..solvers.graph import range_error_priors
 from ..solvers.incremental import BeamStart, BeamState
 from .drift import History, Reference
+from .reports import Change
 
 MOST_SIGMA = 0.1
 """Beams are determined when all their standard deviations are below this part of their units."""
@@ -31,7 +32,7 @@ TWO_TERMS = "q"
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class ProcessNoise:
     """Process noise between a beam before and after it may have moved, by index.
 
     Attributes
@@ -80,7 +81,7 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class SessionConfig:
     """Beams, noise and natural unit of a session.
 
     Attributes
@@ -100,7 +101,7 @@ class Setting:
     poses : str
         How errors of the hand poses count.
     sensor : Sensor
-    links : tuple of Link
+    links : tuple of ProcessNoise
     learned : LearnedScales or None
         Scales that are integrated over; None where all are given but the range sigma.
     """
@@ -113,7 +114,7 @@ class Setting:
     noise: Noise
     poses: Literal["exact", "marginalised", "estimated"]
     sensor: Sensor = field(default_factory=Sensor)
-    links: tuple[Link, ...] = ()
+    links: tuple[ProcessNoise, ...] = ()
     learned: LearnedScales | None = None
 
     @property
@@ -149,14 +150,14 @@ class Setting:
         stretch = np.abs(one[2] - other[2]) @ [1.0, self.length]
         return max(shift, turn, float(stretch.max()))
 
-    def difference(self, other: "Setting") -> list[str]:
-        """Say what is estimated differently in another setting."""
-        if self.learned is not None and other.learned is not None:
-            apart = self.learned.apart(other.learned)
-            return ["scales learned anew"] if apart >= SAME_SCALE else []
-        if abs(self.sigma / other.sigma - 1.0) >= SAME_SIGMA:
-            return [f"range sigma {1e3 * self.sigma:.3g} mm"]
-        return []
+    def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
+        """Return what is estimated differently than before."""
+        if self.learned is not None and before.learned is not None:
+            same = self.learned.apart(before.learned) < SAME_SCALE
+            return () if same else (Change("scales", "scales learned anew"),)
+        if abs(self.sigma / before.sigma - 1.0) < SAME_SIGMA:
+            return ()
+        return (Change("range-sigma", f"range sigma {1e3 * self.sigma:.3g} mm"),)
 
     @property
     def members(self) -> IntArray:
@@ -180,12 +181,7 @@ class Setting:
     def variances(self, stations: int) -> Variances:
         """Return what makes up the covariance of the readings of that many stations."""
         if self.learned is not None:
-            found = self.learned.variances()
-            pose = None
-            if found.pose is not None:
-                pose = np.broadcast_to(found.pose[0], (stations, 6, 6))
-            ranges = np.full(len(self.names), found.range_sigma[0])
-            return Variances(ranges, found.incidence_sigma, pose)
+            return self.learned.variances().for_stations(stations)
         pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
         ranges = np.full(len(self.names), self.sigma)
         return Variances(ranges, self.noise.incidence_sigma, pose)

@@ -1,0 +1,357 @@
+"""Everything a session knows once there is a calibration, and what follows from it; never changed."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from ..data.parameters import Beams, Parameters
+from ..errors import HandlaserError, InputError
+from ..factors import RangeBlock
+from ..keys import plane_key, pose_key
+from ..solvers.graph import parameters_of, start_values
+from ..solvers.incremental import (
+    BeamStart,
+    BeamState,
+    IncrementalGraph,
+    IncrementalOptions,
+    PlaneFactors,
+)
+from .batch import BatchProblem
+from .config import SessionConfig
+from .contents import Contents
+from .drift import History, Moved
+from .fitted import FittedPlane, fit_plane
+from .integration import ScaleSums
+from .joining import Joining, join_planes
+
+MOVED = 3e-3
+"""Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
+the typical range, a relative change of the range."""
+MOVED_WITH_SCALES = 5e-4
+"""The same where scales are integrated over: how probable they are depends on how well all planes fit,
+which is known to second order in such a move."""
+TRUSTED = 4
+"""Planes inside from which others may be excluded."""
+ROUNDS = 5
+"""Of new weights after a new beginning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionState:
+    """The calibration of a session, and how it came about.
+
+    Attributes
+    ----------
+    contents : Contents
+    config : SessionConfig
+    options : IncrementalOptions
+    graph : IncrementalGraph
+    factors : mapping of int to PlaneFactors
+        What every plane brought into the graph, by its number.
+    state : BeamState
+        The beams of the graph.
+    weighed : Beams
+        Those behind the weights.
+    compared : BeamState
+        Those of the last comparison with the batch solution.
+    changes : int
+        Since then.
+    history : History
+    inconsistent : frozenset of str
+        Planes in the graph that do not fit, whatever has moved.
+    learned_with : int
+        Planes behind the scales that were learned last, and a range sigma that was not given.
+    sums : ScaleSums or None
+        What the planes say for all scales; None where none are integrated over.
+    estimate : BeamState or None
+        The beams with all scales integrated over, once that has been done.
+    """
+
+    contents: Contents
+    config: SessionConfig
+    options: IncrementalOptions
+    graph: IncrementalGraph
+    factors: Mapping[int, PlaneFactors]
+    state: BeamState
+    weighed: Beams
+    compared: BeamState
+    changes: int
+    history: History
+    inconsistent: frozenset[str]
+    learned_with: int
+    sums: ScaleSums | None = None
+    estimate: BeamState | None = None
+
+    def integrated(self) -> BeamState:
+        """Return the beams with all scales integrated over."""
+        if self.estimate is not None:
+            return self.estimate
+        return self.state if self.sums is None else self.sums.integrated(self.state)
+
+    @property
+    def current(self) -> tuple[str, ...]:
+        """Names of the beams as they are, without those that were before a move."""
+        return tuple(name for name in self.config.names if name not in self.contents.names)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether planes that were excluded are rather at fault than the beams as they are.
+
+        A few planes may have begun with the wrong beams; many that agree on one beam speak for a move.
+        """
+        inside, excluded = len(self.contents.numbers), self.contents.excluded
+        culprits = set(excluded.values())
+        agree = len(culprits) == 1 and "" not in culprits
+        return inside >= TRUSTED and (len(excluded) <= 0.5 * inside or agree)
+
+    def inside(self) -> BatchProblem:
+        """Return what is in the graph as one problem, at the present estimate."""
+        graph, contents = self.graph, self.contents
+        at = graph.parameters()
+        place = {number: index for index, number in enumerate(graph.planes)}
+        order = [place[number] for number in contents.numbers.values()]
+        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
+        found = BatchProblem.of(contents, self.config, at)
+        if self.config.poses != "estimated":
+            return found
+        poses, names = gtsam.Values(), found.recording.station_names
+        for j in np.unique(found.readings.station[found.used]).tolist():
+            own = pose_key(contents.station_numbers[names[j]])
+            poses.insert(pose_key(j), graph.pose(own))
+        return replace(found, poses=poses)
+
+    def moved(self, *, recently: bool = False) -> Moved | None:
+        """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
+        epochs = self.history.recent() if recently else None
+        found, far = self.history.search(self.config.sigma_dof, epochs), self._moved_far()
+        if found is None or far is None or far.beam != found.beam:
+            return found or far
+        order = list(self.contents.planes)
+        return replace(found, since=min(found.since, far.since, key=order.index))
+
+    def _moved_far(self) -> Moved | None:
+        """Return the beam without which planes that were excluded would fit: it has moved far."""
+        for plane, beam in self.contents.excluded.items():
+            if beam:
+                unknown = float("nan")
+                return Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
+        return None
+
+    def changed(
+        self, contents: Contents, planes: tuple[str, ...], *, reject: bool
+    ) -> tuple["SessionState", Joining]:
+        """Return what follows from `contents`, in which only `planes` differ from what is in.
+
+        Raises
+        ------
+        InputError
+            The beams would not be determined.
+        """
+        start = Joining(contents, self.history)
+        joining = join_planes(self.config, self.state, start, planes, reject=reject)
+        if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
+            lost = joining.contents.without_readings(self.config.names)
+            if lost:
+                raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
+        inside = joining.contents.numbers
+        gone = [number for plane, number in self.contents.numbers.items() if plane not in inside]
+        kept = {number: one for number, one in self.factors.items() if number not in gone}
+        new = replace(
+            self,
+            contents=joining.contents,
+            factors={**kept, **joining.factors},
+            history=joining.history,
+            changes=self.changes + 1,
+            inconsistent=(self.inconsistent - set(planes)) | set(joining.inconsistent),
+            sums=None if self.sums is None else self.sums.changed(joining.fitted, inside),
+            estimate=None,
+        )
+        if joining.factors or gone:
+            new = new._solved(joining.factors, gone)
+        if gone and not self.config.links and not new.inside().determined():
+            raise _undetermined()
+        return new, joining
+
+    def _solved(self, factors: Mapping[int, PlaneFactors], gone: list[int]) -> "SessionState":
+        """Return the same with planes added to the graph and others taken out."""
+        try:
+            graph, state = self.graph.changed(
+                factors, gone, None, self.config.determines, fine=bool(self.inconsistent)
+            )
+            return replace(self, graph=graph, state=state).reweighed()
+        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
+            return self.solved_at_once()
+
+    def solved_at_once(self) -> "SessionState":
+        """Return the same from a batch solution of the contents, beside the present beams.
+
+        Raises
+        ------
+        InputError
+            The beams are not determined.
+        """
+        fitted = fitted_planes(self.contents, self.config, self.state.beams)
+        try:
+            if not fitted:
+                raise RuntimeError("no plane is left")
+            contents = self.contents.numbered({plane: p.origin for plane, p in fitted.items()})
+            planes = [one.at for one in fitted.values()]
+            normals = np.concatenate([one.normals for one in planes])
+            offsets = np.concatenate([one.offsets for one in planes])
+            at = Parameters(*self.state.beams, normals, offsets)
+            beams = BatchProblem.of(contents, self.config, at).batch_beams()
+            found = begin(self.contents, self.config, beams, self.options)
+            if not self.config.determines(found.state):
+                raise RuntimeError("too few planes are left")
+        except (RuntimeError, HandlaserError) as error:
+            raise _undetermined(f" ({error})") from error
+        return replace(
+            found, compared=self.compared, changes=self.changes, learned_with=self.learned_with
+        )
+
+    def reweighed(self) -> "SessionState":
+        """Return the same with the weights of the present beams, where these have moved."""
+        config, beams = self.config, self.state.beams
+        limit = MOVED if config.learned is None else MOVED_WITH_SCALES
+        if not config.weights_depend or config.apart(beams, self.weighed) < limit:
+            return self
+        fitted = {}
+        for plane in self.contents.numbers:
+            own = self.contents.planes[plane]
+            found = fit_plane(config, own.used(), beams, own.origin)
+            if found is None:
+                return self
+            fitted[plane] = found
+        factors = _factors(self.contents, fitted)
+        graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
+        return replace(
+            self,
+            graph=graph,
+            factors=factors,
+            state=state,
+            weighed=beams,
+            sums=_sums(config, beams, fitted),
+            estimate=None,
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the state be copied and pickled: what GTSAM holds is made anew, linearised as it is."""
+        point, config = self.graph.linearization_point(), self.config
+        at = parameters_of(point, config.beams, [plane_key(number) for number in self.factors])
+        blocks = [block for one in self.factors.values() for block in one.blocks]
+        poses = {key: point.atPose3(key) for key in poses_of(blocks)}
+        brought = {number: (one.blocks, one.others) for number, one in self.factors.items()}
+        known = [getattr(self, one.name) for one in fields(self)]
+        fine = bool(self.inconsistent)
+        return _restored, (brought, at, poses, fine, tuple(known[:3]), tuple(known[5:]))
+
+
+def _restored(
+    brought: Mapping[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
+    at: Parameters,
+    poses: Mapping[int, gtsam.Pose3],
+    fine: bool,
+    first: tuple[Contents, SessionConfig, IncrementalOptions],
+    rest: tuple[Any, ...],
+) -> SessionState:
+    """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
+    _, config, options = first
+    factors = {}
+    for number, normal, offset in zip(brought, at.normals, at.offsets, strict=True):
+        values, (blocks, others) = gtsam.Values(), brought[number]
+        values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
+        for key in poses_of(blocks):
+            values.insert(key, poses[key])
+        factors[number] = PlaneFactors(blocks, others, values)
+    start = BeamStart(start_values(at, config.beams, (), config.terms), config.known)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph, _ = graph.changed(factors, (), start, fine=fine)
+    return SessionState(*first, graph, factors, *rest)
+
+
+def begin(
+    contents: Contents, config: SessionConfig, beams: Beams, options: IncrementalOptions
+) -> SessionState:
+    """Return a new graph of every plane that is determined beside `beams`.
+
+    Raises
+    ------
+    RuntimeError
+        GTSAM calls the system indeterminate, or the estimate does not settle.
+    """
+    fitted = fitted_planes(contents, config, beams)
+    contents = contents.numbered({plane: one.origin for plane, one in fitted.items()})
+    factors = _factors(contents, fitted)
+    history, inconsistent = config.history(beams), set[str]()
+    for plane, one in fitted.items():
+        own = one.information(history.reference)
+        if one.fits(own, history.reference):
+            history = history.with_plane(plane, own)
+        else:
+            inconsistent.add(plane)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
+    now = SessionState(
+        contents,
+        config,
+        options,
+        graph,
+        factors,
+        state,
+        beams,
+        state,
+        0,
+        history,
+        frozenset(inconsistent),
+        len(fitted),
+        _sums(config, beams, fitted),
+    )
+    for _ in range(ROUNDS):
+        before, now = now, now.reweighed()
+        if now is before:
+            break
+    return replace(now, compared=now.state)
+
+
+def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
+    """Return the keys of the hand poses that are variables of some blocks, each once."""
+    return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
+
+
+def fitted_planes(
+    contents: Contents, config: SessionConfig, beams: Beams
+) -> Mapping[str, FittedPlane]:
+    """Return the planes that are determined beside `beams`, and not excluded."""
+    found = {}
+    for name, plane in contents.planes.items():
+        fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
+        if fitted is not None and fitted.determined():
+            found[name] = fitted
+    return found
+
+
+def _factors(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
+    """Return what planes of the contents bring into a graph, by their number."""
+    numbers, stations = contents.numbers, contents.station_numbers
+    return {
+        numbers[plane]: one.factors(numbers[plane], stations, contents.planes[plane].used())
+        for plane, one in fitted.items()
+    }
+
+
+def _sums(
+    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
+) -> ScaleSums | None:
+    """Return what planes say for all scales, counted from `beams`; None where none are learned."""
+    if config.learned is None:
+        return None
+    found = ScaleSums.empty(config.learned, config.history(beams), config.members)
+    return found.changed(fitted, fitted)
+
+
+def _undetermined(why: str = "") -> InputError:
+    found = f"a change after which the beams are undetermined{why}"
+    return InputError(found, "planes that determine them")
