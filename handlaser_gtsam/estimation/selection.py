@@ -20,7 +20,7 @@ from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, residuals, test
 from ..starts import Effort, Start, find_start
 from .options import CalibrationOptions
-from .solution import Progress, Solution, solve
+from .solution import Solution, solve
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
@@ -60,7 +60,6 @@ def select(
     readings: Readings,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Progress = None,
 ) -> Selection:
     """Choose readings and solve them jointly.
 
@@ -80,7 +79,7 @@ def select(
     def solved(start: Parameters) -> Solution:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
-        return solve(chosen, start, noise, options, progress, first.scale)
+        return solve(chosen, start, noise, options, first.scale)
 
     solution = solved(first.parameters)
     for _ in range(ROUNDS):

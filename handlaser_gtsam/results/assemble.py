@@ -33,6 +33,7 @@ from ..observability.wording import (
     weakest,
 )
 from ..outliers.reasons import Reasons
+from ..solvers.progress import tell
 from .calibration import (
     Beam,
     BeamMixture,
@@ -225,6 +226,7 @@ def _systematic(
     fit: Fit,
 ) -> tuple[SystematicError, ...]:
     """Return what the residuals say of errors that the model leaves out, beams as in the recording."""
+    tell("tests")
     how, prior = _whitened(used, solution, fit)
     found = systematic_errors(
         solution.parameters,
