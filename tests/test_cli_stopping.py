@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from helpers import GRIPPER, simulated
+from helpers import simulated
 
 from handlaser_gtsam.cli.stopping import Stopping
 from handlaser_gtsam.cli.working import FIRST, Working
