@@ -14,6 +14,7 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..session import Comparison, Session, Update
+from ..session.drift import Moved
 from ..solvers.progress import tell
 
 MM = 1e3
@@ -57,15 +58,22 @@ def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptio
         moved = session.moved()
     result = session.calibration()
     if moved is not None:
-        by = f"by {np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm"
-        words = (
-            f"beam {moved.beam} seems to have moved before plane {moved.since}, "
-            f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
-            f"themselves, or tell a Session to forget"
-        )
-        more = CalibrationWarning("beam-moved", words)
-        result = replace(result, warnings=(more, *result.warnings))
+        result = replace(result, warnings=(_warning(moved), *result.warnings))
     return PlaneByPlane(result, session.recording(), told, comparison)
+
+
+def _warning(moved: Moved) -> CalibrationWarning:
+    shift = float(np.linalg.norm(moved.shift))
+    by = f"by {np.degrees(moved.turn):.2g} deg and {MM * shift:.2g} mm"
+    words = (
+        f"beam {moved.beam} seems to have moved before plane {moved.since}, "
+        f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
+        f"themselves, or tell a Session to forget"
+    )
+    values: dict[str, float | str] = {"beam": moved.beam, "since": moved.since}
+    if not np.isnan(moved.turn):
+        values |= {"shift_m": shift, "turn_rad": moved.turn}
+    return CalibrationWarning("beam-moved", words, values)
 
 
 def update_table(fed: PlaneByPlane) -> Table:

@@ -27,7 +27,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
     scales = calibration.range_error_scales
     record: Record = {
         **named(calibration, "status message"),
-        "warnings": [named(one, "code message") for one in calibration.warnings],
+        "warnings": [named(one, "code message values") for one in calibration.warnings],
         "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         "beam_covariance": None if joint is None else joint.matrix(planes=[]),
         "planes": [_plane(plane) for plane in calibration.planes.values()],

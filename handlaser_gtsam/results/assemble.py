@@ -52,7 +52,7 @@ from .dependence import INDEPENDENT, dependence
 from .file_mistakes import better_ways
 from .fit import fit_of, robust_sigma
 from .systematic import SystematicError, systematic_errors
-from .warnings import doubts, few_readings, misfit, noise_advice, suspicious
+from .warnings import few_readings, fit_warnings, misfit, noise_advice, suspicious
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -109,7 +109,7 @@ def assemble(
         _ways(recording, used, fit, solution, wrong)
         + (() if wrong is None else (wrong,))
         + _label_warnings(recording, order, names, why)
-        + doubts(used, solution.best, fit, noise, solution.variances, names.sorted_beams())
+        + fit_warnings(used, solution.best, fit, noise, solution.variances, names.sorted_beams())
         + few_readings(solution.redundancy, fit)
         + (() if together.warning is None else (together.warning,))
         + _systematic_warnings(systematic),
