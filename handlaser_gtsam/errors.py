@@ -4,7 +4,8 @@ Each error is one cause and carries its numbers as attributes. The message says 
 what was expected and what to do.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .text import printable
@@ -84,10 +85,13 @@ class CalibrationWarning:
         What kind of sign, in lower case with hyphens; the kinds are listed in docs/files.md.
     message : str
         What was found, and what to look at.
+    values : mapping of str to int, float or str
+        The numbers and names of the message, SI units: `{"beam": "2", "readings": 40}`.
     """
 
     code: str
     message: str
+    values: Mapping[str, float | str] = field(default_factory=dict, hash=False)
 
     def __str__(self) -> str:
         return self.message

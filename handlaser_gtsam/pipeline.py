@@ -1,6 +1,5 @@
 """The whole way, from a recording to a calibration."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +14,14 @@ from .estimation.selection import select
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .solvers.levenberg import Trial
+from .solvers.progress import Listener, told_to
 
 
 def calibrate(
     recording: Recording,
     noise: Noise | None = None,
     options: CalibrationOptions | None = None,
-    progress: Callable[[Trial], None] | None = None,
+    progress: Listener | None = None,
 ) -> Calibration:
     """Find the mount of every beam, its range error and every plane, with covariances.
 
@@ -33,7 +32,8 @@ def calibrate(
         An unknown range sigma is estimated from the residuals.
     options : CalibrationOptions, optional
     progress : callable, optional
-        Called with every trial step of the solver.
+        Called with a `Progress` in every phase, and with every trial step of the solver. A
+        KeyboardInterrupt that it raises there ends the solver with what it has; elsewhere it is raised.
 
     Returns
     -------
@@ -64,9 +64,10 @@ def calibrate(
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)
     # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
-    selection = select(
-        recording, readings.seen_from(origins), noise.reordered(order.stations), options, progress
-    )
-    # 4. Covariances of what is determined, in the names and the order of the recording.
-    result = assemble(Problem(recording, readings, order, origins, noise), selection)
+    with told_to(progress):
+        selection = select(
+            recording, readings.seen_from(origins), noise.reordered(order.stations), options
+        )
+        # 4. Covariances of what is determined, in the names and the order of the recording.
+        result = assemble(Problem(recording, readings, order, origins, noise), selection)
     return replace(result, warnings=(*found.warnings, *result.warnings), recording=recording)

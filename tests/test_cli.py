@@ -263,7 +263,7 @@ def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
 
 
 def test_version_and_help():
-    from handlaser_gtsam.cli import app
+    from handlaser_gtsam.cli.verbs import app
 
     runner = CliRunner()
     assert runner.invoke(app, ["--version"]).stdout.strip() == f"handlaser {__version__}"

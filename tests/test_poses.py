@@ -232,8 +232,9 @@ def test_robot_errors_that_are_not_counted_are_noticed():
 def test_ctrl_c_in_the_first_of_several_solutions_counts():
     recording, _ = robot()
 
-    def stop(_trial):
-        raise KeyboardInterrupt
+    def stop(told):
+        if told.phase == "solve":
+            raise KeyboardInterrupt
 
     found = hl.calibrate(recording, NOISE, NONE, progress=stop)
     assert found.interrupted

@@ -4,49 +4,31 @@ import io
 import os
 import sys
 
-import typer
+from .stopping import INTERRUPTED, WORDS, Stopping
 
-from .._version import __version__
-from ..errors import HandlaserError, InputError
-from .calibrate import calibrate
-from .check import check
-from .simulate import simulate
-from .validate import validate
-
-BAD_INPUT, UNDETERMINED, INTERRUPTED = 2, 3, 130
-
-app = typer.Typer(
-    name="handlaser",
-    help="Calibrate laser distance sensors on a robot hand.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command()(calibrate)
-app.command()(check)
-app.command()(simulate)
-app.command()(validate)
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        print(f"handlaser {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _root(
-    version: bool = typer.Option(
-        False, "--version", callback=_print_version, is_eager=True, help="Print the version."
-    ),
-) -> None:
-    """Calibrate laser distance sensors on a robot hand."""
+BAD_INPUT, UNDETERMINED = 2, 3
 
 
 def main() -> None:
-    """Run the command line; errors made on purpose end in one line and an exit code."""
+    """Run the command line; errors made on purpose and Ctrl-C end in one line and an exit code."""
+    with Stopping() as stopping:
+        try:
+            code, words = _run()
+        except BaseException:
+            if not stopping.asked:
+                raise
+        if stopping.asked:  # whatever became of the KeyboardInterrupt on its way
+            code, words = INTERRUPTED, WORDS
+        if words:
+            print(f"handlaser: {words}", file=sys.stderr)
+        sys.exit(code)
+
+
+def _run() -> tuple[int, str]:
+    """Run a verb that comes back; return its exit code and what went wrong."""
+    from ..errors import HandlaserError, InputError
+    from .verbs import app
+
     if sys.stdout is None:  # closed by the caller
         sys.stdout = io.StringIO()
     for stream in (sys.stdout, sys.stderr):
@@ -55,15 +37,9 @@ def main() -> None:
     try:
         app()
         sys.stdout.flush()
-    except InputError as error:
-        print(f"handlaser: {error}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
     except HandlaserError as error:
-        print(f"handlaser: {error}", file=sys.stderr)
-        sys.exit(UNDETERMINED)
-    except KeyboardInterrupt:
-        print("handlaser: stopped by Ctrl-C", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        return BAD_INPUT if isinstance(error, InputError) else UNDETERMINED, str(error)
     except OSError as error:
         print(f"handlaser: no way to write the output ({error.strerror})", file=sys.stderr)
         os._exit(BAD_INPUT)  # a full stdout would raise again when it is flushed
+    return 0, ""

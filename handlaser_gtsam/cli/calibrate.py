@@ -1,12 +1,18 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .choices import LossChoice, OutliersChoice, PosesChoice, RangeErrorChoice
+from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
+from .options import Given, JsonOption, Model, QuietOption, RecordingArgument
+from .working import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -15,99 +21,107 @@ if TYPE_CHECKING:
     from ..validation.cross_check import CrossCheck
     from .incremental import PlaneByPlane
 
-UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
 DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
 
 
-def calibrate(
-    recording: Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)],
-    rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise, sensor, limits.")] = None,
-    range_error: Annotated[
-        RangeErrorChoice,
-        typer.Option(
-            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
-            "of zero mean whose scales are learned from all beams."
-        ),
-    ] = RangeErrorChoice.auto,
+class OutliersChoice(StrEnum):
+    """Values of --outliers."""
+
+    reject = "reject"
+    keep = "keep"
+
+
+class LossChoice(StrEnum):
+    """Values of --loss."""
+
+    gaussian = "gaussian"
+    huber = "huber"
+    cauchy = "cauchy"
+    tukey = "tukey"
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How it is calibrated, beside what `validate` takes as well."""
+
     outliers: Annotated[
         OutliersChoice,
         typer.Option(
             help="Leave out, and list, readings that the others contradict; or keep them."
         ),
-    ] = OutliersChoice.reject,
+    ] = OutliersChoice.reject
     loss: Annotated[
         LossChoice, typer.Option(help="Loss of the final estimate, reading by reading.")
-    ] = LossChoice.gaussian,
-    range_sigma_mm: Annotated[
-        float | None,
-        typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
-    ] = None,
-    pose_translation_sigma_mm: Annotated[
-        float | None,
-        typer.Option(help="Sigma of the hand position an axis, mm; estimated if not given."),
-    ] = None,
-    pose_rotation_sigma_deg: Annotated[
-        float | None,
-        typer.Option(
-            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
-        ),
-    ] = None,
-    incidence_sigma_mm: Annotated[
-        float | None,
-        typer.Option(help="Added to a reading's sigma times the tangent of the incidence, mm."),
-    ] = None,
-    poses: Annotated[
-        PosesChoice,
-        typer.Option(
-            help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
-            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
-        ),
-    ] = PosesChoice.auto,
-    estimate_noise: Annotated[
-        bool,
-        typer.Option(
-            "--estimate-noise",
-            help="Estimate the sigmas of ranges and poses even where they are given.",
-        ),
-    ] = False,
-    range_sigma_by_beam: Annotated[
-        bool,
-        typer.Option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
-    ] = False,
-    at_range_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Working distance at which the laser spot's error is stated; default: median reading."
-        ),
-    ] = None,
-    range_mm: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
-    ] = None,
-    max_incidence_deg: Annotated[
-        float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
-    ] = None,
-    cross_check: Annotated[
-        bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
-    ] = False,
+    ] = LossChoice.gaussian
     incremental: Annotated[
         bool,
         typer.Option(
             "--incremental",
             help="Add plane by plane, show what each teaches, and compare with all at once.",
         ),
-    ] = False,
-    json_: Annotated[
-        bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")] = False,
+    ] = False
+    cross_check: Annotated[
+        bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
+    ] = False
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What becomes of the result."""
+
+    at_range_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Working distance at which the laser spot's error is stated; default: median reading."
+        ),
+    ] = None
+    out: Annotated[
+        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
+    ] = None
+    json_: JsonOption = False
+    quiet: QuietOption = False
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
-    ] = False,
+    ] = False
+
+    @property
+    def reading(self) -> float | None:
+        """The reading of --at-range-mm in metres."""
+        from ..checks import require_number
+        from ..data.recording import LARGEST
+
+        if self.at_range_mm is None:
+            return None
+        require_number("--at-range-mm", self.at_range_mm, -1e3 * LARGEST, 1e3 * LARGEST)
+        return 1e-3 * self.at_range_mm
+
+    def check(self, sources: tuple[Path | None, ...]) -> None:
+        """Refuse a file that cannot be written, or is one of the `sources`."""
+        from ..errors import InputError
+        from ..files.writing import require_writable, same_file
+
+        if self.out is None:
+            return
+        if any(source is not None and same_file(self.out, source) for source in sources):
+            raise InputError("the input itself as --out", "another file to write to", self.out)
+        require_writable(self.out)
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """A calibration, its JSON text, and what is said of it."""
+
+    result: "Calibration"
+    recording: "Recording"
+    text: str
+    verdict: "Verdict"
+    check: "CrossCheck | None"
+    fed: "PlaneByPlane | None"
+
+
+def calibrate(
+    recording: RecordingArgument, given: Given, model: Model, manner: Manner, output: Output
 ) -> None:
     """Find the mount of every beam and every plane in RECORDING, with covariances.
 
@@ -115,132 +129,104 @@ def calibrate(
     the solver gave up; 4 not usable: outside the limits of the rig file, or with a systematic error
     larger than what the result states; 130 stopped by Ctrl-C.
     """
-    from ..errors import InputError
-    from ..estimation.options import CalibrationOptions
+    with Working():
+        outcome = _calibrated(recording, given, model, manner, output)
+        aloud = output.json_ or output.quiet
+        answer = Answer(
+            outcome.text,
+            partial(_show, outcome, output),
+            _warnings(outcome) if aloud else (),
+            _failure(outcome),
+        )
+    answer.give(json=output.json_, quiet=output.quiet)
+
+
+def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: Output) -> _Outcome:
+    """Calibrate, and write the result where it is asked for."""
+    from .. import pipeline
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
-    from ..files.writing import require_writable, same_file, write_text
-    from ..pipeline import calibrate as run
+    from ..files.writing import write_text
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
-    from .settings import reading_of, settings_of
 
-    if out is not None:
-        for source in (recording, rig):
-            if source is not None and same_file(out, source):
-                raise InputError("the input itself as --out", "another file to write to", out)
-        require_writable(out)
-    reading = reading_of(at_range_mm)
-    numbers = (
-        range_sigma_mm,
-        pose_translation_sigma_mm,
-        pose_rotation_sigma_deg,
-        incidence_sigma_mm,
-    )
-    settings = settings_of(rig, numbers, range_mm, max_incidence_deg)
-    table = read_recording(recording, settings.sensor)
-    options = CalibrationOptions(
-        range_error.value,
-        outliers.value,
-        loss.value,
-        poses.value,
-        range_sigma_by_beam,
-        estimate_noise,
-        sensor=settings.sensor,
-    )
-    fed = None
-    if incremental:
+    output.check((path, given.rig))
+    reading = output.reading
+    rig = given.read()
+    recording, fed = read_recording(path, rig.sensor), None
+    options = replace(model.options(rig), outliers=manner.outliers.value, loss=manner.loss.value)
+    if manner.incremental:
         from .incremental import plane_by_plane
 
-        fed = plane_by_plane(table, settings.noise, options, quiet=json_ or quiet)
-        result, table = fed.result, fed.recording
+        fed = plane_by_plane(recording, rig.noise, options)
+        result, recording = fed.result, fed.recording
     else:
-        result = run(table, settings.noise, options)
+        result = pipeline.calibrate(recording, rig.noise, options)
     text = calibration_text(result, reading)
-    if out is not None:
-        write_text(out, text)
+    if output.out is not None:
+        write_text(output.out, text)
     check = None
-    if cross_check and result.status == "converged":
-        check = checking.cross_check(result, table)
-    judged = verdict(result, table, settings.limits, reading)
-    if json_:
-        sys.stdout.write(text)
-    elif not quiet:
-        _show(result, table, judged, (check, out, fed), verbose=verbose)
-    _finish(result, judged, check, fed, aloud=json_ or quiet)
+    if manner.cross_check and result.status == "converged":
+        check = checking.cross_check(result, recording)
+    judged = verdict(result, recording, rig.limits, reading)
+    return _Outcome(result, recording, text, judged, check, fed)
 
 
-def _show(
-    result: "Calibration",
-    recording: "Recording",
-    judged: "Verdict",
-    beside: tuple["CrossCheck | None", Path | None, "PlaneByPlane | None"],
-    *,
-    verbose: bool,
-) -> None:
+def _show(outcome: _Outcome, output: Output) -> None:
     from ..text import printable
+    from .incremental import comparison_line, update_table
     from .lines import WIDTH, wrapped
     from .screen import screen_lines
     from .tables import TableConsole, calibration_tables, cross_check_line
 
-    check, out, fed = beside
-    closing = [] if check is None else wrapped(cross_check_line(check), 2)
-    closing += [] if out is None else [f"wrote {printable(str(out))}"]
+    result, fed = outcome.result, outcome.fed
+    closing = [] if outcome.check is None else wrapped(cross_check_line(outcome.check), 2)
+    closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
-    if verbose:
-        for part in calibration_tables(result, recording, judged):
+    if output.verbose:
+        for part in calibration_tables(result, outcome.recording, outcome.verdict):
             text = "\n".join(wrapped(part)) if isinstance(part, str) else part
             console.print(text, soft_wrap=True)
     else:
-        for line in screen_lines(result, recording, judged, closing=len(closing)):
+        for line in screen_lines(result, outcome.recording, outcome.verdict, closing=len(closing)):
             console.print(line, soft_wrap=True)
     if fed is not None:
-        from .incremental import comparison_line, update_table
-
         console.print(update_table(fed))
         if fed.comparison is not None:
-            console.print("\n".join(wrapped(comparison_line(fed.comparison))), soft_wrap=True)
+            closing = [*wrapped(comparison_line(fed.comparison)), *closing]
     for line in closing:
         console.print(line, soft_wrap=True)
 
 
-def _finish(
-    result: "Calibration",
-    judged: "Verdict",
-    cross: "CrossCheck | None",
-    fed: "PlaneByPlane | None",
-    *,
-    aloud: bool,
-) -> None:
-    """Say on stderr what went wrong, and leave with the exit code of the contract."""
+def _warnings(outcome: _Outcome) -> Iterator[str]:
+    """Yield what stderr says where no tables do."""
     from .tables import cross_check_line
 
-    if cross is not None and aloud:
-        print(cross_check_line(cross), file=sys.stderr)
-    for warning in result.warnings if aloud else ():
-        if warning.message != result.message:
-            print(f"WARNING: {warning}", file=sys.stderr)
+    if outcome.check is not None:
+        yield cross_check_line(outcome.check)
+    for warning in outcome.result.warnings:
+        if warning.message != outcome.result.message:
+            yield f"WARNING: {warning}"
+
+
+def _failure(outcome: _Outcome) -> tuple[int, str] | None:
+    """Return the exit code of the contract and what went wrong; None where nothing did."""
+    result, check, judged = outcome.result, outcome.check, outcome.verdict
+    if result.interrupted:
+        return INTERRUPTED, result.message
     if result.status != "converged":
-        print(f"handlaser: {result.message}", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED if result.interrupted else UNDETERMINED)
-    if cross is not None and cross.largest > DISAGREEMENT:
-        print(
-            f"handlaser: SciPy disagrees by {cross.largest:.2g} standard deviations in "
-            f"{cross.parameter}; expected the same optimum: do not use this calibration",
-            file=sys.stderr,
+        return UNDETERMINED, result.message
+    advice = "expected the same optimum: do not use this calibration"
+    if check is not None and check.largest > DISAGREEMENT:
+        return UNDETERMINED, (
+            f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}; {advice}"
         )
-        raise typer.Exit(UNDETERMINED)
-    if fed is not None and fed.comparison is not None and fed.comparison.largest > DISAGREEMENT:
-        print(
-            f"handlaser: plane by plane is {fed.comparison.largest:.2g} standard deviations from all "
-            f"at once; expected the same optimum: do not use this calibration",
-            file=sys.stderr,
+    comparison = None if outcome.fed is None else outcome.fed.comparison
+    if comparison is not None and comparison.largest > DISAGREEMENT:
+        return UNDETERMINED, (
+            f"plane by plane is {comparison.largest:.2g} standard deviations from all at once; {advice}"
         )
-        raise typer.Exit(UNDETERMINED)
     if judged.exceeded:
-        print(f"handlaser: outside the limits: {'; '.join(judged.exceeded)}", file=sys.stderr)
-        raise typer.Exit(NOT_USABLE)
-    if not judged.usable:
-        print(f"handlaser: {judged.sentence}", file=sys.stderr)
-        raise typer.Exit(NOT_USABLE)
+        return NOT_USABLE, f"outside the limits: {'; '.join(judged.exceeded)}"
+    return None if judged.usable else (NOT_USABLE, judged.sentence)

@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from ..arrays import FloatArray
@@ -16,6 +14,8 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..session import Comparison, Session, Update
+from ..session.drift import Moved
+from ..solvers.progress import tell
 
 MM = 1e3
 
@@ -41,34 +41,39 @@ class PlaneByPlane:
     comparison: Comparison | None
 
 
-def plane_by_plane(
-    recording: Recording, noise: Noise, options: CalibrationOptions, *, quiet: bool
-) -> PlaneByPlane:
+def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptions) -> PlaneByPlane:
     """Feed a recording to a session plane by plane, then compare it with the batch calibration."""
     session, updates = Session(noise, options), []
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        task = bar.add_task("planes", total=len(recording.plane_names) + 1)
-        for name in recording.plane_names:
-            updates.append((name, session.add(recording.plane(name))))
-            bar.advance(task)
-        fed = tuple(updates)
-        if not session.started or session.waiting:
-            return PlaneByPlane(calibrate(recording, noise, options), recording, fed, None)
+    planes = recording.plane_names
+    for number, name in enumerate(planes):
+        tell("planes", number, len(planes), f"plane {name}")
+        updates.append((name, session.add(recording.plane(name))))
+    fed = tuple(updates)
+    tell("planes", len(planes), len(planes), "all at once")
+    if not session.started or session.waiting:
+        return PlaneByPlane(calibrate(recording, noise, options), recording, fed, None)
+    moved = session.moved()
+    comparison = session.recalibrate()
+    if comparison.changes:  # what had moved may have been noise that is known better now
         moved = session.moved()
-        comparison = session.recalibrate()
-        if comparison.changes:  # what had moved may have been noise that is known better now
-            moved = session.moved()
     result = session.calibration()
     if moved is not None:
-        by = f"by {np.degrees(moved.turn):.2g} deg and {MM * np.linalg.norm(moved.shift):.2g} mm"
-        words = (
-            f"beam {moved.beam} seems to have moved before plane {moved.since}, "
-            f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
-            f"themselves, or split the beam in a Session"
-        )
-        more = CalibrationWarning("beam-moved", words)
-        result = replace(result, warnings=(more, *result.warnings))
+        result = replace(result, warnings=(_warning(moved), *result.warnings))
     return PlaneByPlane(result, session.recording(), fed, comparison)
+
+
+def _warning(moved: Moved) -> CalibrationWarning:
+    shift = float(np.linalg.norm(moved.shift))
+    by = f"by {np.degrees(moved.turn):.2g} deg and {MM * shift:.2g} mm"
+    words = (
+        f"beam {moved.beam} seems to have moved before plane {moved.since}, "
+        f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
+        f"themselves, or split the beam in a Session"
+    )
+    values: dict[str, float | str] = {"beam": moved.beam, "since": moved.since}
+    if not np.isnan(moved.turn):
+        values |= {"shift_m": shift, "turn_rad": moved.turn}
+    return CalibrationWarning("beam-moved", words, values)
 
 
 def update_table(fed: PlaneByPlane) -> Table:

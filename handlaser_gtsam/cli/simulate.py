@@ -1,14 +1,17 @@
 """handlaser simulate: a recording whose truth is known."""
 
-import math
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .options import DEG, MM
+from .working import Working
+
 if TYPE_CHECKING:
-    from ..simulation.simulate import Errors
+    from ..simulation import simulate as simulation
 
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
@@ -30,34 +33,71 @@ class PoseAxes(StrEnum):
     xyz = "xyz"
 
 
-def simulate(
-    folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
+SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is simulated."""
+
     scene: Annotated[
         SceneName,
         typer.Option(help="paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m."),
-    ] = SceneName.paper,
-    beams: Annotated[int, typer.Option(min=1)] = 4,
-    planes: Annotated[int, typer.Option(min=1)] = 4,
-    stations: Annotated[int, typer.Option(min=1, help="Stations a plane.")] = 11,
-    range_sigma_mm: Annotated[
-        float | None, typer.Option(help="Default: as the scene says.")
-    ] = None,
-    pose_translation_sigma_mm: Annotated[
-        float | None, typer.Option(help="Default: as the scene says.")
-    ] = None,
-    pose_rotation_sigma_deg: Annotated[
-        float | None, typer.Option(help="Default: as the scene says.")
-    ] = None,
+    ] = SceneName.paper
+    beams: Annotated[int, typer.Option(min=1)] = 4
+    planes: Annotated[int, typer.Option(min=1)] = 4
+    stations: Annotated[int, typer.Option(min=1, help="Stations a plane.")] = 11
+    k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0
+    k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What readings and hand poses err by."""
+
+    range_sigma_mm: SigmaOption = None
+    pose_translation_sigma_mm: SigmaOption = None
+    pose_rotation_sigma_deg: SigmaOption = None
     pose_axes: Annotated[
         PoseAxes | None, typer.Option(help="Hand axes on which the pose errs.")
-    ] = None,
-    k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0,
-    k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0,
+    ] = None
+
+    def instead_of(self, scene: "simulation.Errors") -> "simulation.Errors":
+        """Return the errors of a scene with what the command line says instead."""
+        from ..files.rig_toml import scaled
+
+        axes = scene.pose_axes
+        if self.pose_axes is not None:
+            axes = tuple(map("xyz".index, self.pose_axes.value))
+        shift, turn = self.pose_translation_sigma_mm, self.pose_rotation_sigma_deg
+        return replace(
+            scene,
+            range_sigma=scaled(self.range_sigma_mm, MM, scene.range_sigma),
+            pose_translation_sigma=scaled(shift, MM, scene.pose_translation_sigma),
+            pose_rotation_sigma=scaled(turn, DEG, scene.pose_rotation_sigma),
+            pose_axes=axes,
+        )
+
+
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
+    scene: Scene,
+    noise: Noise,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
     """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER."""
+    from ..text import printable
+
+    with Working():
+        _write(folder, scene, noise, seed, force=force)
+    if not quiet:
+        place, counts = printable(str(folder)), f"{scene.planes} planes, {scene.stations} stations"
+        print(f"wrote {', '.join(FILES)} to {place}: {counts} each")
+
+
+def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) -> None:
     import numpy as np
 
     from ..errors import InputError
@@ -65,22 +105,18 @@ def simulate(
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
     from ..simulation import scenes
-    from ..simulation.simulate import simulate as run
-    from ..text import printable
+    from ..simulation import simulate as simulation
 
-    there = [name for name in FILES if (folder / name).exists()]
+    there = [file for file in FILES if (folder / file).exists()]
     if there and not force:
         raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
-    errors = _errors(
-        scenes.ERRORS[scene.value],
-        (range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg),
-        pose_axes,
-    )
-    layout = scenes.Layout(beams, planes, stations, k1, k2_per_m)
+    name = scene.scene.value
+    errors = noise.instead_of(scenes.ERRORS[name])
+    layout = scenes.Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m)
     rng = np.random.default_rng(seed)
-    truth, motion = scenes.SCENES[scene.value](layout, rng)
-    sensor = scenes.SENSORS[scene.value]
-    recording = run(truth, motion, errors, rng, sensor)
+    truth, motion = scenes.SCENES[name](layout, rng)
+    sensor = scenes.SENSORS[name]
+    recording = simulation.simulate(truth, motion, errors, rng, sensor)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -88,23 +124,3 @@ def simulate(
     write_recording(folder / FILES[0], recording)
     write_rig(folder / FILES[1], errors.stated(), sensor)
     write_truth(folder / FILES[2], truth, recording)
-    if not quiet:
-        place = printable(str(folder))
-        print(f"wrote {', '.join(FILES)} to {place}: {planes} planes, {stations} stations each")
-
-
-def _errors(
-    scene: "Errors",
-    numbers: tuple[float | None, float | None, float | None],
-    pose_axes: PoseAxes | None,
-) -> "Errors":
-    """Return the errors of the scene with what the command line says instead."""
-    from ..simulation.simulate import Errors
-
-    range_sigma, translation, rotation = numbers
-    return Errors(
-        scene.range_sigma if range_sigma is None else range_sigma * 1e-3,
-        scene.pose_translation_sigma if translation is None else translation * 1e-3,
-        scene.pose_rotation_sigma if rotation is None else math.radians(rotation),
-        scene.pose_axes if pose_axes is None else tuple("xyz".index(a) for a in pose_axes.value),
-    )

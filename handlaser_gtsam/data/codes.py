@@ -46,6 +46,7 @@ def code_warning(what: str, beams: list[str], count: int) -> CalibrationWarning:
         f"{readings} of {what} of {whose} counted as no reading: such a value stands for a missing "
         "echo or the sensor's limit, not for a distance; leave such cells empty, or state the sensor's "
         "range (range_mm)",
+        {"readings": count},
     )
 
 

@@ -215,5 +215,6 @@ def _warnings(
             other = int(np.flatnonzero(group == group[rows[0]])[0])
             first = f"the first: {names[rows[0]]}, like {names[other]}"
             words = f"{len(rows)} of {total} stations ({first}) "
-            found.append(CalibrationWarning(code, words + what))
+            counts = {"stations": total, "repeated": len(rows)}
+            found.append(CalibrationWarning(code, words + what, counts))
     return tuple(found)

@@ -20,6 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.weighting import Variances
+from ..solvers.progress import tell
 from .information import NoiseSet
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
@@ -166,6 +167,7 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray
     here = np.clip(start, bounds[:, 0], bounds[:, 1])
     at = _expansion(log_posterior, here, STEP)
     for _ in range(ROUNDS):
+        tell("scales")
         step = _upwards(at, here, bounds)
         if np.abs(step).max() < LAST_STEP:
             return np.clip(here + step, bounds[:, 0], bounds[:, 1])

@@ -21,7 +21,7 @@ from ..outliers.snooping import cut, enough, judge, residuals, test
 from ..starts import Start, find_start
 from .options import CalibrationOptions
 from .solution import Solution
-from .solve import Progress, solve
+from .solve import solve
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
@@ -62,7 +62,6 @@ def select(
     readings: Readings,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Progress = None,
 ) -> Selection:
     """Choose readings and solve them jointly.
 
@@ -82,7 +81,7 @@ def select(
     def solved(start: Parameters) -> Solution:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
-        return solve(chosen, start, noise, options, progress, first.scale)
+        return solve(chosen, start, noise, options, first.scale)
 
     solution = solved(first.parameters)
     for _ in range(ROUNDS):

@@ -7,7 +7,6 @@ repeated. Then the scales are integrated over. Hand poses that are variables com
 solution in which they were eliminated beforehand.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +21,9 @@ from ..model.weighting import Variances, Whitening, unequal, whitening
 from ..observability.least_observed import least_observed
 from ..observability.rank import Observability, observability
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
-from ..solvers.levenberg import LevenbergResult, Trial, levenberg_marquardt
+from ..solvers.levenberg import LevenbergResult, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
+from ..solvers.progress import tell_trial
 from ..solvers.reduction import newton_step
 from .learned import ScaleProblem
 from .options import CalibrationOptions
@@ -48,15 +48,12 @@ LEAST_WEIGHT = 0.5
 SAME_SCALE = 0.05
 """Scales whose logarithms change by less have settled: they are integrated over in the end."""
 
-Progress = Callable[[Trial], None] | None
-
 
 def solve(
     readings: Readings,
     start: Parameters,
     noise: Noise,
     options: CalibrationOptions,
-    progress: Progress = None,
     scale: float | None = None,
     prior: RangeErrorPrior | None = None,
 ) -> Solution:
@@ -68,14 +65,12 @@ def solve(
     start : Parameters
     noise : Noise
     options : CalibrationOptions
-    progress : callable, optional
-        Called with every trial step.
     scale : float, optional
         Of the residuals of good readings [m]: stands for a range sigma that is not given at first.
     prior : RangeErrorPrior, optional
         Of the range errors; instead of one whose scales are learned.
     """
-    task = _Task(readings, noise, options, progress, scale, prior)
+    task = _Task(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
     if first.result.status == "interrupted" or unknown or task.is_exact():
@@ -99,12 +94,11 @@ class _Task:
         readings: Readings,
         noise: Noise,
         options: CalibrationOptions,
-        progress: Progress,
         scale: float | None,
         prior: RangeErrorPrior | None,
     ) -> None:
         self.readings, self.noise, self.options = readings, noise, options
-        self.progress, self.scale, self.terms = progress, scale, options.terms
+        self.scale, self.terms = scale, options.terms
         self.loss, self.rank, self.sigma = Loss(options.loss), 0, 0.0
         self.length = readings.typical_range()
         self.learns = options.linearity is not None and prior is None
@@ -217,7 +211,7 @@ class _Task:
             solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
         elif coarse:
             solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE))
-        return problem, levenberg_marquardt(problem, solver, self.progress)
+        return problem, levenberg_marquardt(problem, solver, tell_trial)
 
     def observed(self, at: Parameters, sigma: float, how: Whitening | None = None) -> Observability:
         """Return what the readings determine at `at`, if they err by sigma [m]."""

@@ -26,10 +26,11 @@ class _Record(BaseModel):
 
 
 class WarningRecord(_Record):
-    """A warning of the calibration."""
+    """A warning of the calibration, with the numbers and names of its message."""
 
     code: str
     message: str
+    values: dict[str, int | float | str]
 
 
 class RangeErrorRecord(_Record):

@@ -109,13 +109,13 @@ def _to_si(rig: _Rig) -> Rig:
     linearity = rig.sensor.linearity_percent
     return Rig(
         Noise(
-            _scaled(rig.noise.range_sigma_mm, mm),
-            _scaled(rig.noise.pose_translation_sigma_mm, mm),
-            _scaled(rig.noise.pose_rotation_sigma_deg, deg),
-            _scaled(rig.noise.incidence_sigma_mm, mm, given[0].incidence_sigma),
+            scaled(rig.noise.range_sigma_mm, mm),
+            scaled(rig.noise.pose_translation_sigma_mm, mm),
+            scaled(rig.noise.pose_rotation_sigma_deg, deg),
+            scaled(rig.noise.incidence_sigma_mm, mm, given[0].incidence_sigma),
             _matrix(rig.noise.pose_covariance),
-            _scaled(rig.noise.pose_translation_prior_mm, mm, given[0].pose_translation_prior),
-            _scaled(rig.noise.pose_rotation_prior_deg, deg, given[0].pose_rotation_prior),
+            scaled(rig.noise.pose_translation_prior_mm, mm, given[0].pose_translation_prior),
+            scaled(rig.noise.pose_rotation_prior_deg, deg, given[0].pose_rotation_prior),
         ),
         Sensor(
             span[0] * mm,
@@ -124,9 +124,9 @@ def _to_si(rig: _Rig) -> Rig:
             given[1].linearity if linearity is None else 0.01 * linearity,
         ),
         Limits(
-            _scaled(rig.limits.rms_mm, mm),
-            _scaled(rig.limits.location_sigma_mm, mm),
-            _scaled(rig.limits.direction_sigma_deg, deg),
+            scaled(rig.limits.rms_mm, mm),
+            scaled(rig.limits.location_sigma_mm, mm),
+            scaled(rig.limits.direction_sigma_deg, deg),
         ),
     )
 
@@ -163,10 +163,10 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
 
 
 @overload
-def _scaled(value: float | None, unit: float, otherwise: float) -> float: ...
+def scaled(value: float | None, unit: float, otherwise: float) -> float: ...
 @overload
-def _scaled(value: float | None, unit: float, otherwise: None = None) -> float | None: ...
-def _scaled(value: float | None, unit: float, otherwise: float | None = None) -> float | None:
+def scaled(value: float | None, unit: float, otherwise: None = None) -> float | None: ...
+def scaled(value: float | None, unit: float, otherwise: float | None = None) -> float | None:
     """Return a value in SI units, or what stands for one that is not given."""
     return otherwise if value is None else value * unit
 

@@ -24,6 +24,7 @@ from ..observability.wording import (
     weakest,
 )
 from ..outliers.reasons import Reasons
+from ..solvers.progress import tell
 from .calibration import Calibration, Determined, Fit, StartReport, Status
 from .dependence import INDEPENDENT, Dependence, dependence
 from .file_mistakes import better_ways
@@ -31,7 +32,7 @@ from .fit import fit_of
 from .problem import Estimate, Problem
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
-from .warnings import doubts, few_readings, misfit, noise_advice, suspicious
+from .warnings import few_readings, fit_warnings, misfit, noise_advice, suspicious
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -72,7 +73,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         *_ways(problem, used, fit, solution, wrong),
         *_some(wrong),
         *_wrong_labels(problem, why),
-        *doubts(used, found, fit, problem.noise, solution.variances, sorted_beams),
+        *fit_warnings(used, found, fit, problem.noise, solution.variances, sorted_beams),
         *few_readings(solution.redundancy, fit),
         *_some(together.warning),
         *(CalibrationWarning(f"systematic-{s.code}", s.warning) for s in systematic if s.warning),
@@ -101,6 +102,7 @@ def _tested(
     """
     if not trusted or solution.problem.loss != GAUSSIAN:
         return (), INDEPENDENT
+    tell("tests")
     how, at, names = solution.whitening, solution.parameters, problem.names
     if how is None:
         equal = Variances(np.full(used.beams, solution.problem.range_sigma))

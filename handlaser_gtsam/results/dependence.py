@@ -75,6 +75,11 @@ class Dependence:
             f"times, those of the planes up to {self.plane_growth:.2f} times as large as with "
             "independent readings; read more slowly, or average less in the sensor, and visit "
             "stations in another order",
+            {
+                "correlation": self.correlation,
+                "growth": self.growth,
+                "plane_growth": self.plane_growth,
+            },
         )
 
 

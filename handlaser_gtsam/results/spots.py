@@ -116,11 +116,10 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
     spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
     X = np.array([x for x, _, _ in spots])
-    middle = X.mean(axis=0)
-    _, size, axes = np.linalg.svd(X - middle)
-    if size[1] <= LEAST_SPREAD * size[0]:
+    axes = axes_of_plane(X)
+    if axes is None:
         raise InputError("laser spots on one line", "spots that span a plane")
-    n = axes[2]
+    middle, n = X.mean(axis=0), axes[2]
     beams = np.array([_beam(calibration, name).direction for name in names])
     n = n if beams.mean(axis=0) @ n > 0.0 else -n
     # Rows of the spots' heights above the plane over all coordinates, then of the readings.
@@ -144,6 +143,12 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         float(np.sqrt(tangent[2, 2])),
         float(np.sqrt(np.linalg.eigvalsh(tangent[:2, :2])[-1])),
     )
+
+
+def axes_of_plane(spots: FloatArray) -> FloatArray | None:
+    """Return two axes of the plane through spots (N, 3) and its normal, as rows; None if on a line."""
+    _, size, axes = np.linalg.svd(spots - spots.mean(axis=0))
+    return None if size[1] <= LEAST_SPREAD * size[0] else axes
 
 
 def typical_plane(

@@ -27,6 +27,7 @@ from ..model.weighting import Variances, whitening
 from ..solvers.reduction import normal_equations
 from .calibration import Calibration
 from .spots import spot_jacobian
+from .used import used_recording
 
 STEP = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""
@@ -105,7 +106,7 @@ def _pose_share(calibration: Calibration, J: FloatArray, recording: Recording | 
         return 0.0 if recording is not None else math.nan
     if recording is None:
         return math.nan
-    readings = _used(calibration, recording)
+    readings = used_recording(calibration, recording).readings()
     try:
         low, high = (
             _spot_variance(
@@ -123,13 +124,6 @@ def _pose_share(calibration: Calibration, J: FloatArray, recording: Recording | 
     if not low > 0.0:
         return math.nan
     return _part(math.log(high / low) / (2.0 * math.log(STEP)))
-
-
-def _used(calibration: Calibration, recording: Recording) -> Readings:
-    """Return the readings that the calibration used."""
-    readings = recording.readings()
-    used = ~np.isnan(calibration.fit.residuals[readings.station, readings.beam])
-    return readings.subset(np.flatnonzero(used))
 
 
 def _spot_variance(

@@ -1,6 +1,8 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from textwrap import shorten
 from typing import Literal
 
 import numpy as np
@@ -42,39 +44,73 @@ class Verdict:
 
     Attributes
     ----------
-    usable : bool
     code : str
         `usable`; `usable-with-care`: there are warnings; `outside-limits`; `systematic-error`: one was
         found that moves a laser spot by more than its stated error; `contradicted`: a plane that was
         left out contradicts the beams found without it; `undetermined`; `not-converged`.
-    sentence : str
-        All of it in one sentence.
-    spot_error : float or None
-        The laser spot lies within this radius [m] of its stated place with probability 95 %, from the
-        calibration alone, for the worst beam; None where there is no covariance.
-    spot_beam : str
-        That beam; empty where there is none.
+    findings : tuple of str
+        The parts of the sentence.
+    best : Improvement
+        What would improve it most.
     reading : float
         The working distance [m].
-    improvement : str
-        What would improve it most.
-    improvement_code : str
+    worst_spot : SpotError or None
+        The laser spot that is known worst, from the calibration alone; None where there is no
+        covariance.
+    harmful : SystematicError or None
+        The systematic error found that moves a laser spot most.
     limits : tuple of LimitCheck
         Every value that has a limit.
     shares : VarianceShares or None
         What the spot error is made of.
+    confirmed_by : int
+        How many planes were left out and agree.
+    contradicted_by : tuple of str
+        The planes that were left out and do not.
     """
 
-    usable: bool
     code: Code
-    sentence: str
-    spot_error: float | None
-    spot_beam: str
+    findings: tuple[str, ...]
+    best: Improvement
     reading: float
-    improvement: str
-    improvement_code: str
+    worst_spot: SpotError | None = None
+    harmful: SystematicError | None = None
     limits: tuple[LimitCheck, ...] = ()
     shares: VarianceShares | None = None
+    confirmed_by: int = 0
+    contradicted_by: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether the calibration can be used."""
+        return self.code in USABLE
+
+    @property
+    def sentence(self) -> str:
+        """All of it in one sentence."""
+        planes = f"{self.confirmed_by} plane" + ("" if self.confirmed_by == 1 else "s")
+        confirmed = f", confirmed by {planes} left out" if self.confirmed_by else ""
+        return f"{OPENING[self.code]}{confirmed}: {'; '.join(self.findings)}."
+
+    @property
+    def spot_error(self) -> float | None:
+        """The radius [m] around its stated place that holds the worst laser spot with 95 %."""
+        return None if self.worst_spot is None else self.worst_spot.radius
+
+    @property
+    def spot_beam(self) -> str:
+        """The beam of that spot; empty where there is none."""
+        return "" if self.worst_spot is None else self.worst_spot.beam
+
+    @property
+    def improvement(self) -> str:
+        """What would improve it most, in words."""
+        return self.best.words
+
+    @property
+    def improvement_code(self) -> str:
+        """The code of what would improve it most."""
+        return self.best.code
 
     @property
     def exceeded(self) -> tuple[str, ...]:
@@ -111,20 +147,15 @@ def verdict(
     if worst is not None:
         shares = variance_shares(calibration, worst.beam, reading, recording)
     failed = tuple(one for one in checks if not one.held)
-    code = _code(calibration, failed, harmful, excess)
+    careful = harmful is not None or bool(calibration.warnings)
+    code: Code = "usable-with-care" if careful else "usable"
+    if failed:
+        code = "outside-limits"
+    elif excess > 1.0:
+        code = "systematic-error"
     best = improvement(calibration, shares, harmful, failed)
-    return Verdict(
-        code in USABLE,
-        code,
-        _sentence(calibration, code, checks, harmful, worst, reading, best),
-        None if worst is None else worst.radius,
-        "" if worst is None else worst.beam,
-        reading,
-        best.words,
-        best.code,
-        checks,
-        shares,
-    )
+    found = Verdict(code, (), best, reading, worst, harmful, checks, shares)
+    return replace(found, findings=tuple(_findings(found, len(calibration.warnings))))
 
 
 def spot_shift(one: SystematicError, beam: int, reading: float) -> float:
@@ -162,70 +193,43 @@ def _most_harmful(
     return worst, max(most, 0.0)
 
 
-def _code(
-    calibration: Calibration,
-    failed: tuple[LimitCheck, ...],
-    harmful: SystematicError | None,
-    excess: float,
-) -> Code:
-    if failed:
-        return "outside-limits"
-    if harmful is not None and excess > 1.0:
-        return "systematic-error"
-    return "usable-with-care" if harmful is not None or calibration.warnings else "usable"
-
-
-def _sentence(
-    calibration: Calibration,
-    code: Code,
-    checks: tuple[LimitCheck, ...],
-    harmful: SystematicError | None,
-    worst: SpotError | None,
-    reading: float,
-    best: Improvement,
-) -> str:
-    parts = []
-    if code == "outside-limits":
-        parts.append(failures(checks))
-    if code == "systematic-error" and harmful is not None:
-        parts.append(_cut(harmful.message))
+def _findings(found: Verdict, warnings: int) -> Iterator[str]:
+    """Yield the parts of the sentence on what converged."""
+    worst = found.worst_spot
+    if found.code == "outside-limits":
+        yield failures(found.limits)
+    if found.code == "systematic-error" and found.harmful is not None:
+        yield _short(found.harmful.message)
     elif worst is not None:
-        parts.append(
-            f"laser spot within {_mm(worst.radius)} mm (95 %, beam {worst.beam} at {_mm(reading)} mm)"
-        )
-    if code in USABLE and checks:
-        nearest = max(checks, key=lambda one: one.ratio)
-        parts.append(f"within the limits ({nearest.comparison})")
-    if code == "usable-with-care" and calibration.warnings:
-        count = len(calibration.warnings)
-        parts.append(f"see the {'warning' if count == 1 else f'{count} warnings'}")
-    parts.append(f"best improvement: {_cut(best.words)}")
-    return f"{OPENING[code]}: {'; '.join(parts)}."
+        at = f"beam {worst.beam} at {_mm(found.reading)} mm"
+        yield f"laser spot within {_mm(worst.radius)} mm (95 %, {at})"
+    if found.usable and found.limits:
+        nearest = max(found.limits, key=lambda one: one.ratio)
+        yield f"within the limits ({nearest.comparison})"
+    if found.code == "usable-with-care" and warnings:
+        yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
+    yield best_improvement(found.best)
+
+
+def best_improvement(best: Improvement) -> str:
+    """Return the last part of a sentence."""
+    return f"best improvement: {_short(best.words)}"
 
 
 def _none(calibration: Calibration, reading: float) -> Verdict:
     """Return the verdict on what did not converge."""
-    open_ = calibration.status == "unobservable"
-    code: Code = "undetermined" if open_ else "not-converged"
-    advice = calibration.observability.advice
-    helps = advice[0] if open_ and advice else "look into the recording"
-    what = calibration.message
-    if open_ and calibration.observability.undetermined:
-        first, *more = calibration.observability.undetermined
-        what = first + (f", and {len(more)} more" if more else "")
-    sentence = f"{OPENING[code]}: {_cut(what)}"
-    if open_:
-        sentence += f"; {_cut(helps)}"
-    return Verdict(
-        False,
-        code,
-        sentence + ".",
-        None,
-        "",
-        reading,
-        helps,
-        "more-motion" if open_ else "recording",
+    found = calibration.observability
+    if calibration.status != "unobservable":
+        best = Improvement("recording", "look into the recording")
+        return Verdict("not-converged", (_short(calibration.message),), best, reading)
+    best = Improvement(
+        "more-motion", found.advice[0] if found.advice else "look into the recording"
     )
+    what = calibration.message
+    if found.undetermined:
+        first, *more = found.undetermined
+        what = first + (f", and {len(more)} more" if more else "")
+    return Verdict("undetermined", (_short(what), _short(best.words)), best, reading)
 
 
 def failures(checks: tuple[LimitCheck, ...]) -> str:
@@ -236,12 +240,9 @@ def failures(checks: tuple[LimitCheck, ...]) -> str:
     return ", ".join(one.failure for one in worst) + (f", and {more} more" if more else "")
 
 
-def _cut(words: str, longest: int = LONGEST) -> str:
-    """Return words without a full stop, cut at a word where they are too long for one line."""
-    words = words.rstrip(". ")
-    if len(words) <= longest:
-        return words
-    return words[: longest - 3].rsplit(" ", 1)[0] + " ..."
+def _short(words: str) -> str:
+    """Return words without a full stop, cut where they are too long for one line."""
+    return shorten(words.rstrip(". "), LONGEST, placeholder=" ...")
 
 
 def _mm(value: float) -> str:

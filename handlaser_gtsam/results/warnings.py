@@ -1,7 +1,7 @@
 """Signs that a result should not be believed, each in a sentence with what to look at."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
@@ -62,6 +62,7 @@ def misfit(
             "no-fit",
             f"the readings do not fit: residuals are {fit.sigma0:.3g} times as large as the sigmas "
             f"say; {CHECKS}, and for a sigma in the wrong unit",
+            {"sigma0": fit.sigma0},
         )
     if not plausible_range_errors(parameters, readings):
         return CalibrationWarning(
@@ -76,6 +77,7 @@ def misfit(
         "no-fit",
         f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
         f"{spread * 1e3:.3g} mm; {CHECKS}",
+        {"rms_m": fit.rms, "spread_m": spread},
     )
 
 
@@ -83,13 +85,14 @@ def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
     """Name a beam most of whose readings contradict the rest; None where there is none."""
     out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
     kept = (~np.isnan(fit.residuals)).sum(axis=0)
-    for name, count in zip(recording.beam_names, kept, strict=True):
+    for name, count in zip(recording.beam_names, kept.tolist(), strict=True):
         if out[name] > count:
             return CalibrationWarning(
                 "contradicting-beam",
-                f"{out[name]} of the {out[name] + int(count)} readings of beam {name} contradict the "
+                f"{out[name]} of the {out[name] + count} readings of beam {name} contradict the "
                 f"others: look for another unit, a swapped column or a loose sensor, or leave beam "
                 f"{name} out; {CHECKS}",
+                {"beam": name, "rejected": out[name], "readings": out[name] + count},
             )
     return None
 
@@ -102,7 +105,7 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     return bool(far or fit.rms > SUSPICIOUS_FIT * readings.spread())
 
 
-def doubts(
+def fit_warnings(
     readings: Readings,
     parameters: Parameters,
     fit: Fit,
@@ -111,74 +114,72 @@ def doubts(
     names: Sequence[str],
 ) -> tuple[CalibrationWarning, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
-    found = []
-    left_out = sum(r.reason not in BY_LIMITS for r in fit.rejected)
-    if left_out > MANY_LEFT_OUT * (fit.readings + left_out):
-        found.append(
-            CalibrationWarning(
-                "many-outliers",
-                f"{left_out} of {fit.readings + left_out} readings were left out as outliers: look "
-                "for their cause before you use the result",
-            )
+    treated = variances is not None and variances.pose is not None
+    return (
+        *_many_outliers(fit),
+        *_lengths(readings, parameters),
+        *_same_mounts(parameters, fit, names),
+        *_wrong_sigmas(fit, treated=treated),
+        *_pose_errors(fit, noise, treated=treated),
+        *_far_reading(fit),
+    )
+
+
+def _many_outliers(fit: Fit) -> Iterator[CalibrationWarning]:
+    rejected = sum(r.reason not in BY_LIMITS for r in fit.rejected)
+    total = fit.readings + rejected
+    if rejected > MANY_LEFT_OUT * total:
+        yield CalibrationWarning(
+            "many-outliers",
+            f"{rejected} of {total} readings were left out as outliers: look "
+            "for their cause before you use the result",
+            {"rejected": rejected, "readings": total},
         )
+
+
+def _lengths(readings: Readings, parameters: Parameters) -> Iterator[CalibrationWarning]:
+    """Yield warnings of lengths that look like millimetres."""
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         words = f"the median reading is {median:.0f} m; is the file in millimetres?"
-        found.append(CalibrationWarning("long-ranges", words))
+        yield CalibrationWarning("long-ranges", words, {"median_m": median})
     far = float(np.linalg.norm(parameters.locations, axis=1).max())
     if far > FAR_BEAM:
         words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
-        found.append(CalibrationWarning("far-beam", words))
-    found += _same_mounts(parameters, fit, names)
-    found += _doubts_of_noise(fit, noise, variances)
-    if fit.dof > 0 and fit.max_standardized_residual > FAR_READING:
-        station, beam = fit.max_standardized_residual_at
-        found.append(
-            CalibrationWarning(
-                "far-reading",
-                f"the reading of beam {beam} at station {station} is "
-                f"{fit.max_standardized_residual:.1f} sigmas off; leave it out if it is an outlier",
-            )
-        )
-    return tuple(found)
+        yield CalibrationWarning("far-beam", words, {"distance_m": far})
 
 
 def _same_mounts(
     parameters: Parameters, fit: Fit, names: Sequence[str]
-) -> list[CalibrationWarning]:
+) -> Iterator[CalibrationWarning]:
     """Warn of two beams in one place: a channel logged twice, with noise of its own."""
-    order = np.argsort(parameters.locations[:, 0], kind="stable")
-    found = []
-    for number, i in enumerate(order.tolist()):
-        for j in order[number + 1 :].tolist():
+    order = np.argsort(parameters.locations[:, 0], kind="stable").tolist()
+    for number, i in enumerate(order):
+        for j in order[number + 1 :]:
             apart = parameters.locations[j] - parameters.locations[i]
             if apart[0] > SAME_PLACE:
                 break
             turned = parameters.directions[j] - parameters.directions[i]
             near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
             if near and np.linalg.norm(turned) < SAME_WAY:
-                found.append(
-                    CalibrationWarning(
-                        "column-twice",
-                        f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "
-                        "are one channel logged twice, the standard deviations are too small, and one "
-                        "of the two is not calibrated",
-                    )
+                yield CalibrationWarning(
+                    "column-twice",
+                    f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "
+                    "are one channel logged twice, the standard deviations are too small, and one "
+                    "of the two is not calibrated",
+                    {"first": names[i], "second": names[j]},
                 )
-    return found
 
 
 def few_readings(redundancy: int, fit: Fit) -> tuple[CalibrationWarning, ...]:
     """Warn where the noise is estimated from few readings more than there are unknowns."""
     if fit.range_sigma_given or redundancy >= FEW:
         return ()
-    return (
-        CalibrationWarning(
-            "few-readings",
-            f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
-            "neither are the standard deviations; add stations, or give the range sigma",
-        ),
+    words = (
+        f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
+        "neither are the standard deviations; add stations, or give the range sigma"
     )
+    return (CalibrationWarning("few-readings", words, {"redundancy": redundancy}),)
 
 
 def noise_advice(fit: Fit) -> str:
@@ -187,6 +188,51 @@ def noise_advice(fit: Fit) -> str:
         f"the motion would be enough if the readings fitted better than {fit.rms * 1e3:.3g} mm rms: "
         f"{CHECKS}; otherwise add stations with more varied orientations"
     )
+
+
+def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
+    """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted."""
+    if not (fit.range_sigma_given and fit.dof > 0):
+        return
+    larger = float(chi2_distribution.sf(fit.chi2, fit.dof))
+    smaller = float(chi2_distribution.cdf(fit.chi2, fit.dof))
+    if larger < UNLIKELY:
+        remedy = "" if treated else "state the robot's sigmas or "
+        yield CalibrationWarning(
+            "sigmas-too-small",
+            f"residuals are {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
+            "sigma is too small or the model does not hold, and the standard deviations are "
+            f"too small; {remedy}estimate the noise",
+            {"sigma0": fit.sigma0, "p_value": larger},
+        )
+    elif smaller < UNLIKELY:
+        yield CalibrationWarning(
+            "sigmas-too-large",
+            f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 "
+            "test): a sigma is too large, and so are the standard deviations",
+            {"sigma0": fit.sigma0, "p_value": smaller},
+        )
+
+
+def _pose_errors(fit: Fit, noise: Noise, *, treated: bool) -> Iterator[CalibrationWarning]:
+    """Warn of errors of the robot where they are not `treated`, that is counted."""
+    if treated:
+        return
+    together = _going_together(fit)
+    if together > FAR_TOGETHER:
+        yield CalibrationWarning(
+            "poses-err",
+            f"residuals of one station go together ({together:.0f} standard deviations): the "
+            "hand poses err, and the standard deviations are too small; state the robot's "
+            "sigmas or estimate the noise",
+            {"standard_deviations": together},
+        )
+    if noise.poses_uncertain:
+        yield CalibrationWarning(
+            "poses-taken-as-exact",
+            "hand poses were taken as exact although their sigma is not zero: the standard "
+            "deviations are too small",
+        )
 
 
 def _going_together(fit: Fit) -> float:
@@ -205,51 +251,12 @@ def _going_together(fit: Fit) -> float:
     return products / (variance * float(np.sqrt(pairs)))
 
 
-def _doubts_of_noise(
-    fit: Fit, noise: Noise, variances: Variances | None
-) -> list[CalibrationWarning]:
-    found = []
-    treated = variances is not None and variances.pose is not None
-    if fit.range_sigma_given and fit.dof > 0:
-        if chi2_distribution.sf(fit.chi2, fit.dof) < UNLIKELY:
-            remedy = (
-                "estimate the noise"
-                if treated
-                else "state the robot's sigmas or estimate the noise"
-            )
-            found.append(
-                CalibrationWarning(
-                    "sigmas-too-small",
-                    f"residuals are {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
-                    "sigma is too small or the model does not hold, and the standard deviations are "
-                    f"too small; {remedy}",
-                )
-            )
-        elif chi2_distribution.cdf(fit.chi2, fit.dof) < UNLIKELY:
-            found.append(
-                CalibrationWarning(
-                    "sigmas-too-large",
-                    f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 "
-                    "test): a sigma is too large, and so are the standard deviations",
-                )
-            )
-    if variances is None or variances.pose is None:
-        together = _going_together(fit)
-        if together > FAR_TOGETHER:
-            found.append(
-                CalibrationWarning(
-                    "poses-err",
-                    f"residuals of one station go together ({together:.0f} standard deviations): the "
-                    "hand poses err, and the standard deviations are too small; state the robot's "
-                    "sigmas or estimate the noise",
-                )
-            )
-    if noise.poses_uncertain and not treated:
-        found.append(
-            CalibrationWarning(
-                "poses-taken-as-exact",
-                "hand poses were taken as exact although their sigma is not zero: the standard "
-                "deviations are too small",
-            )
+def _far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
+    if fit.dof > 0 and fit.max_standardized_residual > FAR_READING:
+        station, beam = fit.max_standardized_residual_at
+        yield CalibrationWarning(
+            "far-reading",
+            f"the reading of beam {beam} at station {station} is {fit.max_standardized_residual:.1f} "
+            "sigmas off; leave it out if it is an outlier",
+            {"station": station, "beam": beam, "sigmas": fit.max_standardized_residual},
         )
-    return found

@@ -14,6 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN, Loss
+from .progress import tell
 from .reduction import apply_step, damped_step, normal_equations
 
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
@@ -107,6 +108,7 @@ def refine_many(
     share = max(ROWS // max(len(readings), 1), 1)
     found: list[Refined | None] = []
     for first in range(0, len(starts), share):
+        tell("search")
         search = _Search(starts[first : first + share], readings, terms, loss, scale)
         found += search.run(iterations)
     return found

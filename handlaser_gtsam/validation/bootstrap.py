@@ -6,8 +6,7 @@ over, every draw takes those of a component of the mixture; a prior of range err
 like the readings, and is drawn with them.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +24,9 @@ from ..estimation.options import CalibrationOptions, RangeError
 from ..estimation.solve import solve
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
+from ..results.used import used_recording
 from ..simulation.simulate import read_back
+from ..solvers.progress import Listener, tell, told_to
 
 MOST_DRAWS = 10_000_000
 """More do not fit into memory."""
@@ -57,7 +58,7 @@ def bootstrap(
     noise: Noise,
     rng: np.random.Generator,
     count: int = 200,
-    step: Callable[[], None] | None = None,
+    progress: Listener | None = None,
 ) -> Bootstrap:
     """Draw `count` recordings from a calibration of `recording`, and solve each.
 
@@ -70,8 +71,8 @@ def bootstrap(
         The one of the calibration.
     rng : numpy.random.Generator
     count : int
-    step : callable, optional
-        Called after every draw.
+    progress : callable, optional
+        Called with a `Progress` before every draw, and with every trial step of the solver.
 
     Raises
     ------
@@ -85,16 +86,13 @@ def bootstrap(
     if calibration.covariance is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     require_count("count of draws", count, 2, MOST_DRAWS)
-    readings, at = _used(calibration, recording)
-    variances = calibration.variances
-    if variances is None:
-        variances = Variances(np.full(readings.beams, calibration.fit.range_sigma))
+    source = _Source.of(calibration, recording, noise)
     draws = []
-    for _ in range(count):
-        one = _one_draw(calibration, readings, at, (variances, noise), rng)
-        draws += [] if one is None else [one]
-        if step is not None:
-            step()
+    with told_to(progress):
+        for number in range(count):
+            tell("bootstrap", number, count)
+            one = source.draw(rng)
+            draws += [] if one is None else [one]
     if len(draws) < 2:
         raise InputError(f"{len(draws)} of {count} draws that converged", "two or more")
     sigma = np.array([beam.sigma for beam in calibration.beams.values()])
@@ -103,46 +101,67 @@ def bootstrap(
     return Bootstrap(np.array(draws), count - len(draws), ratio)
 
 
-def _one_draw(
-    calibration: Calibration,
-    readings: Readings,
-    at: Parameters,
-    noise: tuple[Variances, Noise],
-    rng: np.random.Generator,
-) -> FloatArray | None:
-    """Return the beams (B, 8) of one draw; None where it is not solved."""
-    variances, given = noise
-    learned, mixture, prior, shift = calibration.learned, calibration.mixture, None, None
-    if learned is not None and mixture is not None:
-        c = int(rng.choice(len(mixture.weight), p=mixture.weight))
-        j, g = mixture.members[c]
-        variances, shift = _variances(learned, variances, learned.points[j]), mixture.means[c]
-        if learned.linearity is not None:
-            sigma = learned.grid.total()[g] / np.array([1.0, learned.length])
-            spread = np.tile(sigma, (readings.beams, 1))
-            mean = at.range_errors + spread * rng.standard_normal(spread.shape)
-            prior = RangeErrorPrior(spread, mean)
-    ranges = variances.range_sigma
-    known = Noise(
-        float(np.median(ranges)),
-        0.0 if variances.pose is None else None,
-        0.0 if variances.pose is None else None,
-        given.incidence_sigma,
-        variances.pose,
-    )
-    terms = max(beam.terms for beam in calibration.beams.values())
-    poses = calibration.fit.poses
-    options = CalibrationOptions(TERMS[terms], poses="auto" if poses == "exact" else poses)
-    try:
-        drawn = _drawn(readings, at, variances, rng)
-        found = solve(drawn, at, known, options, prior=prior)
-    except (GrazingBeamError, InputError):
-        return None
-    if found.result.status != "converged" or not found.observability.full:
-        return None
-    p = found.parameters
-    beams = np.hstack((p.locations, p.directions, p.range_errors))
-    return beams if shift is None else beams + shift
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """What recordings are drawn from: the readings used, and the solution and variances behind them.
+
+    Planes stand in frames amid their stations.
+    """
+
+    calibration: Calibration
+    readings: Readings
+    at: Parameters
+    variances: Variances
+    noise: Noise
+    options: CalibrationOptions
+
+    @classmethod
+    def of(cls, calibration: Calibration, recording: Recording, noise: Noise) -> "_Source":
+        readings = used_recording(calibration, recording).readings()
+        origins = readings.plane_means(readings.world_t_hand)
+        variances = calibration.variances
+        if variances is None:
+            variances = Variances(np.full(readings.beams, calibration.fit.range_sigma))
+        terms = max(beam.terms for beam in calibration.beams.values())
+        poses = calibration.fit.poses
+        return cls(
+            calibration,
+            readings.seen_from(origins),
+            calibration.parameters().seen_from(origins),
+            variances,
+            noise,
+            CalibrationOptions(TERMS[terms], poses="auto" if poses == "exact" else poses),
+        )
+
+    def draw(self, rng: np.random.Generator) -> FloatArray | None:
+        """Return the beams (B, 8) of one draw; None where it is not solved."""
+        learned, mixture = self.calibration.learned, self.calibration.mixture
+        variances, prior, shift = self.variances, None, None
+        if learned is not None and mixture is not None:
+            c = int(rng.choice(len(mixture.weight), p=mixture.weight))
+            j, g = mixture.members[c]
+            variances, shift = _variances(learned, variances, learned.points[j]), mixture.means[c]
+            if learned.linearity is not None:
+                sigma = learned.grid.total()[g] / np.array([1.0, learned.length])
+                spread = np.tile(sigma, (self.readings.beams, 1))
+                mean = self.at.range_errors + spread * rng.standard_normal(spread.shape)
+                prior = RangeErrorPrior(spread, mean)
+        pose = variances.pose
+        exact = 0.0 if pose is None else None
+        sigma = float(np.median(variances.range_sigma))
+        known = Noise(sigma, exact, exact, self.noise.incidence_sigma, pose)
+        try:
+            drawn = _drawn(self.readings, self.at, variances, rng)
+            found = solve(drawn, self.at, known, self.options, prior=prior)
+        except (GrazingBeamError, InputError):
+            return None
+        if found.result.status == "interrupted":
+            raise KeyboardInterrupt
+        if found.result.status != "converged" or not found.observability.full:
+            return None
+        p = found.parameters
+        beams = np.hstack((p.locations, p.directions, p.range_errors))
+        return beams if shift is None else beams + shift
 
 
 def _variances(learned: LearnedScales, used: Variances, u: FloatArray) -> Variances:
@@ -153,16 +172,6 @@ def _variances(learned: LearnedScales, used: Variances, u: FloatArray) -> Varian
         return Variances(ranges, used.incidence_sigma)
     factor = np.divide(now.pose, then.pose, out=np.ones(6), where=then.pose > 0.0)
     return Variances(ranges, used.incidence_sigma, used.pose * np.outer(factor, factor))
-
-
-def _used(calibration: Calibration, recording: Recording) -> tuple[Readings, Parameters]:
-    """Return the readings that were used and the solution, planes in frames amid their stations."""
-    all_of_them = (calibration.recording or recording).readings()
-    kept = ~np.isnan(calibration.fit.residuals[all_of_them.station, all_of_them.beam])
-    readings = all_of_them.subset(np.flatnonzero(kept))
-    origins = readings.plane_means(readings.world_t_hand)
-    at = calibration.parameters()
-    return readings.seen_from(origins), at.seen_from(origins)
 
 
 def _drawn(
@@ -188,14 +197,4 @@ def _drawn(
     d = d + spread * rng.standard_normal(len(d))
     if readings.distance.min() > 0.0 and (d <= 0.0).any():
         raise InputError("a drawn reading that is not positive", "ranges far above their sigma")
-    return Readings(
-        readings.station,
-        readings.beam,
-        readings.plane,
-        d,
-        readings.world_R_hand,
-        readings.world_t_hand,
-        readings.beams,
-        readings.planes,
-        readings.samples,
-    )
+    return replace(readings, distance=d)

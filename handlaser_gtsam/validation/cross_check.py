@@ -1,16 +1,20 @@
 """Does an independent solver agree? Differences in units of the standard deviation."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_kind
+from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
+from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
-from ..solvers.reference import ReferenceNoise, solve_reference
+from ..results.used import used_recording
+from ..solvers.reference import ReferenceNoise, ReferenceSolution, solve_reference
 from ..starts import find_start
 
 
@@ -55,10 +59,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
-    recording = calibration.recording or recording
-    used = replace(
-        recording, ranges=np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
-    )
+    used = used_recording(calibration, recording)
     start = find_start(used.readings()).parameters
     terms = tuple(beam.terms for beam in calibration.beams.values())
     variances, noise = calibration.variances, None
@@ -71,32 +72,44 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
         raise InputError("a calibration without covariance", "a converged one")
-    of_beams, of_planes = joint.all_beams(), joint.all_planes()
-    found = reference.parameters
     variance = calibration.fit.range_sigma**2 if variances is None else 1.0
-    rows: list[tuple[str, float, float]] = []
-    for i, beam in enumerate(calibration.beams.values()):
-        mine = np.concatenate((own.locations[i], own.directions[i], own.range_errors[i]))
-        other = np.concatenate((found.locations[i], found.directions[i], found.range_errors[i]))
-        covariance = variance * reference.beam_covariances[i]
+    rows = list(_rows(calibration, own, joint, reference, variance))
+    worst = max(rows, key=lambda row: row[1])
+    worst_sigma = max(rows, key=lambda row: row[2])
+    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)
+
+
+def _rows(
+    calibration: Calibration,
+    own: Parameters,
+    joint: JointCovariance,
+    reference: ReferenceSolution,
+    variance: float,
+) -> Iterator[tuple[str, float, float]]:
+    """Yield the rows of `_compare` of every beam and plane; `variance` is that of a reading."""
+    found = reference.parameters
+    difference = np.hstack(
+        (
+            own.locations - found.locations,
+            own.directions - found.directions,
+            own.range_errors - found.range_errors,
+        )
+    )
+    theirs = variance * reference.beam_covariances
+    for i, (beam, mine) in enumerate(
+        zip(calibration.beams.values(), joint.all_beams(), strict=True)
+    ):
         for label, part in (
             ("location", slice(0, 3)),
             ("direction", slice(3, 6)),
             ("range error", slice(6, 6 + beam.terms)),
         ):
-            rows += _compare(
-                f"beam {beam.name} {label}", mine - other, of_beams[i], covariance, part
-            )
-    for p, plane in enumerate(calibration.planes.values()):
-        difference = np.append(own.normals[p] - found.normals[p], own.offsets[p] - found.offsets[p])
-        covariance = variance * reference.plane_covariances[p]
+            yield from _compare(f"beam {beam.name} {label}", difference[i], mine, theirs[i], part)
+    difference = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
+    theirs = variance * reference.plane_covariances
+    for p, (name, mine) in enumerate(zip(calibration.planes, joint.all_planes(), strict=True)):
         for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
-            rows += _compare(
-                f"plane {plane.name} {label}", difference, of_planes[p], covariance, part
-            )
-    worst = max(rows, key=lambda row: row[1])
-    worst_sigma = max(rows, key=lambda row: row[2])
-    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)
+            yield from _compare(f"plane {name} {label}", difference[p], mine, theirs[p], part)
 
 
 def _compare(

@@ -29,6 +29,7 @@ from ..data.value import Value
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
+from ..solvers.progress import tell
 from ..solvers.reduction import apply_step, normal_equations
 from ..starts.partial import PartialStart, grow
 
@@ -121,6 +122,7 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     require_kind("mounts", mounts, Mounts)
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
+    tell("hold-out")
     noise = noise.reordered(np.arange(len(recording.plane_labels)))
     mounts = mounts.arranged(recording.beam_names)
     readings = recording.readings()

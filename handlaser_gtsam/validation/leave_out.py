@@ -4,7 +4,7 @@ Every reading that was left out as an outlier of the whole recording stays out. 
 own standard deviation, from the reading, the pose, and the beams and planes behind it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,16 +22,15 @@ from ..model.weighting import Variances, reading_sigmas
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
+from ..results.spots import axes_of_plane
+from ..results.used import used_recording
+from ..solvers.progress import Listener, tell, told_to
 from .hold_out import HoldOut, hold_out
 
 TRAINING = 0.7
 """Part of the stations of every plane that a split calibrates with."""
-LEAST_SPREAD = 1e-6
-"""Spots nearer to a line than this part of their extent span no plane."""
 MOST_SPLITS = 10_000
 """More tell nothing new: their spread is known to a hundredth."""
-
-Step = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -95,7 +94,7 @@ def validate(
     *,
     splits: int = 5,
     rng: np.random.Generator | None = None,
-    step: Step | None = None,
+    progress: Listener | None = None,
 ) -> Validation:
     """Validate the calibration of a recording by leaving parts of it out.
 
@@ -108,8 +107,8 @@ def validate(
         Random 70/30 splits.
     rng : numpy.random.Generator, optional
         Chooses the splits; the same ones each time where not given.
-    step : callable, optional
-        Told the name of every calibration before it is made.
+    progress : callable, optional
+        Called with a `Progress` before every calibration, and in every phase of each.
 
     Raises
     ------
@@ -118,36 +117,48 @@ def validate(
     SolverError
         The whole recording gives no calibration.
     """
-    noise = Noise() if noise is None else noise
-    options = CalibrationOptions() if options is None else options
     require_count("splits", splits, 0, MOST_SPLITS)
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
-    step = step or (lambda _: None)
-    step("everything")
-    whole = calibrate(recording, noise, options)
+    with told_to(progress):
+        return _validated(
+            recording,
+            Noise() if noise is None else noise,
+            CalibrationOptions() if options is None else options,
+            splits,
+            rng or np.random.default_rng(0),
+        )
+
+
+def _validated(
+    recording: Recording,
+    noise: Noise,
+    options: CalibrationOptions,
+    splits: int,
+    rng: np.random.Generator,
+) -> Validation:
+    planes = recording.plane_names if len(recording.plane_names) > 1 else ()
+    total = 2 + len(planes) + splits
+    tell("leave-out", 0, total, "everything")
+    whole = _calibrated(recording, noise, options)
     if whole.status != "converged":
         raise SolverError(f"no calibration to validate: {whole.message}")
-    recording = whole.recording or recording
-    kept = replace(
-        recording, ranges=np.where(np.isnan(whole.fit.residuals), np.nan, recording.ranges)
-    )
+    kept = used_recording(whole, recording)
     keep = replace(options, outliers="keep")
-    planes = []
-    for plane in recording.plane_names if len(recording.plane_names) > 1 else ():
-        step(f"without plane {plane}")
-        planes.append(_without(kept, plane, noise, keep))
+    left_out = []
+    for number, plane in enumerate(planes):
+        tell("leave-out", 1 + number, total, f"without plane {plane}")
+        left_out.append(_without(kept, plane, noise, keep))
     predictions = []
-    rng = rng or np.random.default_rng(0)
     for number in range(splits):
-        step(f"split {number + 1}")
+        tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
         one = _split(kept, noise, keep, rng)
-        predictions += [one] if one is not None else []
-    step("without range error")
-    bare = calibrate(kept, noise, replace(keep, range_error="none"))
+        predictions += [] if one is None else [one]
+    tell("leave-out", total - 1, total, "without range error")
+    bare = _calibrated(kept, noise, replace(keep, range_error="none"))
     return Validation(
         whole,
-        tuple(planes),
+        tuple(left_out),
         tuple(predictions),
         reconstruction(whole, kept),
         reconstruction(bare, kept),
@@ -159,8 +170,7 @@ def _without(
 ) -> PlaneLeftOut:
     mine = np.array([label == plane for label in recording.plane_labels])
     try:
-        rest, seen = _part(recording, noise, ~mine)
-        found = calibrate(rest, seen, options)
+        found = _calibrated(*_part(recording, noise, ~mine), options)
         if found.status != "converged":
             return PlaneLeftOut(plane, None, found.message)
         own, seen = _part(recording, noise, mine)
@@ -168,6 +178,14 @@ def _without(
         return PlaneLeftOut(plane, hold_out(Mounts.of(found), own, seen), "")
     except InputError as error:
         return PlaneLeftOut(plane, None, str(error))
+
+
+def _calibrated(recording: Recording, noise: Noise, options: CalibrationOptions) -> Calibration:
+    """Calibrate; Ctrl-C ends everything."""
+    found = calibrate(recording, noise, options)
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return found
 
 
 def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
@@ -270,11 +288,10 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
         X = spots[station, read[station]]
         if len(X) < 3:
             continue
-        middle = X.mean(axis=0)
-        _, size, axes = np.linalg.svd(X - middle)
-        if size[1] <= LEAST_SPREAD * size[0]:
+        axes = axes_of_plane(X)
+        if axes is None:
             continue
-        n = axes[2]
+        middle, n = X.mean(axis=0), axes[2]
         others = read & (np.arange(len(rows)) != station)[:, None]
         m, b = np.nonzero(others)
         n_hand = np.einsum("mji,j->mi", R[m], n)

@@ -5,8 +5,11 @@ from dataclasses import replace
 from ..data.recording import Recording
 from ..results.limits import Limits, rms_checked
 from ..results.significance import chance, contradicted
-from ..results.verdict import OPENING, Code, Verdict, failures, verdict
+from ..results.verdict import Verdict, best_improvement, failures, verdict
 from .leave_out import Validation
+
+SHOWN = 4
+"""Planes that are named in one list."""
 
 
 def verdict_of_validation(
@@ -27,33 +30,22 @@ def verdict_of_validation(
         for plane, result in left_out.items()
         for check in rms_checked(f"without plane {plane}", result.rms, limits or Limits())
     )
-    found = replace(found, limits=(*found.limits, *checks))
     p_values = {plane: result.p_value for plane, result in left_out.items()}
-    against = contradicted(p_values)
-    end = f"; best improvement: {found.improvement}"
+    against, last = contradicted(p_values), best_improvement(found.best)
+    found = replace(found, limits=(*found.limits, *checks), contradicted_by=against)
     if not found.usable:
         return found
     if against:
-        rarest = min(p_values[plane] for plane in against)
-        planes = f"plane{'s' if len(against) > 1 else ''} {_some(against)}"
-        verb = "contradict" if len(against) > 1 else "contradicts"
-        words = (
-            f"{planes} {verb} the beams found without it (by chance {chance(rarest)} recordings)"
-        )
-        return _rejected(found, "contradicted", words + end)
+        rarest = chance(min(p_values[plane] for plane in against))
+        words = f"{_planes(against)} the beams found without it (by chance {rarest} recordings)"
+        return replace(found, code="contradicted", findings=(words, last))
     if found.exceeded:
-        return _rejected(found, "outside-limits", failures(found.limits) + end)
-    if not p_values:
-        return found
-    tested = "1 plane" if len(p_values) == 1 else f"{len(p_values)} planes"
-    confirmed = f"{OPENING[found.code]}, confirmed by {tested} left out"
-    return replace(found, sentence=found.sentence.replace(OPENING[found.code], confirmed, 1))
+        return replace(found, code="outside-limits", findings=(failures(found.limits), last))
+    return replace(found, confirmed_by=len(p_values))
 
 
-def _rejected(found: Verdict, code: Code, words: str) -> Verdict:
-    return replace(found, usable=False, code=code, sentence=f"{OPENING[code]}: {words}.")
-
-
-def _some(names: tuple[str, ...], most: int = 4) -> str:
-    shown = ", ".join(names[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+def _planes(names: tuple[str, ...]) -> str:
+    if len(names) == 1:
+        return f"plane {names[0]} contradicts"
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"planes {', '.join(names[:SHOWN])}{more} contradict"

@@ -1,0 +1,53 @@
+"""What a verb answers: tables or JSON on stdout, warnings and what went wrong on stderr."""
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import typer
+
+UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
+"""Exit codes: no calibration; a calibration that is not to be used; stopped by Ctrl-C."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is said once everything is computed.
+
+    Attributes
+    ----------
+    json : str
+        For programs.
+    show : callable
+        Prints what a person sees.
+    warnings : lines
+    failure : (int, str) or None
+        The exit code of the contract, and what went wrong.
+    """
+
+    json: str
+    show: Callable[[], None]
+    warnings: Iterable[str] = ()
+    failure: tuple[int, str] | None = None
+
+    def give(self, *, json: bool, quiet: bool = False) -> None:
+        """Print, and leave with the exit code where something went wrong."""
+        for line in self.warnings:
+            print(line, file=sys.stderr)
+        if json:
+            sys.stdout.write(self.json)
+        elif not quiet:
+            self.show()
+        if self.failure is not None:
+            code, words = self.failure
+            if code != INTERRUPTED:  # that is said where Ctrl-C ends up
+                print(f"handlaser: {words}", file=sys.stderr)
+            raise typer.Exit(code)
+
+
+def print_wrapped(lines: Iterable[str]) -> None:
+    """Print lines of bounded width."""
+    from .lines import wrapped
+
+    for line in lines:
+        print("\n".join(wrapped(line)))

@@ -1,0 +1,171 @@
+"""Options that several verbs share, in groups, and what becomes of them.
+
+A verb takes a group as one argument; `expanded` gives the command line one option a field.
+"""
+
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ..data.noise import Noise
+    from ..estimation.options import CalibrationOptions
+    from ..files.rig_toml import Rig
+
+MM, DEG = 1e-3, math.pi / 180.0
+
+
+class RangeErrorChoice(StrEnum):
+    """Values of --range-error."""
+
+    auto = "auto"
+    none = "none"
+    k1 = "k1"
+    k1k2 = "k1k2"
+
+
+class PosesChoice(StrEnum):
+    """Values of --poses."""
+
+    auto = "auto"
+    exact = "exact"
+    marginalised = "marginalised"
+    estimated = "estimated"
+
+
+RecordingArgument = Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What is known of noise and sensor: the rig file, and what the command line says instead."""
+
+    rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise, sensor, limits.")] = None
+    range_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
+    ] = None
+    pose_translation_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Sigma of the hand position an axis, mm; estimated if not given."),
+    ] = None
+    pose_rotation_sigma_deg: Annotated[
+        float | None,
+        typer.Option(
+            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
+        ),
+    ] = None
+    incidence_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Added to a reading's sigma times the tangent of the incidence, mm."),
+    ] = None
+    range_mm: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
+    ] = None
+    max_incidence_deg: Annotated[
+        float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
+    ] = None
+
+    def read(self) -> "Rig":
+        """Return the rig file with what the command line says instead."""
+        from ..files.rig_toml import Rig, read_rig
+
+        known = Rig() if self.rig is None else read_rig(self.rig)
+        sensor = known.sensor
+        if self.range_mm is not None:
+            least, most = self.range_mm
+            sensor = replace(sensor, range_min=least * MM, range_max=most * MM)
+        if self.max_incidence_deg is not None:
+            sensor = replace(sensor, max_incidence=math.radians(self.max_incidence_deg))
+        return replace(known, noise=self._noise(known.noise), sensor=sensor)
+
+    def _noise(self, known: "Noise") -> "Noise":
+        from ..files.rig_toml import scaled
+
+        shift, turn = self.pose_translation_sigma_mm, self.pose_rotation_sigma_deg
+        return replace(
+            known,
+            range_sigma=scaled(self.range_sigma_mm, MM, known.range_sigma),
+            pose_translation_sigma=scaled(shift, MM, known.pose_translation_sigma),
+            pose_rotation_sigma=scaled(turn, DEG, known.pose_rotation_sigma),
+            incidence_sigma=scaled(self.incidence_sigma_mm, MM, known.incidence_sigma),
+            pose_covariance=known.pose_covariance if shift is None and turn is None else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What is estimated."""
+
+    range_error: Annotated[
+        RangeErrorChoice,
+        typer.Option(
+            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
+            "of zero mean whose scales are learned from all beams."
+        ),
+    ] = RangeErrorChoice.auto
+    poses: Annotated[
+        PosesChoice,
+        typer.Option(
+            help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
+            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
+        ),
+    ] = PosesChoice.auto
+    estimate_noise: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-noise",
+            help="Estimate the sigmas of ranges and poses even where they are given.",
+        ),
+    ] = False
+    range_sigma_by_beam: Annotated[
+        bool,
+        typer.Option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
+    ] = False
+
+    def options(self, rig: "Rig") -> "CalibrationOptions":
+        """Return the options of a calibration with the sensor of `rig`."""
+        from ..estimation.options import CalibrationOptions
+
+        return CalibrationOptions(
+            self.range_error.value,
+            poses=self.poses.value,
+            range_sigma_by_beam=self.range_sigma_by_beam,
+            estimate_noise=self.estimate_noise,
+            sensor=rig.sensor,
+        )
+
+
+def expanded(verb: Callable[..., None]) -> Callable[..., None]:
+    """Return a verb that takes the fields of its groups, instead of the groups, by keyword."""
+    groups: dict[str, Callable[..., object]] = {}
+    parameters: list[inspect.Parameter] = []
+    for one in inspect.signature(verb).parameters.values():
+        if hasattr(one.annotation, "__dataclass_fields__"):
+            groups[one.name] = one.annotation
+            parameters += inspect.signature(one.annotation).parameters.values()
+        else:
+            parameters.append(one)
+
+    @functools.wraps(verb)
+    def flat(**values: object) -> None:
+        for name, group in groups.items():
+            mine = inspect.signature(group).parameters
+            values[name] = group(**{field: values.pop(field) for field in mine})
+        verb(**values)
+
+    flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    flat.__annotations__ = {one.name: one.annotation for one in parameters}
+    return flat

@@ -1,0 +1,63 @@
+"""Ctrl-C ends the command with one line and exit code 130, whenever it comes.
+
+It raises KeyboardInterrupt as ever, so that a solver hands over what it has and a file that is not
+whole is taken away. In the midst of an import it ends the process at once instead: nothing is to be
+tidied there, and the import of a compiled library turns the exception into any other.
+"""
+
+import atexit
+import os
+import signal
+from types import FrameType, TracebackType
+
+WORDS = "stopped by Ctrl-C"
+CLEAR = "\r\x1b[K"
+"""Takes away what stands in the line of a terminal."""
+INTERRUPTED = 130
+IMPORTING = "<frozen importlib._bootstrap>"
+
+
+class Stopping:
+    """A context in which Ctrl-C is noticed, whatever becomes of the KeyboardInterrupt.
+
+    Attributes
+    ----------
+    asked : bool
+        Whether the command is to stop; there is one command in a process.
+    """
+
+    asked = False
+
+    def __init__(self) -> None:
+        self._before = signal.getsignal(signal.SIGINT)
+
+    def __enter__(self) -> "Stopping":
+        Stopping.asked = False
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._stop)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._before is not None:
+            # Run first of all that is run at the end of the process: its exit code stands by now.
+            atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGINT, self._before)
+
+    def _stop(self, _number: int, frame: FrameType | None) -> None:
+        Stopping.asked = True
+        if not _importing(frame):
+            raise KeyboardInterrupt
+        clear = CLEAR if os.isatty(2) else ""
+        os.write(2, f"{clear}handlaser: {WORDS}\n".encode())
+        os._exit(INTERRUPTED)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None and frame.f_code.co_filename != IMPORTING:
+        frame = frame.f_back
+    return frame is not None

@@ -1,0 +1,73 @@
+"""A sign of life on the terminal while a verb computes."""
+
+import shutil
+import sys
+import threading
+import time
+from types import TracebackType
+
+from ..solvers.progress import Progress, told_to
+from .stopping import CLEAR, Stopping
+
+FIRST, NEXT = 1.0, 0.2
+"""Seconds until the sign appears, and from one to the next."""
+PHASES = {
+    "search": "looking for a start",
+    "solve": "solving",
+    "scales": "estimating the noise",
+    "tests": "testing for systematic errors",
+    "hold-out": "testing the calibration",
+    "leave-out": "leaving out",
+    "planes": "adding planes",
+}
+
+
+class Working:
+    """A context that shows what is computed, in one line of stderr; only where that is a terminal.
+
+    It listens to the progress of all that is computed in it. The line is gone when the context ends.
+    """
+
+    def __init__(self) -> None:
+        self._part, self._phase, self._shown = "", "starting", False
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._listening = told_to(self._listen)
+
+    def __enter__(self) -> None:
+        self._listening.__enter__()
+        if sys.stderr is not None and sys.stderr.isatty():
+            self._thread = threading.Thread(
+                target=self._show, args=(time.monotonic(),), daemon=True
+            )
+            self._thread.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._listening.__exit__(kind, error, trace)
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+        if self._shown:
+            print(CLEAR, end="", file=sys.stderr, flush=True)
+
+    def _listen(self, told: Progress) -> None:
+        if told.total and Stopping.asked:  # a part was stopped: no other one begins
+            raise KeyboardInterrupt
+        words = PHASES.get(told.phase, told.phase)
+        if told.total:
+            self._part = f"{told.name or words} ({told.done + 1} of {told.total}): "
+        else:
+            self._phase = words
+
+    def _show(self, began: float) -> None:
+        wait = FIRST
+        while not self._over.wait(wait):
+            line = f"handlaser: {self._part}{self._phase}, {time.monotonic() - began:.0f} s"
+            width = shutil.get_terminal_size().columns - 1
+            print(CLEAR + line[:width], end="", file=sys.stderr, flush=True)
+            self._shown, wait = True, NEXT

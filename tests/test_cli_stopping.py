@@ -1,0 +1,105 @@
+"""Ctrl-C at any moment, and the sign of life of a command that computes."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from helpers import simulated
+
+from handlaser_gtsam.cli.stopping import Stopping
+from handlaser_gtsam.cli.working import FIRST, Working
+from handlaser_gtsam.files.recording_csv import write_recording
+from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.solvers.progress import tell
+
+READY = """
+import signal
+from handlaser_gtsam.cli import main
+install = signal.signal
+def installed(*arguments):
+    before = install(*arguments)
+    print("ready", flush=True)
+    return before
+signal.signal = installed
+main()
+"""
+CLEAR = b"\r\x1b[K"
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory):
+    """A recording whose validation takes much longer than any test waits."""
+    path = tmp_path_factory.mktemp("long") / "recording.csv"
+    write_recording(path, simulated(layout=Layout(beams=6, planes=40))[0])
+    return path
+
+
+def commands(recording, folder):
+    return {
+        "calibrate": ["calibrate", recording, "--out", folder / "result.json", "-q"],
+        "calibrate --incremental": ["calibrate", recording, "--incremental"],
+        "validate": ["validate", recording],
+        "simulate": ["simulate", folder / "scene", "--planes", "3000", "--stations", "300"],
+    }
+
+
+def stopped(arguments, seconds):
+    """Send SIGINT so many seconds after the command has begun; return code, stdout and stderr."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", READY, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2, 0.6, 1.6])
+@pytest.mark.parametrize(
+    "command", ["calibrate", "calibrate --incremental", "validate", "simulate"]
+)
+def test_a_stop_at_any_moment_is_one_line_and_130(long, tmp_path, command, seconds):
+    code, _, err = stopped(commands(long, tmp_path)[command], seconds)
+    assert (code, err) == (130, "handlaser: stopped by Ctrl-C\n")
+    assert not list(tmp_path.rglob(".handlaser-*"))
+    result = tmp_path / "result.json"
+    assert not result.exists() or result.read_text().endswith("}\n")
+
+
+def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tmp_path):
+    screen, terminal = pty.openpty()
+    arguments = commands(long, tmp_path)["validate"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "handlaser_gtsam.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=terminal,
+    )
+    os.close(terminal)
+    began, shown = time.monotonic(), b""
+    while b" s" not in shown:
+        shown += os.read(screen, 1000)
+    assert time.monotonic() - began >= FIRST
+    assert shown.startswith(CLEAR + b"handlaser: ")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 130
+    shown += os.read(screen, 1000)
+    os.close(screen)
+    *_, last = shown.split(CLEAR)
+    assert last == b"handlaser: stopped by Ctrl-C\r\n"
+    assert process.communicate()[0] == b""
+
+
+def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
+    monkeypatch.setattr(Stopping, "asked", True)
+    with Working():
+        tell("solve")
+        with pytest.raises(KeyboardInterrupt):
+            tell("leave-out", 1, 3)

@@ -1,0 +1,90 @@
+"""What long computations tell their caller."""
+
+import numpy as np
+import pytest
+from helpers import GRIPPER
+
+import handlaser_gtsam as hl
+
+EXACT = hl.CalibrationOptions("none", poses="exact")
+
+
+@pytest.fixture(scope="module")
+def gripper():
+    return hl.read_recording(GRIPPER / "recording.csv")
+
+
+@pytest.fixture(scope="module")
+def calibration(gripper):
+    return hl.calibrate(gripper, hl.Noise(3e-5), EXACT)
+
+
+def test_every_phase_of_a_calibration_tells(gripper):
+    told = []
+    hl.calibrate(gripper, progress=told.append)
+    assert list(dict.fromkeys(one.phase for one in told)) == ["search", "solve", "scales", "tests"]
+    assert all((one.trial is not None) == (one.phase == "solve") for one in told)
+    numbers = [one.trial.number for one in told if one.phase == "solve"]
+    assert numbers[:2] == [1, 2]
+
+
+def test_a_validation_counts_its_parts(gripper):
+    told = []
+    hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=told.append)
+    parts = [one for one in told if one.phase == "leave-out"]
+    assert [(one.done, one.total) for one in parts] == [(i, 7) for i in range(7)]
+    assert [parts[i].name for i in (0, 1, 5, 6)] == [
+        "everything",
+        "without plane A",
+        "split 1",
+        "without range error",
+    ]
+    assert {"search", "solve", "hold-out"} < {one.phase for one in told}
+
+
+def test_a_bootstrap_counts_its_draws(gripper, calibration):
+    told = []
+    rng = np.random.default_rng(0)
+    hl.bootstrap(calibration, gripper, hl.Noise(3e-5), rng, 3, progress=told.append)
+    draws = [(one.done, one.total) for one in told if one.phase == "bootstrap"]
+    assert draws == [(0, 3), (1, 3), (2, 3)]
+
+
+def test_nobody_is_told_after_the_end(gripper):
+    told = []
+    hl.calibrate(gripper, hl.Noise(3e-5), EXACT, progress=told.append)
+    before = len(told)
+    hl.calibrate(gripper, hl.Noise(3e-5), EXACT)
+    assert len(told) == before
+
+
+@pytest.mark.parametrize("phase", ["search", "tests"])
+def test_a_stop_outside_the_solver_is_passed_on(gripper, phase):
+    def stop(told):
+        if told.phase == phase:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hl.calibrate(gripper, hl.Noise(3e-5), EXACT, progress=stop)
+
+
+@pytest.mark.parametrize("what", ["validate", "bootstrap"])
+def test_a_stop_within_the_solver_ends_all_that_follows(gripper, calibration, what):
+    parts = []
+
+    def stop(told):
+        if told.total:
+            parts.append(told)
+        if told.phase == "solve" and len(parts) == 2:
+            raise KeyboardInterrupt
+
+    def run():
+        if what == "validate":
+            hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=stop)
+        else:
+            rng = np.random.default_rng(0)
+            hl.bootstrap(calibration, gripper, hl.Noise(3e-5), rng, 5, progress=stop)
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert len(parts) == 2
