@@ -84,10 +84,11 @@ if TYPE_CHECKING:
     from .solvers.incremental import IncrementalOptions as IncrementalOptions
     from .solvers.levenberg import LevenbergOptions as LevenbergOptions
     from .solvers.levenberg import LevenbergResult as LevenbergResult
-    from .solvers.levenberg import Trial as Trial
     from .solvers.levenberg import optimize as optimize
     from .solvers.poses import PosePriors as PosePriors
     from .solvers.poses import pose_priors as pose_priors
+    from .solvers.progress import Progress as Progress
+    from .solvers.progress import Trial as Trial
     from .validation.bootstrap import Bootstrap as Bootstrap
     from .validation.bootstrap import bootstrap as bootstrap
     from .validation.cross_check import CrossCheck as CrossCheck
@@ -140,7 +141,8 @@ _NAMES = {
     "session.session": "Session",
     "solvers.graph": "CalibrationGraph build_graph read_parameters",
     "solvers.incremental": "IncrementalOptions",
-    "solvers.levenberg": "LevenbergOptions LevenbergResult Trial optimize",
+    "solvers.levenberg": "LevenbergOptions LevenbergResult optimize",
+    "solvers.progress": "Progress Trial",
     "solvers.poses": "PosePriors pose_priors",
     "validation.bootstrap": "Bootstrap bootstrap",
     "validation.cross_check": "CrossCheck cross_check",

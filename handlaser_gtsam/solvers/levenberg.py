@@ -23,6 +23,7 @@ from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from .graph import CalibrationGraph
+from .progress import Trial
 from .values import require_values
 from .work import Alone, Point, Together, Work
 
@@ -63,17 +64,6 @@ class LevenbergOptions:
             require_number(name, getattr(self, name), 0.0, LARGEST_DAMPING)
         require_number("damping_factor", self.damping_factor, 1.0, LARGEST_DAMPING, above=True)
         require_number("most_damping", self.most_damping, 0.0, LARGEST_DAMPING, above=True)
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """One trial step: cost (half the weighted sum of squares) after it, and its fate."""
-
-    number: int
-    cost: float
-    damping: float
-    step: float
-    accepted: bool
 
 
 @dataclass(frozen=True, slots=True)

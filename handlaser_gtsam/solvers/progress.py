@@ -8,14 +8,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from .levenberg import Trial
+from typing import Literal
 
 Phase = Literal[
     "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes"
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One trial step: cost (half the weighted sum of squares) after it, and its fate."""
+
+    number: int
+    cost: float
+    damping: float
+    step: float
+    accepted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +48,7 @@ class Progress:
     done: int = 0
     total: int = 0
     name: str = ""
-    trial: "Trial | None" = None
+    trial: Trial | None = None
 
 
 Listener = Callable[[Progress], None]
@@ -65,7 +73,7 @@ def tell(
     done: int = 0,
     total: int = 0,
     name: str = "",
-    trial: "Trial | None" = None,
+    trial: Trial | None = None,
 ) -> None:
     """Tell whoever listens where the computation is."""
     listener = _listener.get()
@@ -73,6 +81,6 @@ def tell(
         listener(Progress(phase, done, total, name, trial))
 
 
-def tell_trial(trial: "Trial") -> None:
+def tell_trial(trial: Trial) -> None:
     """Tell of a trial step of the joint solution."""
     tell("solve", trial=trial)
