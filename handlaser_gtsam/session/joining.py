@@ -40,7 +40,7 @@ class Joining:
     fitted: Mapping[str, FittedPlane] = field(default_factory=dict)
     inconsistent: tuple[str, ...] = ()
 
-    def left_out(self, plane: str) -> "Joining":
+    def without(self, plane: str) -> "Joining":
         """Return the same without a plane, which is not determined or has been removed."""
         contents = self.contents
         if plane in contents.planes:
@@ -86,7 +86,7 @@ def join_planes(
         own = found.contents.planes.get(plane)
         fitted = None if own is None else fit_plane(config, own.used(), state.beams, own.origin)
         if own is None or fitted is None or not fitted.determined():
-            found = found.left_out(plane)
+            found = found.without(plane)
             continue
         contents, fitted = _within_incidence(fitted, found.contents, plane, state)
         if reject:

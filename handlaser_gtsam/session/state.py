@@ -11,9 +11,8 @@ from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..factors import RangeBlock
 from ..keys import plane_key, pose_key
-from ..solvers.graph import parameters_of, start_values
+from ..solvers.graph import parameters_of
 from ..solvers.incremental import (
-    BeamStart,
     BeamState,
     IncrementalGraph,
     IncrementalOptions,
@@ -266,9 +265,8 @@ def _restored(
         for key in poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = PlaneFactors(blocks, others, values)
-    start = BeamStart(start_values(at, config.beams, (), config.terms), config.known)
     graph = IncrementalGraph(config.beams, config.terms, config.length, options)
-    graph, _ = graph.changed(factors, (), start, fine=fine)
+    graph, _ = graph.changed(factors, (), config.start(at.beams), fine=fine)
     return SessionState(*first, graph, factors, *rest)
 
 
