@@ -181,7 +181,8 @@ class SessionConfig:
     def variances(self, stations: int) -> Variances:
         """Return what makes up the covariance of the readings of that many stations."""
         if self.learned is not None:
-            return self.learned.variances().for_stations(stations)
+            found = self.learned.variances().for_stations(stations)
+            return replace(found, pose=None if found.pose is None else found.pose[:stations])
         pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
         ranges = np.full(len(self.names), self.sigma)
         return Variances(ranges, self.noise.incidence_sigma, pose)
