@@ -1,4 +1,4 @@
-"""Whether a beam that is knocked while planes come in is named, and the right plane.
+"""Whether a beam that is displaced while planes come in is named, and the right plane.
 
     python -m benchmarks.drift [--runs 100] [--turn-deg 0.3] [--scene arm] [--jobs J]
 
@@ -93,7 +93,7 @@ def run_once(case: Case, turn: float, scene: str, seed: int) -> tuple[bool, bool
 
 
 def main() -> None:
-    """Print how often a knocked beam was named, and how often one that was not."""
+    """Print how often a displaced beam was named, and how often one that was not."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--turn-deg", type=float, default=0.3)

@@ -65,3 +65,13 @@ def test_what_cannot_be_done_plane_by_plane_is_refused(handlaser):
     assert code == 2
     assert "loss huber" in err
     assert len(err.splitlines()) == 1
+
+
+def test_learned_range_errors_raise_no_false_alarm(handlaser, tmp_path):
+    """A recording whose range errors are learned anew on the way; nothing in it moves."""
+    where = ("--planes", 25, "--scene", "unplanned", "--seed", 5, "--pose-axes", "xyz")
+    assert handlaser("simulate", tmp_path, *where)[0] == 0
+    paths = (tmp_path / "recording.csv", "--rig", tmp_path / "rig.toml")
+    code, out, err = handlaser("calibrate", *paths, "--incremental", "--json")
+    assert code == 0, err
+    assert "beam-moved" not in {one["code"] for one in json.loads(out)["warnings"]}

@@ -41,7 +41,7 @@ class BatchProblem:
     ----------
     config : SessionConfig
     recording : Recording
-        Planes in the order of the contents, beams in that of the config; readings left out included.
+        Planes in the order of the contents, beams in that of the config; rejected readings included.
     readings : Readings
         All of them, in the world frame.
     used : (N,) of bool

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..data.noise import Noise
-from ..data.parameters import Beams, RangeErrorPrior
+from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..estimation.learned import LearnedScales
@@ -16,7 +16,7 @@ from ..factors import beam_drift
 from ..keys import BeamKeys, beam_keys
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
-from ..solvers.graph import range_error_priors
+from ..solvers.graph import range_error_priors, start_values
 from ..solvers.incremental import BeamStart, BeamState
 from .drift import History, Reference
 from .reports import Change
@@ -181,7 +181,8 @@ class SessionConfig:
     def variances(self, stations: int) -> Variances:
         """Return what makes up the covariance of the readings of that many stations."""
         if self.learned is not None:
-            return self.learned.variances().for_stations(stations)
+            found = self.learned.variances().for_stations(stations)
+            return replace(found, pose=None if found.pose is None else found.pose[:stations])
         pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
         ranges = np.full(len(self.names), self.sigma)
         return Variances(ranges, self.noise.incidence_sigma, pose)
@@ -196,13 +197,8 @@ class SessionConfig:
 
     def start(self, at: Beams) -> BeamStart:
         """Return the beams as the start of a graph, with their links."""
-        values = gtsam.Values()
-        for i, (beam, terms) in enumerate(zip(self.beams, self.terms, strict=True)):
-            values.insert(beam.location, at[0][i])
-            values.insert(beam.direction, gtsam.Unit3(at[1][i]))
-            if beam.range_error is not None:
-                values.insert(beam.range_error, at[2][i, :terms])
-        return BeamStart(values, self.known)
+        beams = Parameters(*at, np.empty((0, 3)), np.empty(0))
+        return BeamStart(start_values(beams, self.beams, (), self.terms), self.known)
 
     def history(self, at: Beams) -> History:
         """Return a history without planes, counted from these beams."""

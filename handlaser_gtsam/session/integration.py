@@ -14,12 +14,14 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
+from ..data.parameters import Beams
 from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.joint import beam_lift
 from ..solvers.incremental import BeamState
-from .drift import History, Reference, turns
+from .config import SessionConfig
+from .drift import Reference, turns
 from .fitted import FittedPlane
 
 
@@ -47,15 +49,20 @@ class ScaleSums:
     pieces: Mapping[str, Information]
 
     @classmethod
-    def empty(cls, learned: LearnedScales, history: History, members: IntArray) -> "ScaleSums":
-        """Return the sums of no planes, counted from the reference of a history."""
-        sets = len(learned.points) + 1
+    def of(
+        cls, config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
+    ) -> "ScaleSums | None":
+        """Return the sums of planes, counted from `beams`; None where no scales are learned."""
+        if config.learned is None:
+            return None
+        history, sets = config.history(beams), len(config.learned.points) + 1
         known = Information(
             np.tile(history.known.matrix, (sets, 1, 1)),
             np.tile(history.known.vector, (sets, 1)),
             np.zeros(sets),
         )
-        return cls(learned, history.reference, members, known, {})
+        empty = cls(config.learned, history.reference, config.members, known, {})
+        return empty.changed(fitted, fitted)
 
     def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
         """Return the sums with a plane, in place of what was known of it."""

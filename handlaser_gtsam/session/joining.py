@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..data.parameters import Beams
 from ..data.recording import Recording
 from ..model.sensor import FLAT, Rejected, within_incidence
 from ..solvers.incremental import BeamState, PlaneFactors
@@ -40,7 +41,7 @@ class Joining:
     fitted: Mapping[str, FittedPlane] = field(default_factory=dict)
     inconsistent: tuple[str, ...] = ()
 
-    def left_out(self, plane: str) -> "Joining":
+    def without(self, plane: str) -> "Joining":
         """Return the same without a plane, which is not determined or has been removed."""
         contents = self.contents
         if plane in contents.planes:
@@ -50,12 +51,10 @@ class Joining:
     def joined(self, plane: str, fitted: FittedPlane, number: int) -> "Joining":
         """Return the same with a plane in the graph under a number."""
         contents = self.contents.placed(plane, number, fitted.origin)
-        used = contents.planes[plane].used()
-        factors = fitted.factors(number, contents.station_numbers, used)
         return replace(
             self,
             contents=contents,
-            factors={**self.factors, number: factors},
+            factors={**self.factors, **factors_of(contents, {plane: fitted})},
             fitted={**self.fitted, plane: fitted},
         )
 
@@ -86,7 +85,7 @@ def join_planes(
         own = found.contents.planes.get(plane)
         fitted = None if own is None else fit_plane(config, own.used(), state.beams, own.origin)
         if own is None or fitted is None or not fitted.determined():
-            found = found.left_out(plane)
+            found = found.without(plane)
             continue
         contents, fitted = _within_incidence(fitted, found.contents, plane, state)
         if reject:
@@ -105,6 +104,27 @@ def join_planes(
             number = free + len(found.fitted) if own.number is None else own.number
             found = found.joined(plane, fitted, number)
     return found
+
+
+def fitted_planes(
+    contents: Contents, config: SessionConfig, beams: Beams
+) -> Mapping[str, FittedPlane]:
+    """Return the planes that are determined beside `beams`, and not excluded."""
+    found = {}
+    for name, plane in contents.planes.items():
+        fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
+        if fitted is not None and fitted.determined():
+            found[name] = fitted
+    return found
+
+
+def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
+    """Return what planes of the contents bring into a graph, by their number."""
+    numbers, stations = contents.numbers, contents.station_numbers
+    return {
+        numbers[plane]: one.factors(numbers[plane], stations, contents.planes[plane].used())
+        for plane, one in fitted.items()
+    }
 
 
 def _less(

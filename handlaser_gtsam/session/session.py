@@ -62,6 +62,8 @@ class Session:
             CalibrationOptions() if options is None else options,
             IncrementalOptions() if incremental is None else incremental,
         )
+        self.noise, self.options = self._given.noise, self._given.options
+        self.incremental = self._given.incremental
         self._early, self._now = Contents(), None
         self._screening: tuple[CalibrationWarning, ...] = ()
         self._lock = RLock()
@@ -77,21 +79,6 @@ class Session:
         """Take everything over, with a lock of its own."""
         self.__dict__.update(state)
         self._lock = RLock()
-
-    @property
-    def noise(self) -> Noise:
-        """As given."""
-        return self._given.noise
-
-    @property
-    def options(self) -> CalibrationOptions:
-        """As given."""
-        return self._given.options
-
-    @property
-    def incremental(self) -> IncrementalOptions:
-        """As given."""
-        return self._given.incremental
 
     @property
     def started(self) -> bool:

@@ -11,9 +11,8 @@ from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..factors import RangeBlock
 from ..keys import plane_key, pose_key
-from ..solvers.graph import parameters_of, start_values
+from ..solvers.graph import parameters_of
 from ..solvers.incremental import (
-    BeamStart,
     BeamState,
     IncrementalGraph,
     IncrementalOptions,
@@ -23,9 +22,9 @@ from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
 from .drift import History, Moved
-from .fitted import FittedPlane, fit_plane
+from .fitted import fit_plane
 from .integration import ScaleSums
-from .joining import Joining, join_planes
+from .joining import Joining, factors_of, fitted_planes, join_planes
 
 MOVED = 3e-3
 """Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
@@ -225,7 +224,7 @@ class SessionState:
             if found is None:
                 return self
             fitted[plane] = found
-        factors = _factors(self.contents, fitted)
+        factors = factors_of(self.contents, fitted)
         graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
         return replace(
             self,
@@ -233,7 +232,7 @@ class SessionState:
             factors=factors,
             state=state,
             weighed=beams,
-            sums=_sums(config, beams, fitted),
+            sums=ScaleSums.of(config, beams, fitted),
             estimate=None,
         )
 
@@ -266,9 +265,8 @@ def _restored(
         for key in poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = PlaneFactors(blocks, others, values)
-    start = BeamStart(start_values(at, config.beams, (), config.terms), config.known)
     graph = IncrementalGraph(config.beams, config.terms, config.length, options)
-    graph, _ = graph.changed(factors, (), start, fine=fine)
+    graph, _ = graph.changed(factors, (), config.start(at.beams), fine=fine)
     return SessionState(*first, graph, factors, *rest)
 
 
@@ -284,7 +282,7 @@ def begin(
     """
     fitted = fitted_planes(contents, config, beams)
     contents = contents.numbered({plane: one.origin for plane, one in fitted.items()})
-    factors = _factors(contents, fitted)
+    factors = factors_of(contents, fitted)
     history, inconsistent = config.history(beams), set[str]()
     for plane, one in fitted.items():
         own = one.information(history.reference)
@@ -307,7 +305,7 @@ def begin(
         history,
         frozenset(inconsistent),
         len(fitted),
-        _sums(config, beams, fitted),
+        ScaleSums.of(config, beams, fitted),
     )
     for _ in range(ROUNDS):
         before, now = now, now.reweighed()
@@ -319,37 +317,6 @@ def begin(
 def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
     """Return the keys of the hand poses that are variables of some blocks, each once."""
     return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
-
-
-def fitted_planes(
-    contents: Contents, config: SessionConfig, beams: Beams
-) -> Mapping[str, FittedPlane]:
-    """Return the planes that are determined beside `beams`, and not excluded."""
-    found = {}
-    for name, plane in contents.planes.items():
-        fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
-        if fitted is not None and fitted.determined():
-            found[name] = fitted
-    return found
-
-
-def _factors(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
-    """Return what planes of the contents bring into a graph, by their number."""
-    numbers, stations = contents.numbers, contents.station_numbers
-    return {
-        numbers[plane]: one.factors(numbers[plane], stations, contents.planes[plane].used())
-        for plane, one in fitted.items()
-    }
-
-
-def _sums(
-    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
-) -> ScaleSums | None:
-    """Return what planes say for all scales, counted from `beams`; None where none are learned."""
-    if config.learned is None:
-        return None
-    found = ScaleSums.empty(config.learned, config.history(beams), config.members)
-    return found.changed(fitted, fitted)
 
 
 def _undetermined(why: str = "") -> InputError:
