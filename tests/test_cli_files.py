@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
 
+# Before anything of theirs is replaced:
+import handlaser_gtsam.session
+import handlaser_gtsam.validation.leave_out  # noqa: F401
 from handlaser_gtsam.cli import main
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.files import writing

@@ -1,5 +1,7 @@
 """Files that would give a wrong calibration are refused or flagged, and the reason is named."""
 
+import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.calibration_json import calibration_text
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.simulation.scenes import Layout
 
@@ -55,3 +58,28 @@ def test_a_hand_that_only_turns_leaves_its_mirror_image_open(recording):
     assert "mirror image" in found.undetermined[0]
     assert "move the hand" in found.advice[0]
     assert check_motion(recording).undetermined == ()
+
+
+@pytest.mark.parametrize(
+    ("code", "change", "noise", "names"),
+    [
+        ("sigmas-too-small", 1.0, hl.Noise(SIGMA / 3.0, 0.0, 0.0), {"sigma0", "p_value"}),
+        ("sigmas-too-large", 1.0, hl.Noise(3.0 * SIGMA, 0.0, 0.0), {"sigma0", "p_value"}),
+        ("contradicting-beam", 10.0, hl.Noise(SIGMA, 0.0, 0.0), {"beam", "rejected", "readings"}),
+    ],
+)
+def test_a_warning_carries_the_numbers_of_its_message(recording, code, change, noise, names):
+    ranges = recording.ranges * np.array([1.0, change, 1.0])
+    found = hl.calibrate(replace(recording, ranges=ranges), noise, NONE)
+    (warning,) = [one for one in found.warnings if one.code == code]
+    assert set(warning.values) == names
+    if "sigma0" in names:
+        assert warning.values["sigma0"] == found.fit.sigma0
+        assert f"{found.fit.sigma0:.2f} times" in warning.message
+    else:
+        assert warning.values["beam"] == "2"
+        rejected = [one for one in found.fit.rejected if one.beam == "2"]
+        assert warning.values["rejected"] == len(rejected)
+    file = json.loads(calibration_text(found))
+    assert warning.values == next(one for one in file["warnings"] if one["code"] == code)["values"]
+    assert pickle.loads(pickle.dumps(warning)) == warning

@@ -47,15 +47,20 @@ def screen_lines(
     return lines + _warnings(result, LINES - closing - len(lines))
 
 
-def _counts(result: Calibration, recording: Recording) -> str:
-    sizes = (
+def sizes(result: Calibration, recording: Recording) -> str:
+    """Return how much there is of everything: "44 stations, 4 planes, ..."."""
+    counts = (
         count(len(recording.plane_labels), "station"),
         count(len(result.planes), "plane"),
         count(len(result.beams), "beam"),
         count(result.fit.readings, "reading"),
         f"{len(result.fit.rejected)} rejected",
     )
-    words = f"{', '.join(sizes)}; start: {result.start.method}"
+    return ", ".join(counts)
+
+
+def _counts(result: Calibration, recording: Recording) -> str:
+    words = f"{sizes(result, recording)}; start: {result.start.method}"
     if recording.ignored_columns:
         words += f"; columns not used: {', '.join(recording.ignored_columns)}"
     return words

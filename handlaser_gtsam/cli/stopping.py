@@ -8,6 +8,7 @@ tidied there, and the import of a compiled library turns the exception into any 
 import atexit
 import os
 import signal
+import threading
 from types import FrameType, TracebackType
 
 WORDS = "stopped by Ctrl-C"
@@ -29,11 +30,13 @@ class Stopping:
     asked = False
 
     def __init__(self) -> None:
-        self._before = signal.getsignal(signal.SIGINT)
+        # A process in the background may have to ignore the signal; other threads do not get it.
+        here = threading.current_thread() is threading.main_thread()
+        self._mine = here and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def __enter__(self) -> "Stopping":
         Stopping.asked = False
-        if self._before is not None:
+        if self._mine:
             signal.signal(signal.SIGINT, self._stop)
         return self
 
@@ -43,10 +46,10 @@ class Stopping:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._before is not None:
+        if self._mine:
             # Run first of all that is run at the end of the process: its exit code stands by now.
             atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
-            signal.signal(signal.SIGINT, self._before)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def _stop(self, _number: int, frame: FrameType | None) -> None:
         Stopping.asked = True

@@ -15,8 +15,9 @@ from ..results.calibration import Beam, Calibration, Plane
 from ..results.spots import MeasuredPlane, spot, typical_plane
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
-from .lines import MM, UNDETERMINED, count
+from .lines import MM, UNDETERMINED
 from .noise_lines import noise_words, range_error_words, zero_excluded
+from .screen import sizes
 
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
@@ -85,17 +86,7 @@ def cross_check_line(check: CrossCheck) -> str:
 
 
 def _head(result: Calibration, recording: Recording) -> str:
-    sizes = (
-        count(len(recording.plane_labels), "station"),
-        count(len(result.planes), "plane"),
-        count(len(result.beams), "beam"),
-        count(result.fit.readings, "reading"),
-        f"{len(result.fit.rejected)} rejected",
-    )
-    lines = [
-        ", ".join(sizes),
-        f"start: {result.start.method}",
-    ]
+    lines = [sizes(result, recording), f"start: {result.start.method}"]
     if recording.ignored_columns:
         lines.append(f"columns not used: {', '.join(recording.ignored_columns)}")
     if result.status == "converged":

@@ -64,15 +64,11 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     if "station" in table.frame.columns:
         stations = _labels(table, "station")
         _refuse_repeated(table, stations)
-    position = np.column_stack([_numbers(table, name) for name in POSE[:3]])
-    for index, name in enumerate(POSE[:3]):
-        too_far = np.abs(position[:, index]) > LARGEST
-        table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
-    quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
+    position, rotation = _positions(table), _rotations(table)
     ranges, warnings = _ranges(table, beams, sensor or Sensor())
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
-        _rotations(table, quaternion),
+        rotation,
         position,
         ranges,
         planes,
@@ -207,7 +203,16 @@ def _code_warnings(
     )
 
 
-def _rotations(table: _Table, quaternion: FloatArray) -> FloatArray:
+def _positions(table: _Table) -> FloatArray:
+    position = np.column_stack([_numbers(table, name) for name in POSE[:3]])
+    for index, name in enumerate(POSE[:3]):
+        too_far = np.abs(position[:, index]) > LARGEST
+        table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
+    return position
+
+
+def _rotations(table: _Table) -> FloatArray:
+    quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(quaternion, axis=1)
     wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)

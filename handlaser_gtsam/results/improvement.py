@@ -56,10 +56,14 @@ class Improvement:
     code : str
     words : str
         What to do, without a full stop.
+    number : float or None
+        The number behind it: how many outliers, by how much residuals are larger than the sigmas say,
+        the share of the variance of the spot error, or how many times as many stations.
     """
 
     code: Code
     words: str
+    number: float | None = None
 
 
 def improvement(
@@ -97,7 +101,8 @@ def _outliers(calibration: Calibration) -> Improvement | None:
     total = fit.readings + count
     if count <= MANY_LEFT_OUT * total:
         return None
-    return Improvement("outliers", f"finding the cause of {count} outliers among {total} readings")
+    words = f"finding the cause of {count} outliers among {total} readings"
+    return Improvement("outliers", words, count)
 
 
 def _sigmas(calibration: Calibration) -> Improvement | None:
@@ -111,6 +116,7 @@ def _sigmas(calibration: Calibration) -> Improvement | None:
     return Improvement(
         "sigmas",
         f"sigmas that fit, or none (residuals are {fit.sigma0:.2g} times as large as given)",
+        fit.sigma0,
     )
 
 
@@ -128,20 +134,25 @@ def _largest_share(calibration: Calibration, shares: VarianceShares | None) -> I
     condition = calibration.observability.condition
     poor = condition is not None and condition > WELL_CONDITIONED
     candidates = (
-        (shares.poses, Improvement("poses", _words_of_poses(shares.poses))),
-        (shares.range_error, Improvement("range-span", _words_of_span(shares.range_error))),
-        (shares.weakest if poor else 0.0, Improvement("motion", MOTIONS[shares.weakest_quantity])),
+        Improvement(
+            "poses",
+            "a better robot calibration or more stations "
+            f"(robot errors cause {_percent(shares.poses)})",
+            shares.poses,
+        ),
+        Improvement(
+            "range-span",
+            f"a wider span of ranges (unknown range errors cause {_percent(shares.range_error)})",
+            shares.range_error,
+        ),
+        Improvement("motion", MOTIONS[shares.weakest_quantity], shares.weakest if poor else 0.0),
     )
-    share, best = max(candidates, key=lambda one: -1.0 if math.isnan(one[0]) else one[0])
-    return best if share > DOMINANT else None
+    best = max(candidates, key=_share)
+    return best if _share(best) > DOMINANT else None
 
 
-def _words_of_poses(share: float) -> str:
-    return f"a better robot calibration or more stations (robot errors cause {_percent(share)})"
-
-
-def _words_of_span(share: float) -> str:
-    return f"a wider span of ranges (unknown range errors cause {_percent(share)})"
+def _share(one: Improvement) -> float:
+    return -1.0 if one.number is None or math.isnan(one.number) else one.number
 
 
 def _percent(share: float) -> str:
@@ -154,13 +165,14 @@ def _stations(calibration: Calibration, failed: tuple[LimitCheck, ...]) -> Impro
         return Improvement(
             "more-stations",
             f"about {_times(times)} times as many stations (they would meet the limits)",
+            times,
         )
     if freedom(calibration) < FEW_DEGREES:
         return Improvement(
             "more-stations",
             f"more stations ({calibration.fit.dof} degrees of freedom hardly determine the noise)",
         )
-    return Improvement("more-stations", "more stations (4 times as many halve the error)")
+    return Improvement("more-stations", "more stations (4 times as many halve the error)", 4.0)
 
 
 def _times(value: float) -> str:

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 
 from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
-from ..model.joint import BEAM_COORDINATES
+from ..model.joint import BEAM_COORDINATES, beam_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.reduction import normal_equations
 from .calibration import Calibration
@@ -142,12 +142,7 @@ def _spot_variance(
     length = calibration.fit.typical_range
     unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
     S = S[np.ix_(active, active)] * np.outer(unit, unit)
-    basis = model.tangent_basis(at.directions)
-    lift = np.zeros((J.shape[1], 7 * len(basis)))
-    for i, B in enumerate(basis):
-        lift[8 * i : 8 * i + 3, 7 * i : 7 * i + 3] = np.eye(3)
-        lift[8 * i + 3 : 8 * i + 6, 7 * i + 3 : 7 * i + 5] = B
-        lift[8 * i + 6 : 8 * i + 8, 7 * i + 5 : 7 * i + 7] = np.eye(2)
+    lift = block_diag(*(beam_lift(basis, 2) for basis in model.tangent_basis(at.directions)))
     A = (J @ lift)[:, active] * unit
     return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))
 

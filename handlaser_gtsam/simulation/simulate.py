@@ -92,31 +92,37 @@ def simulate(
     InputError
         A plane or beam is left without readings, or k1 and k2 leave no reading for a range.
     """
-    R, t = _disturbed(stations, errors, rng)
-    count, beams = len(t), len(truth.locations)
-    station = np.repeat(np.arange(count), beams)
-    beam = np.tile(np.arange(beams), count)
+    x = _scene(truth, stations, _disturbed(stations, errors, rng))
+    d = read_back(model.predicted_ranges(x), x.k)
+    d = d + errors.range_sigma * rng.standard_normal(len(d))
+    sensor = sensor or Sensor()
+    steep = np.abs(model.cosines(x)) >= np.cos(sensor.max_incidence)
+    d[~((d > 0.0) & sensor.can_read(d) & steep)] = np.nan
+    beams = len(truth.locations)
+    return Recording(
+        stations.world_R_hand,
+        stations.world_t_hand,
+        d.reshape(-1, beams),
+        tuple(plane_name(p) for p in stations.plane),
+        tuple(str(i + 1) for i in range(beams)),
+    )
+
+
+def _scene(
+    truth: Parameters, stations: Stations, poses: tuple[FloatArray, FloatArray]
+) -> model.Scene:
+    """Return every beam at every station, for the poses (R, t) that the hand really has."""
+    beams = len(truth.locations)
+    station, beam = np.divmod(np.arange(beams * len(stations.plane)), beams)
     plane = stations.plane[station]
-    x = model.Scene(
-        R[station],
-        t[station],
+    return model.Scene(
+        poses[0][station],
+        poses[1][station],
         truth.locations[beam],
         truth.directions[beam],
         truth.normals[plane],
         truth.offsets[plane],
         truth.range_errors[beam],
-    )
-    d = read_back(model.predicted_ranges(x), x.k)
-    d = d + errors.range_sigma * rng.standard_normal(len(d))
-    sensor = sensor or Sensor()
-    d[(d <= 0.0) | (d < sensor.range_min) | (d > sensor.range_max)] = np.nan
-    d[np.abs(model.cosines(x)) < np.cos(sensor.max_incidence)] = np.nan
-    return Recording(
-        stations.world_R_hand,
-        stations.world_t_hand,
-        d.reshape(count, beams),
-        tuple(plane_name(p) for p in stations.plane),
-        tuple(str(i + 1) for i in range(beams)),
     )
 
 
