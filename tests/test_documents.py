@@ -1,7 +1,6 @@
 """README, examples and benchmark run as written."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -35,11 +34,14 @@ def test_links_of_the_documents_lead_somewhere():
 
 
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda p: p.name)
-def test_examples_run(example):
-    environment = os.environ | {"PYTHONWARNINGS": "error"}
-    run = subprocess.run(
-        [sys.executable, example], capture_output=True, text=True, env=environment, check=False
-    )
+def test_examples_run(example, pytestconfig):
+    """Under the warning filters of the tests themselves."""
+    filters = [
+        *pytestconfig.getini("filterwarnings"),
+        *(pytestconfig.getoption("pythonwarnings") or ()),
+    ]
+    command = [sys.executable, *(f"-W{rule}" for rule in filters), example]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert run.stdout.strip()
 
