@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..solvers.reduction import inverse_of
 from .information import Information
 
 SPAN, STEP = 4.5, 1.5
@@ -45,6 +46,10 @@ LEAST_INFORMATION = 1e-6
 """Of every unknown in natural units: a part of a recording may lack a beam."""
 NEGLIGIBLE = 1e-6
 """Components of smaller weight beside the largest count for nothing."""
+MOST_BEAMS = 30
+"""So many beams, evenly chosen, tell the scales of range errors."""
+LARGE = 400
+"""Beyond so many unknowns an inverse by Cholesky's factor saves time."""
 LARGEST_CHUNK = 4_000_000
 """Numbers of the largest intermediate array."""
 BISECTIONS = 45
@@ -177,6 +182,47 @@ def _log_density(x: FloatArray) -> FloatArray:
     return density
 
 
+@dataclass(frozen=True, slots=True)
+class Contrasts:
+    """Range errors of some beams as means over these and contrasts between them: K = B T.
+
+    Attributes
+    ----------
+    at : (K,)
+        Their places among all unknowns.
+    terms : (K,)
+        The term of each mean or contrast.
+    turn : (K, K)
+        Orthogonal, from range errors, beam after beam, to means (times the root of B) and contrasts.
+    is_mean : (K,) of bool
+    widest : (K,)
+        Standard deviations under the widest prior.
+    """
+
+    at: IntArray
+    terms: IntArray
+    turn: FloatArray
+    is_mean: BoolArray
+    widest: FloatArray
+
+    @classmethod
+    def of(cls, beams: IntArray, terms: int, width: int, widest: float) -> "Contrasts":
+        """Return those of `terms` range errors of some beams of `width` unknowns."""
+        at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
+        turn, is_mean = _contrasts(len(beams), terms)
+        wide = np.where(is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
+        return cls(at, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
+
+    def spread(self, grid: RangeErrorGrid) -> FloatArray:
+        """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
+        if grid.own.shape[1] == 0:  # range errors without a prior
+            return np.ones((len(grid.common), len(self.terms)))
+        count = np.sqrt(self.is_mean.size / max(int(self.is_mean.sum()), 1))
+        shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
+        found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
+        return found
+
+
 class BeamPosterior:
     """The beams for J sets of noise scales under the widest prior of their range errors.
 
@@ -199,68 +245,61 @@ class BeamPosterior:
         members: IntArray | None = None,
     ) -> None:
         terms, size = k.shape[1], information.matrix.shape[1]
-        width = size // max(len(k), 1)
         beams = np.arange(len(k)) if members is None else members
-        k = k[beams]
-        self.at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
-        self.count, self.terms = len(beams), np.repeat(np.arange(terms), len(beams))
-        self.turn, self.is_mean = _contrasts(len(beams), terms)
-        self.has_prior = bool(self.at.size) and np.isfinite(widest)
-        self.widest = np.where(self.is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
-        own, mean = self.turn.T @ (self.widest[:, None] ** -2 * self.turn), self.turn @ k.ravel()
+        self.every = Contrasts.of(beams, terms, size // max(len(k), 1), widest)
+        self.has_prior = bool(self.every.at.size) and np.isfinite(widest)
+        at, turn, wide = self.every.at, self.every.turn, self.every.widest
+        own, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
         matrix, vector = information.matrix.copy(), information.vector.copy()
         matrix += LEAST_INFORMATION * np.eye(size)
-        matrix[:, self.at[:, None], self.at] += own
-        vector[:, self.at] -= own @ k.ravel()
-        diagonal = np.einsum("jii->ji", matrix)
-        scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
-        scaled = matrix * scale[:, :, None] * scale[:, None, :]
-        self.covariance = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
+        matrix[:, at[:, None], at] += own
+        vector[:, at] -= own @ k[beams].ravel()
+        self.covariance, log_det = _inverses(matrix)
         self.mean = np.einsum("jab,jb->ja", self.covariance, vector)
-        log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
         self.log_evidence -= 0.5 * log_det
         if self.has_prior:
-            self.log_evidence -= 0.5 * float((mean**2 / self.widest**2).sum())
-            self.log_evidence -= float(np.log(self.widest).sum())
-        self.U = self.covariance[:, :, self.at] @ self.turn.T
-        self.V = self.turn @ self.U[:, self.at]
-        self.k = self.mean[:, self.at] @ self.turn.T + mean
+            self.log_evidence -= 0.5 * float((mean**2 / wide**2).sum())
+            self.log_evidence -= float(np.log(wide).sum())
+        self.U = self.covariance[:, :, at] @ turn.T
+        self.V = turn @ self.U[:, at]
+        self.k = self.mean[:, at] @ turn.T + mean
+        self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
 
-    def spread(self, grid: RangeErrorGrid) -> FloatArray:
-        """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
-        if grid.own.shape[1] == 0:  # range errors without a prior
-            return np.ones((len(grid.common), len(self.terms)))
-        shared = np.where(self.is_mean, np.sqrt(self.count), 0.0) * grid.common[:, None]
-        found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
-        return found
-
-    def _narrowing(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K), each of one of the sets (C,)."""
-        R = np.sqrt(np.maximum(own**-2 - self.widest**-2, 0.0))
-        return R, np.eye(own.shape[1]) + R[:, :, None] * self.V[sets] * R[:, None, :]
+    def _of_few(
+        self, k: FloatArray, beams: IntArray, width: int, widest: float
+    ) -> tuple[Contrasts, FloatArray, FloatArray]:
+        """Return contrasts of at most `MOST_BEAMS` beams, with covariances and estimates of them."""
+        if len(beams) <= MOST_BEAMS:
+            return self.every, self.V, self.k
+        chosen = np.unique(np.linspace(0, len(beams) - 1, MOST_BEAMS).round().astype(np.intp))
+        few = Contrasts.of(beams[chosen], k.shape[1], width, widest)
+        V = few.turn @ self.covariance[:, few.at[:, None], few.at] @ few.turn.T
+        own = self.mean[:, few.at] + k[beams[chosen]].ravel()
+        return few, V, own @ few.turn.T
 
     def narrowed(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return Z (C, K, K) and Z k^ (C, K) for priors (C, K), each of one of the sets (C,)."""
         if not self.has_prior:
             zero = np.zeros((*own.shape, own.shape[1]))
             return zero, zero.sum(axis=2)
-        R, inner = self._narrowing(own, sets)
+        R, inner = _narrowing(own, self.every.widest, self.V[sets])
         Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
         return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        own, count = self.spread(grid), len(self.k)
+        of, V, k = self.telling
+        own, count = of.spread(grid), len(self.k)
         if not self.has_prior:
             return np.broadcast_to(self.log_evidence[:, None], (count, len(own)))
         found = np.empty((count, len(own)))
-        size = -np.log(own / self.widest).sum(axis=1)
+        size = -np.log(own / of.widest).sum(axis=1)
         share = max(LARGEST_CHUNK // max(own.size * own.shape[1], 1), 1)
         for a in range(0, count, share):
             sets = np.arange(a, min(a + share, count)).repeat(len(own))
-            R, inner = self._narrowing(np.tile(own, (len(sets) // len(own), 1)), sets)
-            right = R * self.k[sets]
+            R, inner = _narrowing(np.tile(own, (len(sets) // len(own), 1)), of.widest, V[sets])
+            right = R * k[sets]
             log_det = np.linalg.slogdet(inner)[1]
             solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             value = -0.5 * (log_det + np.einsum("ca,ca->c", right, solved))
@@ -275,7 +314,7 @@ class BeamPosterior:
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
-        Z, Zk = self.narrowed(scale[None, self.terms], np.zeros(1, dtype=np.intp))
+        Z, Zk = self.narrowed(scale[None, self.every.terms], np.zeros(1, dtype=np.intp))
         U = self.U[0]
         return self.mean[0] - U @ Zk[0], self.covariance[0] - U @ Z[0] @ U.T
 
@@ -295,7 +334,7 @@ class BeamPosterior:
         members = np.argwhere(w)
         weight = w[w > 0.0]
         means, within, covariance = self._components(
-            self.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
+            self.every.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
         )
         mean = weight @ means
         off = means - mean
@@ -332,6 +371,26 @@ class BeamPosterior:
         wide = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
         less = np.einsum("cmk,ckl,cml->cm", along[sets], Z, along[sets], optimize=True)
         return means, np.sqrt(np.maximum(wide[sets] - less, 0.0)), within
+
+
+def _narrowing(own: FloatArray, widest: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K) and covariances V (C, K, K)."""
+    R = np.sqrt(np.maximum(own**-2 - widest**-2, 0.0))
+    return R, np.eye(own.shape[1]) + R[:, :, None] * V * R[:, None, :]
+
+
+def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the inverses of information (J, n, n), and the logarithms (J,) of its determinants."""
+    diagonal = np.einsum("jii->ji", matrix)
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
+    scaled = matrix * scale[:, :, None] * scale[:, None, :]
+    if scaled.shape[1] > LARGE:
+        inverse = np.array([inverse_of(one) for one in scaled])
+    else:
+        inverse = np.linalg.inv(scaled)
+    log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
+    found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]
+    return found, log_det
 
 
 def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:

@@ -441,20 +441,16 @@ def jacobian_columns(
     at = model.linearize(x, readings.distance)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])
-    local = at.normal - at.offset[:, None] * centres[readings.plane]
     v_basis = model.tangent_basis(parameters.directions)[readings.beam]
     n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-    columns = np.hstack(
-        (
-            at.location,
-            np.einsum("ni,nij->nj", at.direction, v_basis),
-            at.range_error[:, :terms],
-            np.einsum("ni,nij->nj", local, n_basis),
-            at.offset[:, None],
-            at.residual[:, None],
-        )
-    )
-    return np.ascontiguousarray(columns.T), centres
+    local = at.normal - at.offset[:, None] * centres[readings.plane]
+    columns = np.empty((5 + terms + 4, len(readings)))
+    columns[:3] = at.location.T
+    np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])
+    columns[5:-4] = at.range_error[:, :terms].T
+    np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
+    columns[-2], columns[-1] = at.offset, at.residual
+    return columns, centres
 
 
 def inverse_of(matrix: FloatArray) -> FloatArray:
