@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..solvers.reduction import inverse_of
+from ..solvers.reduction import inverse_and_log_det
 from .information import Information
 
 SPAN, STEP = 4.5, 1.5
@@ -385,12 +385,12 @@ def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
     scaled = matrix * scale[:, :, None] * scale[:, None, :]
     if scaled.shape[1] > LARGE:
-        inverse = np.array([inverse_of(one) for one in scaled])
+        both = [inverse_and_log_det(one) for one in scaled]
+        inverse, size = np.array([one for one, _ in both]), np.array([own for _, own in both])
     else:
-        inverse = np.linalg.inv(scaled)
-    log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
+        inverse, size = np.linalg.inv(scaled), np.linalg.slogdet(scaled)[1]
     found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]
-    return found, log_det
+    return found, size - 2.0 * np.log(scale).sum(axis=1)
 
 
 def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:

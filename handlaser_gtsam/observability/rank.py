@@ -23,6 +23,8 @@ from ..solvers.reduction import ReducedInformation, normal_equations
 
 LARGE = 400
 """Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
+NEARLY = 1e-2
+"""The relative accuracy of the extreme eigenvalues of so many unknowns."""
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
 WITHIN_PRIOR = 2.0
@@ -300,11 +302,17 @@ def _spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, floa
         except np.linalg.LinAlgError:
             root = None
         if root is not None:
-            solve = LinearOperator(matrix.shape, lambda x: cho_solve((root, True), x), dtype=float)
+            factor = (root, True)
+
+            def inverse(x: FloatArray) -> FloatArray:
+                found: FloatArray = cho_solve(factor, x, check_finite=False)
+                return found
+
+            solve = LinearOperator(matrix.shape, inverse, dtype=float)
             start = np.ones(len(matrix))
-            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start)
+            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
             if small[0] >= floor:
-                top = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False)
+                top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
                 mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
                 return small, float(top[0]), mean_log, axis
     values, axes = np.linalg.eigh(matrix)

@@ -454,7 +454,12 @@ def jacobian_columns(
 
 
 def inverse_of(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix (n, n), whatever the units of its rows.
+    """Return the inverse of a positive definite matrix (n, n), whatever the units of its rows."""
+    return inverse_and_log_det(matrix)[0]
+
+
+def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant.
 
     Raises
     ------
@@ -468,9 +473,10 @@ def inverse_of(matrix: FloatArray) -> FloatArray:
     inverse, failed = dpotri(root, lower=1)
     if failed:
         raise np.linalg.LinAlgError("the information is singular")
-    lower = np.tril(inverse, -1)
-    found: FloatArray = (lower + lower.T + np.diag(np.diagonal(inverse))) / scale[:, None] / scale
-    return found
+    inverse = np.tril(inverse)
+    inverse += np.tril(inverse, -1).T
+    inverse /= scale[:, None] * scale
+    return inverse, 2.0 * float(np.log(np.diagonal(root) * scale).sum())
 
 
 def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
