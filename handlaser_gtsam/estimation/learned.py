@@ -9,7 +9,8 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
-from .mixture import MOST_BEAMS, SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
+from .mixture import MOST_BEAMS, BeamPosterior
+from .range_error_grid import SPAN, RangeErrorGrid, refined_grid, widest_grid
 from .scales import Design, Scales, design, find_mode, with_scales
 
 ENOUGH = 3000

@@ -21,7 +21,8 @@ from ..outliers.snooping import cut, enough, judge, residuals, test
 from ..starts import Effort, Start, find_start
 from .options import CalibrationOptions
 from .solution import Solution
-from .solve import Progress, solve
+from .solve import solve
+from .task import Progress
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
