@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from .recording import Recording
 
@@ -100,7 +100,7 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
 
     With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left.
     """
-    whole = ~np.isnan(d).any(axis=0)
+    whole: BoolArray = np.asarray(~np.isnan(d).any(axis=0))
     x = d[:: max(len(d) // FIRST_LOOK, 1)]
     for i in range(d.shape[1] - 1):
         later = np.arange(i + 1, d.shape[1])

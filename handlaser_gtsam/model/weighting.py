@@ -79,7 +79,7 @@ class Whitening:
     @property
     def is_coupled(self) -> bool:
         """Whether readings are correlated with others of their station."""
-        return self.root.shape[1] > 1
+        return bool(self.root.shape[1] > 1)
 
     def of_rows(self, rows: IntArray) -> "Whitening":
         """Return the whitening of whole stations, given by their rows, over the beams read there."""

@@ -72,7 +72,8 @@ class NormalEquations:
     @property
     def diagonal(self) -> FloatArray:
         """The diagonal (K, nb) of H_bb."""
-        return np.einsum("kbii->kbi", self.blocks).reshape(self.beam_gradient.shape)
+        found: FloatArray = np.einsum("kbii->kbi", self.blocks)
+        return found.reshape(self.beam_gradient.shape)
 
     def picked(self, copies: IntArray) -> "NormalEquations":
         """Return the normal equations of some copies."""
