@@ -10,12 +10,20 @@ graph      levenberg_marquardt of this package on its factor graph
 reference  scipy.optimize.least_squares, derivatives by differences (sparse above 200 unknowns)
 gtsam-lm   gtsam.LevenbergMarquardtOptimizer on the same graph
 
-`start to covariances` is find_start, graph and marginals together.
+ceres      a program in C++ that solves the same problem with Ceres, where the environment variable
+           HANDLASER_CERES_PEER names it; it is called with a text file and a number of repetitions
+           and prints a row of JSON (seconds, cost, iterations)
+
+`start to covariances` is find_start, graph and marginals together; `calibrate` is everything, with the
+noise given as it was simulated. Its CPU time over that of `graph` is printed below the table.
 """
 
 import argparse
 import json
+import os
 import statistics
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -26,9 +34,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.simulation.scenes import Layout, paper
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph
@@ -43,6 +53,8 @@ SIGMA = 3e-5
 SAME_COST = 1e-6
 TURNS = 3
 WHOLE = "start to covariances"
+PEER = "HANDLASER_CERES_PEER"
+EXACT = Noise(SIGMA, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +118,50 @@ def solve_gtsam(readings: Readings, start: Parameters) -> tuple[float, int]:
     return optimizer.error(), optimizer.iterations()
 
 
+def solve_ceres(readings: Readings, start: Parameters, repeat: int) -> Row | None:
+    """Solve with Ceres in another program, which measures its own time; None where there is none."""
+    peer = os.environ.get(PEER)
+    if not peer:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "problem.txt")
+        path.write_text(problem_text(readings, start))
+        one = {**os.environ, "OMP_NUM_THREADS": "1"}
+        run = subprocess.run(
+            [peer, str(path), str(repeat)], capture_output=True, text=True, check=True, env=one
+        )
+    found = json.loads(run.stdout)
+    return Row("ceres", readings.planes, found["seconds"], found["cost"], found["iterations"])
+
+
+def problem_text(readings: Readings, start: Parameters) -> str:
+    """Return sizes and sigma, then beams, planes, and readings with their poses, a row each."""
+    rows = [[readings.planes, readings.beams, len(readings), SIGMA]]
+    rows += np.hstack((start.locations, start.directions, start.range_errors)).tolist()
+    rows += np.column_stack((start.normals, start.offsets)).tolist()
+    R, t = readings.world_R_hand.reshape(-1, 9), readings.world_t_hand
+    index = zip(readings.plane.tolist(), readings.beam.tolist(), strict=True)
+    numbers = np.column_stack((readings.distance, R, t)).tolist()
+    rows += [[*pair, *row] for pair, row in zip(index, numbers, strict=True)]
+    return "\n".join(" ".join(repr(x) for x in row) for row in rows) + "\n"
+
+
+def calibrate_ratio(planes: int) -> float:
+    """Return the CPU time of `calibrate` over that of building and solving the graph alone."""
+    recording = problem(planes)
+    readings = recording.readings()
+    start = closed_form(readings)
+    seconds = []
+    for run in (lambda: solve_graph(readings, start), lambda: calibrate(recording, EXACT)):
+        each = []
+        for _ in range(TURNS):
+            begin = time.process_time()
+            run()
+            each.append(time.process_time() - begin)
+        seconds.append(statistics.median(each))
+    return seconds[1] / seconds[0]
+
+
 def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
     """Return a row a solver, and the median seconds of start to covariances.
 
@@ -132,6 +188,8 @@ def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
                 seconds[name].append(time.perf_counter() - begin)
     medians = {name: statistics.median(each) for name, each in seconds.items()}
     rows = [Row(name, planes, medians[name], *answers[name]) for name, _, _ in runs[:3]]
+    peer = solve_ceres(readings, start, repeat)
+    rows += [] if peer is None else [peer]
     return rows, medians[WHOLE]
 
 
@@ -170,6 +228,8 @@ def main() -> None:
         if row.solver == "reference":
             ratio = row.seconds / whole[row.planes]
             print(f"{row.planes} planes: reference / start to covariances = {ratio:.1f}")
+    for planes in arguments.planes:
+        print(f"{planes} planes: calibrate / graph = {calibrate_ratio(planes):.1f} (CPU time)")
     if arguments.out is not None:
         arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from .errors import SolverError as SolverError
     from .estimation.information import NoiseSet as NoiseSet
     from .estimation.learned import LearnedScales as LearnedScales
-    from .estimation.mixture import RangeErrorGrid as RangeErrorGrid
     from .estimation.options import CalibrationOptions as CalibrationOptions
+    from .estimation.range_error_grid import RangeErrorGrid as RangeErrorGrid
     from .estimation.scales import Scale as Scale
     from .estimation.scales import Scales as Scales
     from .files.calibration_json import write_calibration as write_calibration
@@ -110,7 +110,7 @@ _NAMES = {
     "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError SolverError",
     "estimation.information": "NoiseSet",
     "estimation.learned": "LearnedScales",
-    "estimation.mixture": "RangeErrorGrid",
+    "estimation.range_error_grid": "RangeErrorGrid",
     "estimation.options": "CalibrationOptions",
     "estimation.scales": "Scale Scales",
     "files.calibration_json": "write_calibration",

@@ -31,7 +31,10 @@ BASE = ("_version", "arrays", "checks", "errors", "keys", "text")
 """The files that lie flat below all folders."""
 WITHOUT_GTSAM = ("data", "model", "simulation", "starts", "observability", "outliers")
 """Floors that work on NumPy alone."""
-REDUCTION = ("solvers.reduction", "solvers.refine", "solvers.reference", "solvers.stopping")
+REDUCTION = tuple(
+    f"solvers.{name}"
+    for name in ("elimination", "reduction", "steps", "refine", "reference", "stopping")
+)
 """Solvers that do."""
 
 

@@ -12,8 +12,8 @@ from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
-from handlaser_gtsam.estimation.mixture import PERFECT, SPAN
 from handlaser_gtsam.estimation.posterior import posterior
+from handlaser_gtsam.estimation.range_error_grid import PERFECT, SPAN
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS

@@ -9,7 +9,7 @@ from helpers import ROOT
 import handlaser_gtsam as hl
 
 MOST = {"levenberg_marquardt": 4, "build_graph": 4, "observability": 5, "linearize": 45}
-"""On the recording that ships. `linearize` is that of the model: all derivatives at a point."""
+"""On the recording that ships; `linearize` is that of the model."""
 HOMES = {
     "levenberg_marquardt": "solvers.levenberg",
     "build_graph": "solvers.graph",

@@ -6,11 +6,11 @@ where, at nearly all stations at which both read, d' = a d to within the smaller
 and what two sensors could never do. Whose readings they are the recording cannot tell: it is refused.
 """
 
-from itertools import combinations
+from collections.abc import Iterator
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from .recording import Recording
 
@@ -79,13 +79,13 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
     RepeatedColumnError
     """
     d = recording.ranges
-    for i, j in combinations(range(d.shape[1]), 2):
+    for i, j in _candidates(d):
         both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
         if len(both) < LEAST_STATIONS:
             continue
         look = both[:: max(len(both) // FIRST_LOOK, 1)]
         a, b = d[look, i], d[look, j]
-        factor = _factor(a, b)
+        factor = float(_factors(a, b[:, None])[0])
         if _agreeing(a, b, factor, sigma) < 0.5 * len(look):
             continue
         a, b = d[both, i], d[both, j]
@@ -95,14 +95,34 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
             raise RepeatedColumnError(names, same, len(both), factor)
 
 
-def _factor(a: FloatArray, b: FloatArray) -> float:
-    """Return the unit of b over that of a: one where they are nearly equal."""
+def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
+    """Yield all pairs of columns of (M, B) that may be alike; those without gaps are compared at once.
+
+    With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left.
+    """
+    whole: BoolArray = np.asarray(~np.isnan(d).any(axis=0))
+    x = d[:: max(len(d) // FIRST_LOOK, 1)]
+    for i in range(d.shape[1] - 1):
+        later = np.arange(i + 1, d.shape[1])
+        if whole[i] and (together := later[whole[later]]).size:
+            a, b = x[:, i], x[:, together]
+            factor = _factors(a, b)
+            limit = np.maximum(JITTER * np.abs(factor), RELATIVE * np.abs(b))
+            limit = np.maximum(limit, ROUNDED_PART * float(np.ptp(a)))
+            near = (np.abs(b - factor * a[:, None]) <= limit).sum(axis=0)
+            later = np.setdiff1d(later, together[near < 0.5 * len(a)])
+        yield from ((i, j) for j in later.tolist())
+
+
+def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the unit (q,) of columns of b (M, q) over that of a; one where they are nearly equal."""
     large = np.abs(a) >= 0.1 * float(np.median(np.abs(a)))
-    if not large.any() or not a[large].any():
-        return 1.0
+    if not a[large].any():
+        return np.ones(b.shape[1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = float(np.nanmedian(b[large] / a[large]))
-    return factor if np.isfinite(factor) and abs(factor - 1.0) > SAME_UNIT else 1.0
+        factor = np.nanmedian(b[large] / a[large, None], axis=0)
+    known = np.isfinite(factor) & (np.abs(factor - 1.0) > SAME_UNIT)
+    return np.where(known, factor, 1.0)
 
 
 def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:

@@ -15,9 +15,9 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..model.joint import JointCovariance
 from ..observability.rank import Observability
+from ..solvers.elimination import inverse_of
 from ..solvers.graph import CalibrationGraph
 from ..solvers.levenberg import linearize
-from ..solvers.reduction import inverse_of
 
 
 def covariance(

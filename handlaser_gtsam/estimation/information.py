@@ -158,6 +158,7 @@ class LinearReadings:
         self.first_station = np.searchsorted(plane, np.unique(plane))
         self.first_row = self.first[self.first_station]
         self.pose_rows = lin.pose
+        self._sums: _Sums | None = None
         self.root: FloatArray | None = None
         if variances.pose is not None:
             self.root = _roots(variances.pose[readings.station[self.first]])
@@ -170,7 +171,9 @@ class LinearReadings:
                 weight = 1.0 / (one.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed)
                 parts.append(_Sums(self, weight).information(np.ones(1), one.pose[None]))
         else:
-            sums = _Sums(self, 1.0 / self.squared_slope)
+            if self._sums is None:
+                self._sums = _Sums(self, 1.0 / self.squared_slope)
+            sums = self._sums
             factor = np.array([one.range_sigma[0] for one in sets]) ** -2
             pose = np.array([one.pose for one in sets])
             size = len(self.first) * 6 * self.beams * self.beam_rows.shape[1]

@@ -10,7 +10,8 @@ from ..data.recording import Readings
 from ..data.value import Value
 from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
-from .mixture import SPAN, BeamPosterior, RangeErrorGrid, refined_grid, widest_grid
+from .mixture import MOST_BEAMS, BeamPosterior
+from .range_error_grid import SPAN, RangeErrorGrid, refined_grid, widest_grid
 from .scales import Design, Scales, design, find_mode, with_scales
 
 ENOUGH = 3000
@@ -94,6 +95,10 @@ def widest_scale(linearity: float | None) -> float:
     return np.inf if linearity is None else float(linearity * np.exp(SPAN))
 
 
+_Last = tuple[FloatArray, tuple[RangeErrorGrid, BeamPosterior], PlaneResponse]
+"""A mode with the grid, the beams and the planes there: it is asked for more than once."""
+
+
 class ScaleProblem:
     """Unknown scales, and readings linearised at a solution.
 
@@ -136,6 +141,7 @@ class ScaleProblem:
         beams = readings.beams if members is None else len(members)
         self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms, beams)
         self.rows = self._rows(readings)
+        self._last: _Last | None = None
         part = part_of(readings)
         self._part = self.rows if len(part) == len(readings) else self._rows(part)
 
@@ -158,7 +164,10 @@ class ScaleProblem:
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        around = Design(mode[None], np.zeros(1))
+        around, grid = Design(mode[None], np.zeros(1)), self._grid(mode)[0]
+        scale = self.range_error_scales(mode)
+        if self.linearity is not None and self.readings.beams > MOST_BEAMS:
+            grid = RangeErrorGrid(scale[None], np.zeros(1), np.zeros(1))
         if len(self.readings) <= MOST_READINGS:
             around = design(self._log_posterior, mode, self.scales.bounds)
         return LearnedScales(
@@ -170,12 +179,14 @@ class ScaleProblem:
             self.terms,
             self.length,
             self.linearity,
-            self._grid(mode)[0],
-            self.range_error_scales(mode),
+            grid,
+            scale,
         )
 
     def beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
+        if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
+            return self._last[1][1], self._last[2]
         return self._beams(self.rows, points)
 
     def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -205,10 +216,14 @@ class ScaleProblem:
         return found.log_marginal(self.wide) + self.scales.log_prior(points)
 
     def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
-        beams = self._beams(self.rows, mode[None])[0]
+        if self._last is not None and np.array_equal(self._last[0], mode):
+            return self._last[1]
+        beams, planes = self._beams(self.rows, mode[None])
         evidence = beams.log_evidence_of(self.wide)[0]
         fine = refined_grid(self.wide, evidence, self.linearity or 1.0)
-        return fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
+        found = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
+        self._last = mode, found, planes
+        return found
 
 
 def part_of(readings: Readings) -> Readings:

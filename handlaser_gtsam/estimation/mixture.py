@@ -18,67 +18,29 @@ or not the readings determine k. The posterior is a mixture over all scales: its
 within and between, and quantiles of its components.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.value import Value
+from ..arrays import FloatArray, IntArray
+from ..solvers.elimination import inverse_and_log_det
 from .information import Information
+from .range_error_grid import Contrasts, RangeErrorGrid
 
-SPAN, STEP = 4.5, 1.5
-"""The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
-SHARED, SHARED_STEP = 10.0, 0.1
-"""The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.1
-"""Range errors of exp(NEGLIGIBLE_ERROR) of the linearity are none; so have sensors with probability
-PERFECT, where there are several that can contradict it. A single beam whose readings hardly determine
-its range errors would have them explained away; with 0.3, so would 1 in 100 recordings of four beams
-whose range errors are a third of the linearity (7 standard deviations off)."""
-WIDTH = 9.0
-"""A grid that is refined keeps what is within this of the top, in the logarithm."""
-POINTS = 8
 LOST = 1e-4
 """The smallest components, which have this weight together, are not kept for quantiles."""
 LEAST_INFORMATION = 1e-6
 """Of every unknown in natural units: a part of a recording may lack a beam."""
 NEGLIGIBLE = 1e-6
 """Components of smaller weight beside the largest count for nothing."""
+MOST_BEAMS = 30
+"""So many beams, evenly chosen, tell the scales of range errors."""
+LARGE = 400
+"""Beyond so many unknowns an inverse by Cholesky's factor saves time."""
 LARGEST_CHUNK = 4_000_000
 """Numbers of the largest intermediate array."""
 BISECTIONS = 45
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class RangeErrorGrid(Value):
-    """Scales of the range errors at which their prior is integrated over, natural units.
-
-    Attributes
-    ----------
-    own : (G, T)
-        s1, s2: of the beams by themselves, for T terms; those of sensors without range errors last.
-    common : (G,)
-        S: of what all beams share; zero for one beam.
-    log_prior : (G,)
-        With the volume of a cell.
-    """
-
-    own: FloatArray
-    common: FloatArray
-    log_prior: FloatArray
-
-    def total(self) -> FloatArray:
-        """Return the standard deviations (G, T) of the range errors of one beam."""
-        found: FloatArray = np.hypot(self.own, self.common[:, None])
-        return found
-
-    def near(self, value: FloatArray) -> "RangeErrorGrid":
-        """Return the points whose value (G,), in the logarithm, is not far below the largest."""
-        kept = value > value[: max(len(value) - 1, 1)].max() - WIDTH
-        kept[-1] = True
-        return RangeErrorGrid(self.own[kept], self.common[kept], self.log_prior[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,58 +88,6 @@ def mixture_quantiles(
     return found
 
 
-def widest_grid(linearity: float, terms: int, beams: int) -> RangeErrorGrid:
-    """Return a coarse grid over all scales that are possible."""
-    steps = round(SPAN / STEP)
-    side = np.arange(-steps, steps + 1, dtype=np.float64) * STEP
-    return _grid([side] * _axes(terms, beams), linearity, terms)
-
-
-def refined_grid(
-    grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
-) -> RangeErrorGrid:
-    """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms = grid.own.shape[1]
-    if terms == 0:
-        return grid
-    value = (log_evidence + grid.log_prior)[:-1]
-    points = np.column_stack((grid.own, grid.common))[:-1][value > value.max() - WIDTH]
-    points = points[:, : terms + int(grid.common.any())]
-    near = np.log(points / linearity)
-    sides = [
-        np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, SPAN), POINTS)
-        for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
-    ]
-    return _grid(sides, linearity, terms)
-
-
-def _axes(terms: int, beams: int) -> int:
-    """Return how many scales there are."""
-    return 0 if terms == 0 else terms + int(beams > 1)
-
-
-def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErrorGrid:
-    if not sides:
-        return RangeErrorGrid(np.ones((1, 0)), np.zeros(1), np.zeros(1))
-    x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
-    cell = sum(float(np.log(side[1] - side[0])) for side in sides)
-    shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    each = _log_density(x[:, :, None] - shared).sum(axis=1)
-    log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
-    x = np.vstack((x, np.full((1, x.shape[1]), NEGLIGIBLE_ERROR)))
-    perfect = PERFECT if x.shape[1] > terms else 1e-12
-    log_prior = np.append(log_prior + cell + np.log(1.0 - perfect), np.log(perfect))
-    scale = linearity * np.exp(x)
-    common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
-    return RangeErrorGrid(scale[:, :terms], common, log_prior)
-
-
-def _log_density(x: FloatArray) -> FloatArray:
-    """Return the logarithm of the density of the logarithm x of a half-Cauchy variable of scale 1."""
-    density: FloatArray = np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
-    return density
-
-
 class BeamPosterior:
     """The beams for J sets of noise scales under the widest prior of their range errors.
 
@@ -200,68 +110,61 @@ class BeamPosterior:
         members: IntArray | None = None,
     ) -> None:
         terms, size = k.shape[1], information.matrix.shape[1]
-        width = size // max(len(k), 1)
         beams = np.arange(len(k)) if members is None else members
-        k = k[beams]
-        self.at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
-        self.count, self.terms = len(beams), np.repeat(np.arange(terms), len(beams))
-        self.turn, self.is_mean = _contrasts(len(beams), terms)
-        self.has_prior = bool(self.at.size) and np.isfinite(widest)
-        self.widest = np.where(self.is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
-        own, mean = self.turn.T @ (self.widest[:, None] ** -2 * self.turn), self.turn @ k.ravel()
+        self.every = Contrasts.of(beams, terms, size // max(len(k), 1), widest)
+        self.has_prior = bool(self.every.at.size) and np.isfinite(widest)
+        at, turn, wide = self.every.at, self.every.turn, self.every.widest
+        own, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
         matrix, vector = information.matrix.copy(), information.vector.copy()
         matrix += LEAST_INFORMATION * np.eye(size)
-        matrix[:, self.at[:, None], self.at] += own
-        vector[:, self.at] -= own @ k.ravel()
-        diagonal = np.einsum("jii->ji", matrix)
-        scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
-        scaled = matrix * scale[:, :, None] * scale[:, None, :]
-        self.covariance = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
+        matrix[:, at[:, None], at] += own
+        vector[:, at] -= own @ k[beams].ravel()
+        self.covariance, log_det = _inverses(matrix)
         self.mean = np.einsum("jab,jb->ja", self.covariance, vector)
-        log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
         self.log_evidence -= 0.5 * log_det
         if self.has_prior:
-            self.log_evidence -= 0.5 * float((mean**2 / self.widest**2).sum())
-            self.log_evidence -= float(np.log(self.widest).sum())
-        self.U = self.covariance[:, :, self.at] @ self.turn.T
-        self.V = self.turn @ self.U[:, self.at]
-        self.k = self.mean[:, self.at] @ self.turn.T + mean
+            self.log_evidence -= 0.5 * float((mean**2 / wide**2).sum())
+            self.log_evidence -= float(np.log(wide).sum())
+        self.U = self.covariance[:, :, at] @ turn.T
+        self.V = turn @ self.U[:, at]
+        self.k = self.mean[:, at] @ turn.T + mean
+        self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
 
-    def spread(self, grid: RangeErrorGrid) -> FloatArray:
-        """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
-        if grid.own.shape[1] == 0:  # range errors without a prior
-            return np.ones((len(grid.common), len(self.terms)))
-        shared = np.where(self.is_mean, np.sqrt(self.count), 0.0) * grid.common[:, None]
-        found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
-        return found
-
-    def _narrowing(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K), each of one of the sets (C,)."""
-        R = np.sqrt(np.maximum(own**-2 - self.widest**-2, 0.0))
-        return R, np.eye(own.shape[1]) + R[:, :, None] * self.V[sets] * R[:, None, :]
+    def _of_few(
+        self, k: FloatArray, beams: IntArray, width: int, widest: float
+    ) -> tuple[Contrasts, FloatArray, FloatArray]:
+        """Return contrasts of at most `MOST_BEAMS` beams, with covariances and estimates of them."""
+        if len(beams) <= MOST_BEAMS:
+            return self.every, self.V, self.k
+        chosen = np.unique(np.linspace(0, len(beams) - 1, MOST_BEAMS).round().astype(np.intp))
+        few = Contrasts.of(beams[chosen], k.shape[1], width, widest)
+        V = few.turn @ self.covariance[:, few.at[:, None], few.at] @ few.turn.T
+        own = self.mean[:, few.at] + k[beams[chosen]].ravel()
+        return few, V, own @ few.turn.T
 
     def narrowed(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return Z (C, K, K) and Z k^ (C, K) for priors (C, K), each of one of the sets (C,)."""
         if not self.has_prior:
             zero = np.zeros((*own.shape, own.shape[1]))
             return zero, zero.sum(axis=2)
-        R, inner = self._narrowing(own, sets)
+        R, inner = _narrowing(own, self.every.widest, self.V[sets])
         Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
         return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        own, count = self.spread(grid), len(self.k)
+        of, V, k = self.telling
+        own, count = of.spread(grid), len(self.k)
         if not self.has_prior:
             return np.broadcast_to(self.log_evidence[:, None], (count, len(own)))
         found = np.empty((count, len(own)))
-        size = -np.log(own / self.widest).sum(axis=1)
+        size = -np.log(own / of.widest).sum(axis=1)
         share = max(LARGEST_CHUNK // max(own.size * own.shape[1], 1), 1)
         for a in range(0, count, share):
             sets = np.arange(a, min(a + share, count)).repeat(len(own))
-            R, inner = self._narrowing(np.tile(own, (len(sets) // len(own), 1)), sets)
-            right = R * self.k[sets]
+            R, inner = _narrowing(np.tile(own, (len(sets) // len(own), 1)), of.widest, V[sets])
+            right = R * k[sets]
             log_det = np.linalg.slogdet(inner)[1]
             solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             value = -0.5 * (log_det + np.einsum("ca,ca->c", right, solved))
@@ -276,7 +179,7 @@ class BeamPosterior:
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
-        Z, Zk = self.narrowed(scale[None, self.terms], np.zeros(1, dtype=np.intp))
+        Z, Zk = self.narrowed(scale[None, self.every.terms], np.zeros(1, dtype=np.intp))
         U = self.U[0]
         return self.mean[0] - U @ Zk[0], self.covariance[0] - U @ Z[0] @ U.T
 
@@ -296,7 +199,7 @@ class BeamPosterior:
         members = np.argwhere(w)
         weight = w[w > 0.0]
         means, within, covariance = self._components(
-            self.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
+            self.every.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
         )
         mean = weight @ means
         off = means - mean
@@ -335,17 +238,21 @@ class BeamPosterior:
         return means, np.sqrt(np.maximum(wide[sets] - less, 0.0)), within
 
 
-def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:
-    """Return an orthogonal matrix (K, K) from range errors, beam after beam, to means and contrasts.
+def _narrowing(own: FloatArray, widest: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K) and covariances V (C, K, K)."""
+    R = np.sqrt(np.maximum(own**-2 - widest**-2, 0.0))
+    return R, np.eye(own.shape[1]) + R[:, :, None] * V * R[:, None, :]
 
-    Term after term, the mean over the beams, times the root of their number, first. Also return which
-    of them are means.
-    """
-    one = np.eye(beams)
-    if beams > 1:
-        one = np.linalg.qr(np.column_stack((np.ones(beams), np.eye(beams)[:, 1:])))[0].T
-    turn = np.zeros((terms, beams, beams, terms))
-    for term in range(terms):
-        turn[term, :, :, term] = one
-    is_mean = np.tile(np.arange(beams) == 0, terms)
-    return turn.reshape(terms * beams, beams * terms), is_mean
+
+def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the inverses of information (J, n, n), and the logarithms (J,) of its determinants."""
+    diagonal = np.einsum("jii->ji", matrix)
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
+    scaled = matrix * scale[:, :, None] * scale[:, None, :]
+    if scaled.shape[1] > LARGE:
+        both = [inverse_and_log_det(one) for one in scaled]
+        inverse, size = np.array([one for one, _ in both]), np.array([own for _, own in both])
+    else:
+        inverse, size = np.linalg.inv(scaled), np.linalg.slogdet(scaled)[1]
+    found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]
+    return found, size - 2.0 * np.log(scale).sum(axis=1)

@@ -13,7 +13,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..model.joint import JointCovariance, beam_lift
-from ..solvers.reduction import apply_step
+from ..solvers.steps import apply_step
 from .information import PlaneResponse
 from .learned import LearnedScales, ScaleProblem
 from .mixture import Mixture

@@ -19,10 +19,13 @@ from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
 from ..model.weighting import Whitening
-from ..solvers.reduction import ReducedInformation, normal_equations
+from ..solvers.elimination import ReducedInformation
+from ..solvers.reduction import NormalEquations, normal_equations
 
 LARGE = 400
 """Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
+NEARLY = 1e-2
+"""The relative accuracy of the extreme eigenvalues of so many unknowns."""
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
 WITHIN_PRIOR = 2.0
@@ -202,54 +205,62 @@ def observability(
         A beam grazes its plane at `parameters`.
     """
     options = options or ObservabilityOptions()
-    counts = per_beam(terms, readings.beams)
-    most, planes = max(counts), readings.planes
-    length = readings.typical_range()
-    beam_unit, plane_unit = _units(readings, most, options, prior)
-    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
-    normal = normal_equations(parameters, readings, most, whitening=whitening)
-    largest = float((normal.diagonal[0] * beam_unit**2).max())
-    known = _prior_information(prior, beam_unit, most, range_sigma, largest)
-    largest = float((normal.diagonal[0] * beam_unit**2 + known).max())
-    of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
-    found = normal.reduced(
-        beam_unit,
-        plane_unit,
-        active,
-        known,
-        _least_information(of_planes, range_sigma, options),
+    counts, planes = per_beam(terms, readings.beams), readings.planes
+    normal = normal_equations(parameters, readings, max(counts), whitening=whitening)
+    reduced, open_beams, plane_null = _reduced(
+        normal, readings, counts, range_sigma, options, prior
     )
-    plane_null = _plane_null(found, _least_information(of_planes, range_sigma, options))
-    floor = _least_information(largest, range_sigma, options)
-    least, top, mean_log, axes = _spectrum(found.matrix, floor)
-    open_beams = axes[:, : int((least < floor).sum())]
-    lost = open_beams.shape[1] + plane_null.shape[2]
-    reduced = Reduced(
-        found,
-        floor,
-        beam_unit[active],
-        plane_unit,
-        active,
-        normal.centres[0],
-        float(least[0]),
-        top,
-        mean_log,
-        axes[:, 0],
-    )
-    beams = reduced.padded(np.hstack((open_beams, np.zeros((len(axes), plane_null.shape[2])))))
+    size, lost = len(reduced.beam_unit), open_beams.shape[1] + plane_null.shape[2]
+    follow = -reduced.information.plane_response @ open_beams
+    beams = reduced.padded(np.hstack((open_beams, np.zeros((size, plane_null.shape[2])))))
     return Observability(
-        rank=len(axes) + 3 * planes - lost,
-        unknowns=len(axes) + 3 * planes,
-        condition=float(np.sqrt(top / least[0] if lost == 0 else np.inf)),
+        rank=size + 3 * planes - lost,
+        unknowns=size + 3 * planes,
+        condition=float(np.sqrt(reduced.most / reduced.least if lost == 0 else np.inf)),
         null_space=NullSpace(
-            beams.reshape(readings.beams, 5 + most, lost),
-            np.concatenate((-found.plane_response @ open_beams, plane_null), axis=2),
+            beams.reshape(readings.beams, 5 + max(counts), lost),
+            np.concatenate((follow, plane_null), axis=2),
         ),
-        length=length,
+        length=readings.typical_range(),
         readings=len(readings),
         terms=counts,
         reduced=reduced,
     )
+
+
+def _reduced(
+    normal: NormalEquations,
+    readings: Readings,
+    counts: tuple[int, ...],
+    range_sigma: float,
+    options: ObservabilityOptions,
+    prior: RangeErrorPrior | None,
+) -> tuple[Reduced, FloatArray, FloatArray]:
+    """Return the reduced information, and what is open of beams (n, K) and of planes (P, 3, L)."""
+    most = max(counts)
+    unit, plane_unit = _units(readings, most, options, prior)
+    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
+    own = normal.diagonal[0] * unit**2
+    known = _prior_information(prior, unit, most, range_sigma, float(own.max()))
+    of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
+    least_of_planes = _least_information(of_planes, range_sigma, options)
+    found = normal.reduced(unit, plane_unit, active, known, least_of_planes)
+    floor = _least_information(float((own + known).max()), range_sigma, options)
+    values, top, mean_log, axes = _spectrum(found.matrix, floor)
+    reduced = Reduced(
+        found,
+        floor,
+        unit[active],
+        plane_unit,
+        active,
+        normal.centres[0],
+        float(values[0]),
+        top,
+        mean_log,
+        axes[:, 0],
+    )
+    open_beams = axes[:, : int((values < floor).sum())]
+    return reduced, open_beams, _plane_null(found, least_of_planes)
 
 
 def _units(
@@ -300,11 +311,17 @@ def _spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, floa
         except np.linalg.LinAlgError:
             root = None
         if root is not None:
-            solve = LinearOperator(matrix.shape, lambda x: cho_solve((root, True), x), dtype=float)
+            factor = (root, True)
+
+            def inverse(x: FloatArray) -> FloatArray:
+                found: FloatArray = cho_solve(factor, x, check_finite=False)
+                return found
+
+            solve = LinearOperator(matrix.shape, inverse, dtype=float)
             start = np.ones(len(matrix))
-            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start)
+            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
             if small[0] >= floor:
-                top = eigsh(matrix, 1, which="LA", v0=start, return_eigenvectors=False)
+                top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
                 mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
                 return small, float(top[0]), mean_log, axis
     values, axes = np.linalg.eigh(matrix)

@@ -84,6 +84,13 @@ class Family:
         """
         sums = np.zeros((*self.first.shape, rows.J.shape[1]))
         squares = np.zeros(len(self.beam))
+        if not rows.how.is_coupled and (self.beam >= 0).all():  # only the own beam has any
+            heavy = rows.how.weighed(self.column[:, None])
+            values = np.hstack((rows.J * heavy, self.column[:, None] * heavy))[self.rows]
+            mine = np.arange(len(self.beam)), self.beam
+            found = _range_sums(values, self.first[mine], self.last[mine])
+            sums[mine] = found[:, :-1]
+            return sums, found[:, -1]
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
             own = self.column if beam < 0 else self.column * (rows.readings.beam == beam)

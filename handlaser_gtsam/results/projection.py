@@ -6,6 +6,7 @@ Planes are eliminated before beams, as everywhere, so that the cost is linear in
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
@@ -39,6 +40,16 @@ class Rows:
     J: FloatArray
     residual: FloatArray
     normal: NormalEquations
+
+    def sparse(self) -> csr_array:
+        """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
+        readings = self.readings
+        own = WIDTH * readings.beam[:, None] + np.arange(WIDTH)
+        plane = WIDTH * readings.beams + 3 * readings.plane[:, None] + np.arange(3)
+        size = WIDTH * readings.beams + 3 * readings.planes
+        starts = (WIDTH + 3) * np.arange(len(readings) + 1)
+        columns = np.hstack((own, plane)).ravel()
+        return csr_array((self.J.ravel(), columns, starts), shape=(len(readings), size))
 
 
 def linear_rows(at: Parameters, readings: Readings, how: Whitening) -> Rows:
@@ -76,7 +87,7 @@ class Projection:
     """
 
     def __init__(self, rows: Rows, prior: FloatArray) -> None:
-        self.J, self.how = rows.J, rows.how
+        self.J, self.how = rows.sparse(), rows.how
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
         self.pull = np.zeros((readings.beams, WIDTH))
         finite = np.isfinite(prior) & (prior > 0.0)
@@ -143,20 +154,14 @@ class Projection:
 
     def _gradient(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return J'y for columns y (N, q): beams (7 B, q) and planes (P, 3, q)."""
-        starts = self.readings.block_starts()
-        sums = np.add.reduceat(self.J[:, :, None] * y[:, None, :], starts, axis=0)
-        beams = np.zeros((self.readings.beams, WIDTH, y.shape[1]))
-        planes = np.zeros((self.readings.planes, 3, y.shape[1]))
-        np.add.at(beams, self.readings.beam[starts], sums[:, :WIDTH])
-        np.add.at(planes, self.readings.plane[starts], sums[:, WIDTH:])
-        return beams.reshape(-1, y.shape[1]), planes
+        both = self.J.T @ y
+        beams = self.pull.size
+        return both[:beams], both[beams:].reshape(self.readings.planes, 3, -1)
 
     def _solved(self, beams: FloatArray, planes: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = self.beam_inverse @ (beams - np.einsum("pij,piq->jq", self.response, planes))
         return x, self.plane_inverse @ planes - self.response @ x
 
     def _image(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        own = x.reshape(self.readings.beams, WIDTH, -1)[self.readings.beam]
-        image: FloatArray = np.einsum("ni,niq->nq", self.J[:, :WIDTH], own)
-        image += np.einsum("ni,niq->nq", self.J[:, WIDTH:], y[self.readings.plane])
+        image: FloatArray = self.J @ np.concatenate((x, y.reshape(-1, y.shape[2])))
         return image

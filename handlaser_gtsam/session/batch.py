@@ -14,7 +14,7 @@ from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..estimation.solve import SETTLED
+from ..estimation.task import SETTLED
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
 from ..observability.rank import Observability, ObservabilityOptions, observability

@@ -15,7 +15,7 @@ from ..keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening, stations_from_zero
 from .poses import PosePriors
-from .reduction import MANY_BEAMS
+from .steps import MANY_BEAMS
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,18 +126,7 @@ def levenberg_marquardt(
         A beam grazes its plane at the start already.
     """
     search = _Search(Together(problem), options or LevenbergOptions(), progress)
-    status, message = search.finished()
-    point = search.point
-    return LevenbergResult(
-        point.values,
-        status,
-        message,
-        point.cost,
-        search.accepted,
-        tuple(search.history),
-        _of_readings(problem, point.at.residual),
-        _of_readings(problem, point.at.white),
-    )
+    return search.result(lambda rows: _of_readings(problem, rows))
 
 
 def optimize(
@@ -172,6 +161,13 @@ def optimize(
     InputError
         An empty graph, a variable without a start, or numbers beyond sense.
     """
+    _require_startable(graph, values)
+    search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
+    return search.result(lambda _: np.empty(0))
+
+
+def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    """Refuse what is no graph with a start for every variable."""
     kinds, wanted = (type(graph), type(values)), (gtsam.NonlinearFactorGraph, gtsam.Values)
     if not all(issubclass(kind, one) for kind, one in zip(kinds, wanted, strict=True)):
         found = " and ".join(kind.__name__ for kind in kinds)
@@ -184,20 +180,6 @@ def optimize(
         name = gtsam.DefaultKeyFormatter(missing[0])
         raise InputError(f"no start of {name}", "one for every variable of the graph")
     require_values(values)
-    search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
-    status, message = search.finished()
-    point = search.point
-    none = np.empty(0)
-    return LevenbergResult(
-        point.values,
-        status,
-        message,
-        point.cost,
-        search.accepted,
-        tuple(search.history),
-        none,
-        none,
-    )
 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
@@ -237,12 +219,21 @@ class _Search:
         self.point = work.evaluate(gtsam.Values(work.start))
         self.stopping = work.stopping(options.step_tolerance, options.least_damping)
 
-    def finished(self) -> tuple[Status, str]:
-        """Run to the end; Ctrl-C ends it with the best values so far."""
+    def result(self, of_readings: Callable[[FloatArray], FloatArray]) -> LevenbergResult:
+        """Run to the end; Ctrl-C ends it with the best values so far.
+
+        Rows of the blocks are given in the order of the readings by `of_readings`.
+        """
         try:
-            return self.run()
+            status, message = self.run()
         except KeyboardInterrupt:
-            return "interrupted", f"stopped by Ctrl-C after {self.accepted} steps"
+            status, message = "interrupted", f"stopped by Ctrl-C after {self.accepted} steps"
+        point = self.point
+        residual, white = of_readings(point.at.residual), of_readings(point.at.white)
+        history = tuple(self.history)
+        return LevenbergResult(
+            point.values, status, message, point.cost, self.accepted, history, residual, white
+        )
 
     def run(self) -> tuple[Status, str]:
         linear = self.work.linearize(self.point)

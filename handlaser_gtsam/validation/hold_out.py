@@ -30,7 +30,8 @@ from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
 from ..solvers.progress import tell
-from ..solvers.reduction import apply_step, normal_equations
+from ..solvers.reduction import normal_equations
+from ..solvers.steps import apply_step
 from ..starts.partial import PartialStart, grow
 
 STEPS, SETTLED = 20, 1e-12

@@ -1,0 +1,139 @@
+"""What readings say of the beams once planes are eliminated; linear algebra, whatever the model."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dpotri
+
+from ..arrays import FloatArray
+
+RANK = 1e-12
+"""Information of a plane below this part of its largest is rounding."""
+CERTAIN = 1e3
+"""Where all pivots exceed what is needed so many times, all eigenvalues do exceed it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedInformation:
+    """What readings say of the beams once planes are eliminated; leading axes are copies.
+
+    Attributes
+    ----------
+    matrix : (..., n, n)
+        Information of the beams, S.
+    gradient : (..., n)
+        Of half the sum of squares at the linearisation: the step of the beams is -inv(S) gradient.
+    plane_values : (..., P, 3)
+        Information of the planes along their own axes, ascending.
+    plane_axes : (..., P, 3, 3)
+        These axes, as columns.
+    plane_inverse : (..., P, 3, 3)
+        Covariances of the planes for known beams; zero along what the readings do not determine.
+    plane_response : (..., P, 3, n)
+        A step x of the beams moves a plane by -plane_response x.
+    plane_step : (..., P, 3)
+        Steps of the planes for beams that stay.
+    plane_saved : (...)
+        By how much these lower the sum of squares.
+    """
+
+    matrix: FloatArray
+    gradient: FloatArray
+    plane_values: FloatArray
+    plane_axes: FloatArray
+    plane_inverse: FloatArray
+    plane_response: FloatArray
+    plane_step: FloatArray
+    plane_saved: FloatArray
+
+    def covariance(self, floor: float) -> FloatArray:
+        """Return the inverse (n, n) of the only copy, along axes of at least `floor` information."""
+        try:
+            root = np.linalg.cholesky(self.matrix)
+            if np.diagonal(root).min() ** 2 > CERTAIN * floor:
+                return inverse_of(self.matrix)
+        except np.linalg.LinAlgError:
+            pass
+        values, axes = np.linalg.eigh(self.matrix)
+        known = values >= floor
+        found: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return found
+
+    def step(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the steps of beams (..., n) and planes (..., P, 3), and the decrement -g' delta.
+
+        The decrement is what the step saves of the sum of squares.
+        """
+        unit = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", self.matrix), 1e-300))
+        scaled = self.matrix * unit[..., :, None] * unit[..., None, :]
+        beam = -unit * solve_stack(scaled, (self.gradient * unit)[..., None])[..., 0]
+        plane = self.plane_step - np.einsum("...pij,...j->...pi", self.plane_response, beam)
+        return beam, plane, self.plane_saved - (self.gradient * beam).sum(axis=-1)
+
+
+def eliminated(
+    beam: FloatArray,
+    border: FloatArray,
+    plane: FloatArray,
+    beam_gradient: FloatArray,
+    plane_gradient: FloatArray,
+    floor: float | None = None,
+) -> ReducedInformation:
+    """Eliminate planes; blocks as those of `NormalEquations`, with any leading axes.
+
+    Information of a plane below `floor` is none; below `RANK` of its largest where that is not given.
+    """
+    values, axes = np.linalg.eigh(plane)
+    least = RANK * np.maximum(values[..., -1:], 0.0) if floor is None else floor
+    known = (values >= least) & (values > 0.0)
+    weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
+    inverse = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    response = inverse @ np.swapaxes(border, -1, -2)
+    step = -np.einsum("...pij,...pj->...pi", inverse, plane_gradient)
+    flat = np.swapaxes(border, -3, -2).reshape(*beam.shape[:-1], -1)
+    matrix = beam - flat @ response.reshape(*beam.shape[:-2], -1, beam.shape[-1])
+    return ReducedInformation(
+        0.5 * (matrix + np.swapaxes(matrix, -1, -2)),
+        beam_gradient + np.einsum("...pnj,...pj->...n", border, step),
+        values,
+        axes,
+        inverse,
+        response,
+        step,
+        -(plane_gradient * step).sum(axis=(-2, -1)),
+    )
+
+
+def inverse_of(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a positive definite matrix (n, n), whatever the units of its rows."""
+    return inverse_and_log_det(matrix)[0]
+
+
+def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        It is not positive definite.
+    """
+    scale = np.sqrt(np.diagonal(matrix))
+    if not (np.isfinite(scale).all() and scale.all()):
+        raise np.linalg.LinAlgError("the information is singular")
+    root = np.linalg.cholesky(matrix / scale[:, None] / scale)
+    inverse, failed = dpotri(root, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("the information is singular")
+    inverse = np.tril(inverse)
+    inverse += np.tril(inverse, -1).T
+    inverse /= scale[:, None] * scale
+    return inverse, 2.0 * float(np.log(np.diagonal(root) * scale).sum())
+
+
+def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Return x of A x = rhs for stacks; the least-norm one where a matrix is singular."""
+    try:
+        solved = np.linalg.solve(A, rhs)
+    except np.linalg.LinAlgError:
+        solved = np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ rhs
+    return np.asarray(solved, dtype=np.float64)

@@ -1,0 +1,112 @@
+"""Steps of Gauss and Newton from normal equations, the smaller side eliminated last."""
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.recording import Readings
+from ..model.weighting import Whitening
+from .elimination import solve_stack
+from .reduction import NormalEquations, normal_equations
+
+MANY_BEAMS = 4
+"""Beams are eliminated first where their unknowns are so many times those of the planes."""
+
+
+def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the steps (K, nb) of the beams and (K, P, 3) of the planes for damping (K,)."""
+    lift = _lift(damping, normal.diagonal)
+    plane_lift = _lift(damping, np.einsum("kpii->kpi", normal.plane))
+    plane = normal.plane + plane_lift[..., None] * np.eye(3)
+    copies, planes = normal.plane.shape[:2]
+    size = normal.beam_gradient.shape[1]
+    if normal.coupled is None and size > MANY_BEAMS * 3 * planes:
+        return _beams_first(normal, lift, plane)
+    right = np.concatenate((np.swapaxes(normal.border, 2, 3), normal.plane_gradient[..., None]), 3)
+    solved = solve_stack(plane, right)
+    W, w = solved[..., :-1], solved[..., -1]
+    E = np.swapaxes(normal.border, 1, 2).reshape(copies, size, -1)
+    beam = np.array(normal.beam)
+    beam[:, np.arange(size), np.arange(size)] += lift
+    S = beam - E @ W.reshape(copies, -1, size)
+    gradient = normal.beam_gradient - (E @ w.reshape(copies, -1, 1))[..., 0]
+    scale = 1.0 / np.sqrt(np.einsum("kii->ki", beam))
+    scaled = S * scale[:, :, None] * scale[:, None, :]
+    step = -scale * solve_stack(scaled, (gradient * scale)[..., None])[..., 0]
+    return step, -w - np.einsum("kpij,kj->kpi", W, step)
+
+
+def newton_step(
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    whitening: Whitening,
+    prior: RangeErrorPrior | None = None,
+) -> tuple[Parameters, float]:
+    """Return where an undamped step leads, and its length sqrt(-g' delta) [standard deviations]."""
+    normal = normal_equations(parameters, readings, terms, whitening=whitening)
+    if prior is not None:
+        normal = normal.with_prior(prior, parameters.range_errors, whitening.sigma)
+    beam, plane = damped_step(normal, np.zeros(1))
+    saved = -float((normal.beam_gradient * beam).sum() + (normal.plane_gradient * plane).sum())
+    own = beam.reshape(readings.beams, -1)
+    moved = apply_step(parameters, own, plane[0], normal.centres[0], terms)
+    return moved, float(np.sqrt(max(saved, 0.0))) / whitening.sigma
+
+
+def _beams_first(
+    normal: NormalEquations, lift: FloatArray, plane: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Solve with the beams eliminated before few planes: the cost is linear in their number."""
+    copies, beams, width = normal.blocks.shape[:3]
+    planes = plane.shape[1]
+    E = np.moveaxis(normal.border.reshape(copies, planes, beams, width, 3), 1, 3)
+    E = E.reshape(copies, beams, width, planes * 3)
+    own = normal.blocks + lift.reshape(copies, beams, width, 1) * np.eye(width)
+    gradient = normal.beam_gradient.reshape(copies, beams, width, 1)
+    scale = 1.0 / np.sqrt(np.einsum("kbii->kbi", own))[..., None]
+    right = scale * np.concatenate((E, gradient), axis=3)
+    solved = scale * solve_stack(own * scale * np.swapaxes(scale, 2, 3), right)
+    H = np.zeros((copies, planes, 3, planes, 3))
+    each = np.arange(planes)
+    H[:, each, :, each, :] = np.moveaxis(plane, 1, 0)
+    S = H.reshape(copies, 3 * planes, 3 * planes)
+    S = S - np.einsum("kbwi,kbwj->kij", E, solved[..., :-1], optimize=True)
+    g = normal.plane_gradient.reshape(copies, -1)
+    g = g - np.einsum("kbwi,kbw->ki", E, solved[..., -1])
+    unit = 1.0 / np.sqrt(np.maximum(np.einsum("kpii->kpi", plane).reshape(copies, -1), 1e-300))
+    scaled = S * unit[:, :, None] * unit[:, None, :]
+    y = -unit * solve_stack(scaled, (g * unit)[..., None])[..., 0]
+    x = -solved[..., -1] - np.einsum("kbwi,ki->kbw", solved[..., :-1], y)
+    return x.reshape(copies, -1), y.reshape(copies, planes, 3)
+
+
+def apply_step(
+    parameters: Parameters, beam: FloatArray, plane: FloatArray, centres: FloatArray, terms: int
+) -> Parameters:
+    """Return `parameters` moved by beam (B, 5 + terms) and plane (P, 3) unknowns."""
+    v, n = parameters.directions, parameters.normals
+    turned_v = np.einsum("bij,bj->bi", model.tangent_basis(v), beam[:, 3:5])
+    turned_n = np.einsum("pij,pj->pi", model.tangent_basis(n), plane[:, :2])
+    k = parameters.range_errors.copy()
+    k[:, :terms] += beam[:, 5:]
+    normals = model.normalized(n + turned_n)
+    at_centre = parameters.offsets + np.einsum("pi,pi->p", n, centres) + plane[:, 2]
+    return Parameters(
+        parameters.locations + beam[:, :3],
+        model.normalized(v + turned_v),
+        k,
+        normals,
+        at_centre - np.einsum("pi,pi->p", normals, centres),
+    )
+
+
+def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
+    """Return what Marquardt's damping adds, at least a trace of it where a column is empty."""
+    copies = len(diagonal)
+    largest = np.maximum(diagonal.reshape(copies, -1).max(axis=1), 1e-300)
+    shape = (copies,) + (1,) * (diagonal.ndim - 1)
+    least = (1e-12 * largest).reshape(shape)
+    lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
+    return lift
