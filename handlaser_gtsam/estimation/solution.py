@@ -242,6 +242,8 @@ class _Task:
         for _ in range(ROUNDS):
             if solution.result.status == "interrupted":
                 return solution
+            if used is not None and solution.result.status == "max_iterations":
+                break  # where the solver does not arrive there is no optimum to expand about
             if solution.observability.full:
                 problem = self._scale_problem(solution, base, scales)
                 u = problem.mode(wanted.u)

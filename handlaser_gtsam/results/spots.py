@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.recording import LARGEST, Recording
@@ -112,8 +113,7 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
     spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
     X = np.array([x for x, _, _ in spots])
-    middle = X.mean(axis=0)
-    _, size, axes = np.linalg.svd(X - middle)
+    axes, middle, size = model.plane_through(X)
     if size[1] <= LEAST_SPREAD * size[0]:
         raise InputError("laser spots on one line", "spots that span a plane")
     n = axes[2]

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..data.recording import Recording
 from ..model.sensor import FLAT, within_incidence
+from ..outliers.snooping import price
 from ..solvers.incremental import BeamState, PlaneFactors
 from .contents import Contents
 from .drift import MOVES, History
@@ -171,9 +172,8 @@ def _rather_moved(
         return False
     d, sigma = fitted.readings.distance, fitted.whitening.sigma
     gone = len(d) - len(again.readings.distance)
-    span = max(float(np.ptp(d)), sigma) / (np.sqrt(2.0 * np.pi) * sigma)
     garbage = fitted.misfit(state) - again.misfit(state)
-    garbage -= 2.0 * gone * np.log(max(span, 1.0) / GARBAGE)
+    garbage -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GARBAGE))
     beams = len(fitted.setting.names)
     move = moved.statistic - MOVES * np.log(len(d)) - 2.0 * np.log(beams / KNOCKED)
     return bool(move > garbage)

@@ -267,8 +267,7 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
         X = spots[station, read[station]]
         if len(X) < 3:
             continue
-        middle = X.mean(axis=0)
-        _, size, axes = np.linalg.svd(X - middle)
+        axes, middle, size = model.plane_through(X)
         if size[1] <= LEAST_SPREAD * size[0]:
             continue
         n = axes[2]
