@@ -112,7 +112,8 @@ class _Learning:
             at = solution.parameters
             if solution.result.status == "interrupted":
                 return solution
-            if not solution.observability.full:
+            # Where the solver does not arrive there is no optimum to expand about.
+            if not solution.observability.full or solution.result.status == "max_iterations":
                 break
             self._learn(solution)
             if self.point.near(used) and task.away(solution, self._use(self.point)) < SETTLED:

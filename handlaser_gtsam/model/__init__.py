@@ -16,7 +16,7 @@ from .equation import (
     residuals_or_infinite,
     scene,
 )
-from .geometry import normalized, tangent_basis
+from .geometry import means_and_scatter, normalized, plane_through, spots, tangent_basis
 
 __all__ = [
     "GRAZING_LIMIT",
@@ -27,12 +27,15 @@ __all__ = [
     "corrected",
     "cosines",
     "linearize",
+    "means_and_scatter",
     "normalized",
+    "plane_through",
     "plausible_corrections",
     "plausible_range_errors",
     "predicted_ranges",
     "residuals",
     "residuals_or_infinite",
     "scene",
+    "spots",
     "tangent_basis",
 ]

@@ -1,8 +1,8 @@
-"""Unit vectors and their tangent planes."""
+"""Unit vectors and their tangent planes; laser spots and the planes through them."""
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
@@ -23,3 +23,55 @@ def normalized(vectors: FloatArray) -> FloatArray:
     """Return vectors (..., 3) divided by their lengths."""
     lengths: FloatArray = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / lengths
+
+
+def spots(
+    R: FloatArray, t: FloatArray, r: FloatArray, v: FloatArray, ranges: FloatArray
+) -> FloatArray:
+    """Return where beams end, R (r + s v) + t (N, 3), for true ranges s (N,); world frame."""
+    moved: FloatArray = np.einsum("nij,nj->ni", R, r + ranges[:, None] * v)
+    return moved + t
+
+
+def means_and_scatter(
+    points: FloatArray, first: IntArray, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return means (..., G, 3) and scatter matrices (..., G, 3, 3) of groups of points.
+
+    Parameters
+    ----------
+    points : (..., N, 3)
+    first : (G,)
+        The first point of each group; groups follow one another.
+    weights : (..., N), optional
+        They scale the scatter of each group to that of weights whose sum is one.
+    """
+    count = np.diff(np.append(first, points.shape[-2]))
+    if weights is None:
+        means = np.add.reduceat(points, first, axis=-2) / count[:, None]
+        local = points - np.repeat(means, count, axis=-2)
+        outer = local[..., :, None] * local[..., None, :]
+    else:
+        share = weights / np.repeat(np.add.reduceat(weights, first, axis=-1), count, axis=-1)
+        means = np.add.reduceat(points * share[..., None], first, axis=-2)
+        local = points - np.repeat(means, count, axis=-2)
+        outer = local[..., :, None] * (local * share[..., None])[..., None, :]
+    return means, np.add.reduceat(outer, first, axis=-3)
+
+
+def plane_through(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the plane through points (N, 3) by total least squares.
+
+    Returns
+    -------
+    axes : (3, 3)
+        Principal axes, one a row; the last is the normal.
+    middle : (3,)
+        Of the points, which is on the plane.
+    size : (3,)
+        Roots of the summed squares along the principal axes, the largest first; points whose second
+        one vanishes are on a line, and the normal means nothing.
+    """
+    middle = points.mean(axis=0)
+    _, size, axes = np.linalg.svd(points - middle, full_matrices=len(points) < 3)
+    return axes, middle, size

@@ -37,6 +37,9 @@ FEW = 0.2
 beam or plane may have followed its outliers, and what was left out may be what is good."""
 SAME_PART = 0.1
 """Criteria are the same to this part of what is beyond chance: not every candidate has arrived."""
+IN_VAIN = 50
+"""After so many candidates, none of them beyond chance, no more are tried: where there is a consensus,
+most of the first twenty found it in all the studies of this project."""
 STEPS = 20
 RIVALS = 5
 """So many other candidates of the plain search compete in the robust one."""
@@ -120,13 +123,15 @@ class _ConsensusJudge:
         return quick_evidence(self.readings, self.terms, self.range_sigma, at, scale)
 
     def convinced(self, found: Sequence[Candidate], latest: Round, _before: float) -> bool:
-        """Tell whether the best is beyond chance, and enough others are where it is."""
+        """Tell whether the best is beyond chance and enough agree with it, or none ever will be."""
         best = found[0]
         beyond = beyond_chance(
             self.readings, self.terms, self.range_sigma, best.parameters, best.scale
         )
+        if beyond <= 0.0:
+            return len(found) >= IN_VAIN
         same = best.criterion + max(SAME_CRITERION, SAME_PART * beyond)
-        return beyond > 0.0 and agreeing(found, same) >= latest.agreeing
+        return agreeing(found, same) >= latest.agreeing
 
 
 def find_consensus(

@@ -4,9 +4,9 @@ From a candidate that fits most readings, the far ones are left out, the rest is
 readings are tested anew against that fit, until nothing changes. Candidates are compared by the
 evidence for "Gaussian among m readings, anything within the span W for the others":
 
-    m ln sigma^2 + RSS / sigma^2 + 2 (N - m) ln(W / sqrt(2 pi)) - 2 ln(share of each)
+    2 N ln sigma + RSS / sigma^2 + 2 (N - m) price - 2 ln(share of each)
 
-so that leaving a reading out has its price: about 4 standard deviations.
+so that leaving a reading out has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
 """
 
 from dataclasses import dataclass
@@ -144,8 +144,7 @@ def beyond_chance(
     if good <= unknowns:
         return -np.inf
     sigma = _sigma_of(readings, e[kept], terms, range_sigma)
-    span = max(float(np.ptp(readings.distance[kept])), sigma)
-    each = float(np.log(span / (np.sqrt(2.0 * np.pi * np.e) * sigma)))
+    each = price(readings.distance[kept], sigma) - 0.5
     choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
     return float((good - unknowns) * each - choices - PRICE * unknowns)
 
@@ -159,6 +158,16 @@ def _sigma_of(
     return max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
 
 
+def price(distance: FloatArray, range_sigma: float) -> float:
+    """Return ln(W / (sqrt(2 pi) sigma)) for the span W of readings: what it costs to leave one out.
+
+    That is the logarithm of how much rarer a reading is that may be anything within the span than one
+    without error whose standard deviation is sigma [m].
+    """
+    span = max(float(np.ptp(distance)), range_sigma)
+    return float(np.log(span / (np.sqrt(2.0 * np.pi) * range_sigma)))
+
+
 def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     """Return how many standard deviations off an outlier is, by the share of those left out so far.
 
@@ -166,9 +175,8 @@ def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
     """
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
-    span = max(float(np.ptp(readings.distance)), range_sigma)
-    odds = span * (1.0 - share) / (np.sqrt(2.0 * np.pi) * range_sigma * share)
-    even = float(np.sqrt(2.0 * np.log(max(odds, 1.0))))
+    odds = price(readings.distance, range_sigma) + np.log((1.0 - share) / share)
+    even = float(np.sqrt(2.0 * max(odds, 0.0)))
     return min(max(even - CAUTION, LEAST_CUT), MOST_CUT)
 
 
@@ -254,11 +262,10 @@ def _evidence(
     e = residuals(parameters, readings)[kept]
     total, good = len(kept), int(kept.sum())
     bad = total - good
-    span = max(float(np.ptp(readings.distance)), range_sigma)
-    inside = good * np.log(range_sigma**2) + float(e @ e) / range_sigma**2
-    outside = 2.0 * bad * np.log(span / np.sqrt(2.0 * np.pi))
+    inside = float(e @ e) / range_sigma**2
+    outside = 2.0 * bad * price(readings.distance, range_sigma)
     shares = sum(m * np.log(m / total) for m in (good, bad) if m)
-    return float(inside + outside - 2.0 * shares)
+    return float(2.0 * total * np.log(range_sigma) + inside + outside - 2.0 * shares)
 
 
 def residuals(parameters: Parameters, readings: Readings) -> FloatArray:

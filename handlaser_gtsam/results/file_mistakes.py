@@ -18,12 +18,19 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
-from ..starts import find_start
+from ..errors import InputError
+from ..starts import Effort, find_start
 
 MUCH_BETTER = 100.0
 """A hypothesis is worth a word when it lowers the mean squared residual by this factor."""
+PROMISING = 9.0
+"""And it is tried in earnest when it does so by this factor at a glance."""
+SPARE = 15
+"""So many readings of one beam more than unknowns tell a mistake from a chance fit."""
 DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
+GROUPS = 4
+"""Planes are left out in so many groups to find the one before which beams look swapped."""
 Sequence = Literal["xyz", "XYZ", "ZYX"]
 """Of angles, in SciPy's spelling: lower case about fixed axes, upper case about moving ones."""
 
@@ -45,13 +52,16 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     terms : int
         Most range-error terms.
     """
-    now = _mean_square(recording, terms)
+    wanted: list[tuple[Hypothesis, Effort]] = [
+        *((one, "normal") for one in _promising(recording, terms)),
+        *((one, "quick") for one in _swaps(recording, terms)),
+    ]
+    if not wanted:
+        return ()
+    now = _misfit(recording, terms, "normal")
     found: list[tuple[float, str]] = []
-    for hypothesis in (*HYPOTHESES, *_swaps(recording)):
-        changed = hypothesis.undone(recording)
-        ratio = _relative(now, recording) / max(
-            _relative(_mean_square(changed, terms), changed), 1e-30
-        )
+    for hypothesis, effort in wanted:
+        ratio = now / max(_misfit(hypothesis.undone(recording), terms, effort), 1e-30)
         if ratio >= MUCH_BETTER:
             found.append((ratio, hypothesis.words))
     return tuple(
@@ -60,18 +70,60 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     )
 
 
-def _swaps(recording: Recording) -> list[Hypothesis]:
-    """Two beams exchanged before one plane; exchanged everywhere they would only change names."""
+def _promising(recording: Recording, terms: int) -> list[Hypothesis]:
+    """Return the mistakes of the poses or the units without which one beam fits far better.
+
+    Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
+    """
+    one = _one_beam(recording)
+    now = _misfit(one, terms, "glance")
+    return [
+        hypothesis
+        for hypothesis in HYPOTHESES
+        if now >= PROMISING * _misfit(hypothesis.undone(one), terms, "glance")
+    ]
+
+
+def _one_beam(recording: Recording) -> Recording:
+    """Return the readings of the beam with most of them, where they suffice."""
+    seen = ~np.isnan(recording.ranges)
+    beam = int(np.argmax(seen.sum(axis=0)))
+    planes = len(set(recording.plane_of_station[seen[:, beam]].tolist()))
+    if seen[:, beam].sum() < 7 + 3 * planes + SPARE:
+        return recording
+    others = np.ones(seen.shape, dtype=bool)
+    others[:, beam] = False
+    return recording.without(others).part(seen[:, beam])
+
+
+def _swaps(recording: Recording, terms: int) -> list[Hypothesis]:
+    """Two beams exchanged before one plane; exchanged everywhere they would only change names.
+
+    Without that plane the others fit far better, and their beams tell which two were exchanged.
+    """
     pairs = list(combinations(range(len(recording.beam_names)), 2))
-    cases = [(p, i, j) for p in range(len(recording.plane_names)) for i, j in pairs]
-    if len(recording.plane_names) < 2 or len(cases) > MOST_SWAPS:
+    planes = len(recording.plane_names)
+    if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
         return []
-    found = []
-    for plane, i, j in cases:
-        names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
-        words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
-        found.append(Hypothesis(words, partial(_swapped, plane=plane, i=i, j=j)))
-    return found
+    now, found = _misfit(recording, terms, "glance"), []
+    for group in range(min(GROUPS, planes)):
+        out = np.arange(planes) % GROUPS == group
+        try:
+            rest = recording.part(~out[recording.plane_of_station])
+        except InputError:
+            continue
+        if rest.beam_names != recording.beam_names:
+            continue
+        if now < PROMISING * _misfit(rest, terms, "glance"):
+            continue
+        found += [(plane, i, j) for plane in np.flatnonzero(out).tolist() for i, j in pairs]
+    return [_swap(recording, *case) for case in found]
+
+
+def _swap(recording: Recording, plane: int, i: int, j: int) -> Hypothesis:
+    names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
+    words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
+    return Hypothesis(words, partial(_swapped, plane=plane, i=i, j=j))
 
 
 def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
@@ -81,16 +133,12 @@ def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
     return replace(recording, ranges=ranges)
 
 
-def _mean_square(recording: Recording, terms: int) -> float:
+def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
+    """Return the mean squared residual in parts of the variance of the readings: no unit matters."""
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    rms = find_start(readings, None, terms, effort="normal").tried[0][1]
-    return float(rms**2)
-
-
-def _relative(mean_square: float, recording: Recording) -> float:
-    """Return a mean square in parts of the variance of the readings: units must not matter."""
-    return mean_square / max(float(np.nanvar(recording.ranges)), 1e-300)
+    rms = find_start(readings, None, terms, effort=effort).tried[0][1]
+    return float(rms**2) / max(float(np.nanvar(recording.ranges)), 1e-300)
 
 
 def _turned(change: Callable[[Rotation], Rotation]) -> Callable[[Recording], Recording]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import model
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.recording import LARGEST, Recording
@@ -116,10 +117,10 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
     spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
     X = np.array([x for x, _, _ in spots])
-    axes = axes_of_plane(X)
-    if axes is None:
+    found = plane_of(X)
+    if found is None:
         raise InputError("laser spots on one line", "spots that span a plane")
-    middle, n = X.mean(axis=0), axes[2]
+    (*across, n), middle = found
     beams = np.array([_beam(calibration, name).direction for name in names])
     n = n if beams.mean(axis=0) @ n > 0.0 else -n
     # Rows of the spots' heights above the plane over all coordinates, then of the readings.
@@ -129,7 +130,7 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         heights[i, 8 * i : 8 * i + 8] = n @ J
         noise[i] = (n @ beams[i]) * slope * _range_sigma(calibration, name)
     S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
-    basis = axes[:2].T
+    basis = np.transpose(across)
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
     fit = -np.linalg.pinv(A)
     tangent = fit @ S @ fit.T
@@ -145,10 +146,13 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     )
 
 
-def axes_of_plane(spots: FloatArray) -> FloatArray | None:
-    """Return two axes of the plane through spots (N, 3) and its normal, as rows; None if on a line."""
-    _, size, axes = np.linalg.svd(spots - spots.mean(axis=0))
-    return None if size[1] <= LEAST_SPREAD * size[0] else axes
+def plane_of(spots: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return two axes of the plane through spots (N, 3) and its normal, as rows, and their middle.
+
+    None where the spots are on one line.
+    """
+    axes, middle, size = model.plane_through(spots)
+    return None if size[1] <= LEAST_SPREAD * size[0] else (axes, middle)
 
 
 def typical_plane(

@@ -240,11 +240,9 @@ def _through_spots(beams: Beams, readings: Readings) -> Parameters:
     """Return the plane through the laser spots by total least squares, facing away from the beams."""
     r, v, k = (array[readings.beam] for array in beams)
     d, R = readings.distance, readings.world_R_hand
-    reach = d * (1.0 + k[:, 0] + k[:, 1] * d)
-    spots = np.einsum("nij,nj->ni", R, r + reach[:, None] * v) + readings.world_t_hand
-    centre = spots.mean(axis=0)
-    local = spots - centre
-    n = np.linalg.eigh(local.T @ local)[1][:, 0]
+    spots = model.spots(R, readings.world_t_hand, r, v, model.corrected(d, k))
+    axes, centre, _ = model.plane_through(spots)
+    n = axes[2]
     n = n if np.einsum("nij,nj->i", R, v) @ n > 0.0 else -n
     return Parameters(*beams, n[None], np.array([-n @ centre]))
 

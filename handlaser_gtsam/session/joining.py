@@ -8,6 +8,7 @@ import numpy as np
 from ..data.parameters import Beams
 from ..data.recording import Recording
 from ..model.sensor import FLAT, Rejected, within_incidence
+from ..outliers.snooping import price
 from ..solvers.incremental import BeamState, PlaneFactors
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
@@ -197,9 +198,8 @@ def _rather_moved(
         return False
     d, sigma = fitted.readings.distance, fitted.whitening.sigma
     gone = len(d) - len(again.readings.distance)
-    span = max(float(np.ptp(d)), sigma) / (np.sqrt(2.0 * np.pi) * sigma)
     gross = fitted.misfit(state) - again.misfit(state)
-    gross -= 2.0 * gone * np.log(max(span, 1.0) / GROSS_ERROR)
+    gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
     beams = len(fitted.config.names)
     move = moved.statistic - MOVES * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
     return bool(move > gross)

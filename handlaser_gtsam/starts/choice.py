@@ -46,7 +46,7 @@ MISFIT = 3.0
 POOR_FIT = 0.05
 """nor, where no sigma is given, beyond this part of the spread of the readings."""
 
-Effort = Literal["quick", "normal", "thorough"]
+Effort = Literal["glance", "quick", "normal", "thorough"]
 Accepts = Callable[[Parameters, bool], bool]
 """Whether the best candidate is believed for other reasons; the second argument says that several
 starts agree on it."""
@@ -100,9 +100,9 @@ def find_start(
         Standard deviation of a reading [m]: says when a start fits.
     terms : int
         Most range-error terms the solution will have.
-    effort : {"quick", "normal", "thorough"}
+    effort : {"glance", "quick", "normal", "thorough"}
         What follows where the first starts are not believed: nothing, sweeps with finer steps, or
-        those and random starts.
+        those and random starts. At a glance no start is refined to the end.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     accepts : callable, optional
@@ -114,11 +114,12 @@ def find_start(
     part = part_of(readings)
     some = part.readings
     judge = _LeastSquaresJudge(some, range_sigma, terms, certain, accepts)
+    loss = _LeastSquares(some, terms, 0 if effort == "glance" else LAST_STEPS)
     rounds = chain(
         _first_rounds(some, terms) if earlier is None else (), _later_rounds(some, effort)
     )
     before = () if earlier is None else earlier.found
-    found, believed = search(rounds, _LeastSquares(some, terms), judge, before)
+    found, believed = search(rounds, loss, judge, before)
     if not found:
         lost = grow(PartialStart.empty(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
@@ -168,7 +169,7 @@ def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
 
 def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
     """Yield finer sweeps and random starts, as far as the effort goes."""
-    if effort == "quick":
+    if effort in ("glance", "quick"):
         return
     yield _grown("directions", direction_starts(readings, 40, tried=600), readings)
     options = SweepOptions(refined=16, seeds=8, kept=4)
@@ -188,6 +189,7 @@ class _LeastSquares:
 
     readings: Readings
     terms: int
+    last_steps: int
 
     def refined(self, latest: Round) -> list[tuple[str, Refined]]:
         """Return the finalists, with range errors where those are plausible."""
@@ -205,7 +207,8 @@ class _LeastSquares:
         ]
         best = sorted(usable, key=lambda pair: rank(pair[1].squares))
         best = best[: max(FINALISTS, len(starts) // 4)]
-        last = refine_many([one.parameters for _, one in best], readings, self.terms, LAST_STEPS)
+        parameters = [one.parameters for _, one in best]
+        last = refine_many(parameters, readings, self.terms, self.last_steps)
         return [
             (method, late if late and plausible_range_errors(late.parameters, readings) else early)
             for (method, early), late in zip(best, last, strict=True)

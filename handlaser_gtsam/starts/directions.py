@@ -83,17 +83,8 @@ def planes_through(
 ) -> tuple[FloatArray, FloatArray]:
     """Fit every plane to its spots (C, N, 3), with weights (C, N); return (C, P, 3) and (C, P)."""
     first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
-    count = np.diff(np.append(first, len(readings)))
-    if weights is None:
-        centre = np.add.reduceat(spots, first, axis=1) / count[:, None]
-        local = spots - np.repeat(centre, count, axis=1)
-        outer = local[..., :, None] * local[..., None, :]
-    else:
-        share = weights / np.repeat(np.add.reduceat(weights, first, axis=1), count, axis=1)
-        centre = np.add.reduceat(spots * share[..., None], first, axis=1)
-        local = spots - np.repeat(centre, count, axis=1)
-        outer = local[..., :, None] * (local * share[..., None])[..., None, :]
-    n = np.linalg.eigh(np.add.reduceat(outer, first, axis=1))[1][..., 0]
+    centre, scatter = model.means_and_scatter(spots, first, weights)
+    n = np.linalg.eigh(scatter)[1][..., 0]
     normals = np.zeros((len(spots), readings.planes, 3))
     normals[..., 2] = 1.0
     offsets = np.zeros((len(spots), readings.planes))

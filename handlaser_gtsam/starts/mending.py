@@ -30,9 +30,8 @@ def mended(
     """Return `parameters` with planes that more readings agree with, within about `scale` [m]."""
     normals, offsets = parameters.normals.copy(), parameters.offsets.copy()
     x = model.scene(parameters, readings)
-    ranges = model.corrected(readings.distance, x.k)
     ahead = np.einsum("nij,nj->ni", x.R, x.v)
-    spots = np.einsum("nij,nj->ni", x.R, x.r) + ranges[:, None] * ahead + x.t
+    spots = model.spots(x.R, x.t, x.r, x.v, model.corrected(readings.distance, x.k))
     starts = np.searchsorted(readings.plane, np.arange(readings.planes + 1))
     for plane, (first, end) in enumerate(pairwise(starts.tolist())):
         if end - first <= 3:

@@ -82,11 +82,8 @@ def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> N
         return
     part = readings.subset(rows)
     spots = _spots(start, part)
-    planes, first, index = np.unique(part.plane, return_index=True, return_inverse=True)
-    counts = np.bincount(index)
-    centres = np.add.reduceat(spots, first) / counts[:, None]
-    local = spots - centres[index]
-    scatter = np.add.reduceat(local[:, :, None] * local[:, None, :], first)
+    planes, first, counts = np.unique(part.plane, return_index=True, return_counts=True)
+    centres, scatter = model.means_and_scatter(spots, first)
     if least_norm:
         scatter += _toward_beams(start, part, first, scatter)
     spread, axes = np.linalg.eigh(scatter)
@@ -149,11 +146,9 @@ def _straighten(start: PartialStart, readings: Readings) -> None:
 
 def _spots(start: PartialStart, readings: Readings) -> FloatArray:
     """Return where the beams of `start` meet their planes (N, 3), by the corrected readings."""
-    k = start.range_errors[readings.beam]
-    ranges = model.corrected(readings.distance, k)
-    spots = start.locations[readings.beam] + ranges[:, None] * start.directions[readings.beam]
-    moved: FloatArray = np.einsum("nij,nj->ni", readings.world_R_hand, spots)
-    return moved + readings.world_t_hand
+    beam, R, t = readings.beam, readings.world_R_hand, readings.world_t_hand
+    ranges = model.corrected(readings.distance, start.range_errors[beam])
+    return model.spots(R, t, start.locations[beam], start.directions[beam], ranges)
 
 
 def _face_the_sensor(start: PartialStart, readings: Readings) -> None:

@@ -22,7 +22,7 @@ from ..model.weighting import Variances, reading_sigmas
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..results.spots import axes_of_plane
+from ..results.spots import plane_of
 from ..results.used import used_recording
 from ..solvers.progress import Listener, tell, told_to
 from .hold_out import HoldOut, hold_out
@@ -288,10 +288,10 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
         X = spots[station, read[station]]
         if len(X) < 3:
             continue
-        axes = axes_of_plane(X)
-        if axes is None:
+        found = plane_of(X)
+        if found is None:
             continue
-        middle, n = X.mean(axis=0), axes[2]
+        (_, _, n), middle = found
         others = read & (np.arange(len(rows)) != station)[:, None]
         m, b = np.nonzero(others)
         n_hand = np.einsum("mji,j->mi", R[m], n)
