@@ -178,9 +178,9 @@ def _show(
     *,
     verbose: bool,
 ) -> None:
+    from ..results.lines import WIDTH, wrapped
+    from ..results.screen import screen_lines
     from ..text import printable
-    from .lines import WIDTH, wrapped
-    from .screen import screen_lines
     from .tables import TableConsole, calibration_tables, cross_check_line
 
     check, out, fed = beside

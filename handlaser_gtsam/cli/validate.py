@@ -159,7 +159,7 @@ def _validate(
 
 
 def _show(lines: Iterable[str]) -> None:
-    from .lines import wrapped
+    from ..results.lines import wrapped
 
     for line in lines:
         print("\n".join(wrapped(line)))

@@ -14,7 +14,7 @@ from ..model.sensor import FLAT, OUTSIDE, Rejected
 from ..model.weighting import reading_sigmas
 from ..observability.wording import Names
 from ..outliers.reasons import Reasons, reasons
-from .calibration import Fit
+from .reports import Fit
 
 
 def fit_of(

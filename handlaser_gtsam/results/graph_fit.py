@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..keys import BeamKeys
-from .calibration import Fit
+from .reports import Fit
 
 LEAST_OBLIQUE = 1e-6
 """Squared sine of the incidence below which a row says nothing of its range."""
