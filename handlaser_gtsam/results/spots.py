@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_kind, require_number
+from ..checks import require_number
 from ..data.recording import LARGEST, Recording
 from ..data.value import Value
 from ..errors import InputError
@@ -111,7 +111,6 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     InputError
         Fewer than three beams, spots on one line, or what `spot` refuses.
     """
-    require_kind("readings", readings, Mapping, "a reading by the name of each beam")
     names: list[str] = list(readings)
     if len(names) < 3:
         raise InputError(f"readings of {len(names)} beams", "three or more: they span the plane")
