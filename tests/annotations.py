@@ -10,7 +10,8 @@ import polars
 
 import handlaser_gtsam as hl
 
-LATE = {"gtsam": gtsam, "pl": polars, "CalibrationGraph": hl.CalibrationGraph}
+LATE = {"gtsam": gtsam, "pl": polars}
+LATE |= {name: getattr(hl, name) for name in hl.__all__}
 """Names that modules import for type checkers only."""
 
 

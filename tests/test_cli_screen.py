@@ -9,12 +9,12 @@ from helpers import GRIPPER, degenerate
 from test_verdict import error_of
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.lines import WIDTH, decimals, with_sigma, wrapped
-from handlaser_gtsam.cli.screen import LINES, screen_lines
 from handlaser_gtsam.cli.tables import systematic_lines
 from handlaser_gtsam.cli.validation_tables import hold_out_sentence
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.limits import Limits
+from handlaser_gtsam.results.lines import WIDTH, decimals, with_sigma, wrapped
+from handlaser_gtsam.results.screen import LINES, screen_lines
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.validation.hold_out import HoldOut
 

@@ -314,3 +314,24 @@ def test_names_of_what_is_not_there_list_what_is(calibration):
             ask()
     with pytest.raises(hl.InputError, match="a sequence"):
         calibration.covariance.matrix("1")
+
+
+# --- the summary -------------------------------------------------------------------------------------
+
+
+def test_the_summary_is_what_the_command_prints(handlaser):
+    folder = ROOT / "examples" / "gripper"
+    _, printed, _ = handlaser("calibrate", folder / "recording.csv", "--rig", folder / "rig.toml")
+    rig = hl.read_rig(folder / "rig.toml")
+    recording = hl.read_recording(folder / "recording.csv", rig.sensor)
+    options = hl.CalibrationOptions(sensor=rig.sensor)
+    found = hl.calibrate(recording, rig.noise, options)
+    assert found.summary(rig.limits) == printed.rstrip("\n")
+
+
+def test_a_calibration_without_its_recording_has_a_summary(calibration):
+    without = dataclasses.replace(calibration, recording=None)
+    (line,) = [
+        line for line in without.summary().splitlines() if line.startswith("4 planes, 4 beams")
+    ]
+    assert f"44 stations, {line}" in calibration.summary().splitlines()

@@ -47,7 +47,7 @@ class Answer:
 
 def print_wrapped(lines: Iterable[str]) -> None:
     """Print lines of bounded width."""
-    from .lines import wrapped
+    from ..results.lines import wrapped
 
     for line in lines:
         print("\n".join(wrapped(line)))

@@ -173,10 +173,10 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
 
 
 def _show(outcome: _Outcome, output: Output) -> None:
+    from ..results.lines import WIDTH, wrapped
+    from ..results.screen import screen_lines
     from ..text import printable
     from .incremental import comparison_line, update_table
-    from .lines import WIDTH, wrapped
-    from .screen import screen_lines
     from .tables import TableConsole, calibration_tables, cross_check_line
 
     result, fed = outcome.result, outcome.fed

@@ -12,12 +12,12 @@ from rich.table import Table
 
 from ..data.recording import Recording
 from ..results.calibration import Beam, Calibration, Plane
+from ..results.lines import MM, UNDETERMINED
+from ..results.noise_lines import noise_words, range_error_words, zero_excluded
+from ..results.screen import sizes
 from ..results.spots import MeasuredPlane, spot, typical_plane
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
-from .lines import MM, UNDETERMINED
-from .noise_lines import noise_words, range_error_words, zero_excluded
-from .screen import sizes
 
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator
 
+from ..results.lines import MM
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Prediction, Validation
-from .lines import MM
 from .tables import systematic_lines
 
 

@@ -23,6 +23,7 @@ from .recording_checks import (
     names_of,
     numbered,
     pose_matrices,
+    range_table,
 )
 from .value import Value
 
@@ -121,19 +122,15 @@ class Recording(Value):
             What every beam read [m]; NaN, or masked in a masked array, where it has no reading.
         planes : str, or M strings
             The plane each station looks at; one name if all look at the same.
-        beam_names : B strings, optional
-            "1", "2", ... by default.
-        station_names, samples, range_min : optional
-            As in `Recording`.
+        beam_names, station_names, samples, range_min : optional
+            As in `Recording`; beams are called "1", "2", ... where not given.
 
         Raises
         ------
         InputError
             Poses that are no rigid transformations, or whatever `Recording` refuses.
         """
-        T, d = pose_matrices(poses), number_array("ranges", ranges)
-        if d.ndim != 2:
-            raise InputError(f"ranges of shape {d.shape}", "stations by beams, (M, B)")
+        T, d = pose_matrices(poses), range_table(ranges)
         return cls(
             T[:, :3, :3],
             T[:, :3, 3],

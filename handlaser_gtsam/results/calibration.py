@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from ..solvers.graph import CalibrationGraph
+    from .limits import Limits
 
 __all__ = [
     "Beam",
@@ -164,6 +165,22 @@ class Calibration(Value):
     def values(self) -> "gtsam.Values":
         """The solution as GTSAM values, for `graph`; see `problem`."""
         return self.problem().values
+
+    def summary(self, limits: "Limits | None" = None, reading: float | None = None) -> str:
+        """Return what `handlaser calibrate` prints: the verdict first, 30 lines of 100 columns.
+
+        Parameters
+        ----------
+        limits : Limits, optional
+            What its user demands; the verdict says whether it holds.
+        reading : float, optional
+            Working distance at which laser spots are judged [m]; the median reading where not given.
+        """
+        from .screen import screen_lines  # which reads calibrations, as the verdict does
+        from .verdict import verdict
+
+        recording = self.recording
+        return "\n".join(screen_lines(self, recording, verdict(self, recording, limits, reading)))
 
     def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
         """Return a table of the beams and one of the planes, a row each.

@@ -15,8 +15,8 @@ from ..model.losses import GAUSSIAN, LossName
 from ..model.sensor import FLAT, OUTSIDE, Rejected
 from ..model.weighting import reading_sigmas
 from ..outliers.reasons import Reasons, reasons
-from .calibration import Fit
 from .problem import Problem
+from .reports import Fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

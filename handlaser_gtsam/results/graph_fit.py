@@ -9,9 +9,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..keys import BeamKeys
-from .calibration import Fit
 from .fit import FitRows, fit_of_rows
 from .graph_variables import key_name
+from .reports import Fit
 
 LEAST_OBLIQUE = 1e-6
 """Squared sine of the incidence below which a row says nothing of its range."""

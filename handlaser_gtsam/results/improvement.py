@@ -5,20 +5,25 @@ the residuals contradict. Then what the spot error is made of: its largest share
 than half; otherwise, and where the residuals alone say how noisy the readings are, more stations.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from scipy.stats import chi2 as chi2_distribution
 
 from ..model.sensor import BY_LIMITS
-from .calibration import Calibration
 from .limits import LimitCheck
 from .significance import SINGLE_LEVEL
 from .spot_error import freedom
 from .systematic import SystematicError
 from .variance_shares import Quantity, VarianceShares
 from .warnings import MANY_LEFT_OUT
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""

@@ -1,12 +1,17 @@
 """Pass or fail: a calibration against the limits its user set."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA
-from .calibration import Calibration
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]
 WORDS: dict[Quantity, str] = {

@@ -11,16 +11,22 @@ radius is within 1 % of the true one. Where S comes from residuals with q degree
 ratio chi2_f / f follows F(f, q) instead.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
 from ..arrays import FloatArray
-from .calibration import Calibration
 from .spots import spot_jacobian
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
 
 LEVEL = 0.95
 

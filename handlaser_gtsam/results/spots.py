@@ -8,18 +8,24 @@ g(d) = d + k1 d + k2 d^2, so that
 Three or more spots span a plane, n . x + b = 0: the least-squares one through the spots.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_kind, require_number
+from ..checks import require_number
 from ..data.recording import LARGEST, Recording
 from ..data.value import Value
 from ..errors import InputError
-from .calibration import Beam, Calibration
+
+if TYPE_CHECKING:
+    from .calibration import Beam, Calibration
+
 
 LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
@@ -84,7 +90,6 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     InputError
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
-    require_kind("calibration", calibration, Calibration)
     one = _beam(calibration, beam)
     joint = calibration.covariance
     if joint is None or one.direction_sigma is None:
@@ -107,12 +112,11 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     InputError
         Fewer than three beams, spots on one line, or what `spot` refuses.
     """
-    require_kind("calibration", calibration, Calibration)
-    require_kind("readings", readings, Mapping, "a reading by the name of each beam")
     names: list[str] = list(readings)
-    joint = calibration.covariance
     if len(names) < 3:
         raise InputError(f"readings of {len(names)} beams", "three or more: they span the plane")
+    _beam(calibration, names[0])
+    joint = calibration.covariance
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
     spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
@@ -183,6 +187,9 @@ def spot_jacobian(calibration: Calibration, beam: str, reading: float) -> FloatA
 
 
 def _beam(calibration: Calibration, name: str) -> Beam:
+    if not hasattr(calibration, "beams"):
+        found = f"{type(calibration).__name__} as calibration"
+        raise InputError(found, "handlaser_gtsam.Calibration(...)")
     if name not in calibration.beams:
         raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")
     return calibration.beams[name]

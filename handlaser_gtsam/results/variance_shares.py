@@ -11,9 +11,11 @@ part of it that lies along the direction in which the solution is known worst wo
 along it.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -25,9 +27,12 @@ from ..errors import HandlaserError
 from ..model.joint import BEAM_COORDINATES, beam_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.reduction import normal_equations
-from .calibration import Calibration
 from .spots import spot_jacobian
 from .used import used_recording
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
 
 STEP = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""

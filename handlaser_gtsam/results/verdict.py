@@ -1,19 +1,24 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from textwrap import shorten
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..data.recording import Recording
-from .calibration import Calibration
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, worst_of_each
 from .spot_error import SpotError, spot_errors
 from .systematic import SystematicError
 from .variance_shares import VarianceShares, variance_shares
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
 
 Code = Literal[
     "usable",

@@ -13,7 +13,7 @@ from ..errors import CalibrationWarning
 from ..model.equation import plausible_range_errors
 from ..model.sensor import BY_LIMITS
 from ..model.weighting import Variances
-from .calibration import Fit
+from .reports import Fit
 
 SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""

@@ -1,19 +1,25 @@
 """What a person sees of a calibration by default: the verdict first, 30 lines of 100 columns."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
-from ..results.calibration import Beam, Calibration
-from ..results.limits import worst_of_each
-from ..results.systematic import SystematicError
-from ..results.verdict import Verdict, spot_error_by, spot_shift
-from ..results.wording import size_in_words
+from .limits import worst_of_each
 from .lines import DEG, MM, UNDETERMINED, count, decimals, some, with_sigma, wrapped
 from .noise_lines import noise_words, range_error_words
+from .systematic import SystematicError
+from .verdict import Verdict, spot_error_by, spot_shift
+from .wording import size_in_words
+
+if TYPE_CHECKING:
+    from .calibration import Beam, Calibration
+
 
 LINES = 30
 SHOWN_BEAMS = 8
@@ -27,9 +33,12 @@ NAME = 8
 
 
 def screen_lines(
-    result: Calibration, recording: Recording, verdict: Verdict, *, closing: int = 0
+    result: Calibration, recording: Recording | None, verdict: Verdict, *, closing: int = 0
 ) -> list[str]:
-    """Return the default screen; `closing` lines of the 30 are kept for what follows it."""
+    """Return the default screen; `closing` lines of the 30 are kept for what follows it.
+
+    Without a recording, as for a calibration read from a graph, nothing is said of its stations.
+    """
     lines = wrapped(verdict.sentence, 3)
     lines += wrapped(_counts(result, recording), 1)
     if any(beam.sigma is not None for beam in result.beams.values()):
@@ -47,10 +56,10 @@ def screen_lines(
     return lines + _warnings(result, LINES - closing - len(lines))
 
 
-def sizes(result: Calibration, recording: Recording) -> str:
+def sizes(result: Calibration, recording: Recording | None) -> str:
     """Return how much there is of everything: "44 stations, 4 planes, ..."."""
     counts = (
-        count(len(recording.plane_labels), "station"),
+        *(() if recording is None else (count(len(recording.plane_labels), "station"),)),
         count(len(result.planes), "plane"),
         count(len(result.beams), "beam"),
         count(result.fit.readings, "reading"),
@@ -59,9 +68,9 @@ def sizes(result: Calibration, recording: Recording) -> str:
     return ", ".join(counts)
 
 
-def _counts(result: Calibration, recording: Recording) -> str:
+def _counts(result: Calibration, recording: Recording | None) -> str:
     words = f"{sizes(result, recording)}; start: {result.start.method}"
-    if recording.ignored_columns:
+    if recording is not None and recording.ignored_columns:
         words += f"; columns not used: {', '.join(recording.ignored_columns)}"
     return words
 

@@ -1,11 +1,17 @@
 """The noise and the range errors behind a calibration, in words."""
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..results.calibration import Calibration, NoiseComponent
 from .lines import DEG, MM, some
+
+if TYPE_CHECKING:
+    from .calibration import Calibration, NoiseComponent
+
 
 SHOWN = 4
 KINDS = {
