@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Recording
+from handlaser_gtsam.results.calibration import Calibration
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, Stations, simulate
 
@@ -49,6 +50,11 @@ def numeric_jacobian(
             moved.append(factor.unwhitenedError(values.retract(delta)))
         columns.append((moved[0] - moved[1]) / (2.0 * step))
     return np.array(columns).T
+
+
+def codes(found: Calibration | Recording) -> list[str]:
+    """Return the codes of all warnings of a calibration or a recording, in their order."""
+    return [one.code for one in found.warnings]
 
 
 def largest_error(found: Parameters, truth: Parameters) -> tuple[float, float]:

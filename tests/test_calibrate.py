@@ -7,7 +7,16 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of, simulated
+from helpers import (
+    DEGENERATE,
+    GRIPPER,
+    bench,
+    codes,
+    degenerate,
+    motion,
+    recording_of,
+    simulated,
+)
 from scipy.stats import chi2
 
 import handlaser_gtsam as hl
@@ -65,8 +74,7 @@ def test_shipped_recording_lies_inside_its_covariance(gripper):
     marginals = gtsam.Marginals(linearize(graph, result.values), result.values)
     covariance = marginals.jointMarginalCovariance(keys).fullMatrix()
     true_values = start_values(truth, graph.beams, graph.planes, 2)
-    error = result.values.localCoordinates(true_values).vector()
-    assert list(result.values.localCoordinates(true_values).__class__.__name__)
+    error = result.values.localCoordinates(true_values).vector(keys)
     nees, dof = error @ np.linalg.solve(covariance, error), len(error)
     assert dof == 4 * 7 + 4 * 3
     assert chi2.ppf(0.005, dof) < nees < chi2.ppf(0.995, dof)
@@ -104,7 +112,7 @@ def test_the_given_sigma_scales_chi2(gripper):
     options = hl.CalibrationOptions("k1k2", poses="exact")
     calibration = hl.calibrate(gripper, hl.Noise(2 * SIGMA), options)
     fit = calibration.fit
-    assert any("only 0.5" in words.message for words in calibration.warnings)
+    assert codes(calibration) == ["sigmas-too-large"]
     k = np.array([beam.range_error for beam in calibration.beams.values()])
     slope = 1.0 + k[:, 0] + 2.0 * k[:, 1] * gripper.ranges
     # Weights are those of the iteration before the last.
@@ -115,14 +123,17 @@ def test_the_given_sigma_scales_chi2(gripper):
 
 
 @pytest.mark.slow
-def test_covariance_matches_the_scatter_of_many_runs():
-    """60 recordings of one scene: the mean NEES of beam 1 is near its 7 degrees of freedom."""
+def test_covariance_matches_the_scatter_of_runs():
+    """20 recordings of one scene: the mean NEES of beam 1 is near its 7 degrees of freedom.
+
+    A thousand recordings are studied by `benchmarks.uncertainty`.
+    """
     noise, options = hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions(range_error="k1k2")
     rng = np.random.default_rng(0)
     layout = Layout(k1=0.01, k2=1.0)
     truth, stations = hl.scenes.paper(layout, rng)
     nees = []
-    for _ in range(60):
+    for _ in range(20):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
         beam = hl.calibrate(recording, noise, options).beams["1"]
         error = np.concatenate(
@@ -134,8 +145,8 @@ def test_covariance_matches_the_scatter_of_many_runs():
         )
         variances, axes = np.linalg.eigh(beam.covariance)
         nees.append(((axes.T @ error)[1:] ** 2 / variances[1:]).sum())
-    # The mean of 60 draws of chi2(7) has standard deviation sqrt(14 / 60) = 0.48; three of them.
-    assert np.mean(nees) == pytest.approx(7.0, abs=1.5)
+    # The mean of 20 draws of chi2(7) has standard deviation sqrt(14 / 20) = 0.84; three of them.
+    assert np.mean(nees) == pytest.approx(7.0, abs=2.5)
 
 
 def with_range_errors(scale, beams, seed, sigma=1e-4):
@@ -169,14 +180,17 @@ def test_range_errors_of_many_sigmas_are_found():
 
 
 def test_no_range_error_is_rarely_found():
-    """Of 12 recordings without any: 5 % of 96 intervals are 5; their beams go together."""
+    """Of 5 recordings without any: 5 % of 40 intervals are 2; their beams go together.
+
+    `benchmarks.defaults` studies the same at full size, at a = 0.
+    """
     wrong, ratio = 0, []
-    for seed in range(12):
+    for seed in range(5):
         recording, _ = with_range_errors((0.0, 0.0), 4, seed)
         calibration = hl.calibrate(recording)
         wrong += int(excluded(calibration).sum())
         ratio.append(calibration.range_error_scales.k1 / calibration.range_error_scales.linearity)
-    assert wrong <= 10
+    assert wrong <= 4
     assert np.median(ratio) < 0.5
 
 
@@ -295,9 +309,9 @@ def test_no_redundancy_and_no_sigma_is_said():
 def test_uncertain_poses_are_warned_of(gripper):
     noise = hl.Noise(SIGMA, pose_rotation_sigma=1e-3)
     exact = hl.calibrate(gripper, noise, hl.CalibrationOptions(poses="exact"))
-    assert any("poses were taken as exact" in words.message for words in exact.warnings)
+    assert "poses-taken-as-exact" in codes(exact)
     counted = hl.calibrate(gripper, noise)
-    assert not any("poses" in words.message for words in counted.warnings)
+    assert "poses-taken-as-exact" not in codes(counted)
     for name, beam in counted.beams.items():
         assert (beam.location_sigma > exact.beams[name].location_sigma).all()
 
@@ -360,13 +374,7 @@ def test_far_from_the_world_origin_nothing_changes(away):
     """Same beams, to the rounding of the positions; planes move with the origin."""
     recording, _ = simulated()
     shift = away * np.array([1.0, -0.6, 0.8])
-    moved = hl.Recording(
-        recording.world_R_hand,
-        recording.world_t_hand + shift,
-        recording.ranges,
-        recording.plane_labels,
-        recording.beam_names,
-    )
+    moved = replace(recording, world_t_hand=recording.world_t_hand + shift)
     exact = hl.Noise(SIGMA, 0.0, 0.0)
     options = hl.CalibrationOptions("k1k2")
     near, far = (hl.calibrate(one, exact, options) for one in (recording, moved))
@@ -413,45 +421,30 @@ def test_turning_off_centre_by_a_hair_is_a_mirror_all_the_same():
     assert hl.calibrate(recording, hl.Noise(1e-3), options).status == "unobservable"
 
 
-def broken(recording, **columns):
-    """Return `recording` with some of its columns replaced."""
-    kept = {
-        "world_R_hand": recording.world_R_hand,
-        "world_t_hand": recording.world_t_hand,
-        "ranges": recording.ranges,
-        "plane_labels": recording.plane_labels,
-        "beam_names": recording.beam_names,
-    }
-    return hl.Recording(**{**kept, **columns})
-
-
-@pytest.mark.parametrize("mistake", ["ranges in mm", "positions in mm", "inverse poses", "labels"])
-def test_a_file_that_does_not_fit_is_told_from_a_motion_that_does_not_suffice(mistake):
+@pytest.mark.parametrize(
+    ("columns", "recognised"),
+    [
+        (lambda one: {"ranges": one.ranges * 1e3}, True),
+        (lambda one: {"plane_labels": tuple("A" for _ in one.plane_labels)}, False),
+    ],
+    ids=["ranges in mm", "labels"],
+)
+def test_a_file_that_does_not_fit_is_told_from_a_motion_that_does_not_suffice(columns, recognised):
     recording, _ = simulated("arm", Layout(2, 2, 12), 3e-4)
-    R, t = recording.world_R_hand, recording.world_t_hand
-    inverse_R = np.swapaxes(R, 1, 2)
-    columns = {
-        "ranges in mm": {"ranges": recording.ranges * 1e3},
-        "positions in mm": {"world_t_hand": t * 1e3},
-        "inverse poses": {
-            "world_R_hand": inverse_R,
-            "world_t_hand": -np.einsum("mij,mj->mi", inverse_R, t),
-        },
-        "labels": {"plane_labels": tuple("A" for _ in t)},
-    }[mistake]
-    calibration = hl.calibrate(broken(recording, **columns))
-    said = " ".join((calibration.message, *(one.message for one in calibration.warnings)))
-    assert "check that lengths are metres" in said
-    assert "world_T_hand" in said
-    assert hl.calibrate(recording).warnings == ()
+    calibration = hl.calibrate(replace(recording, **columns(recording)))
+    assert calibration.status != "converged"
+    assert "no-fit" in codes(calibration)
+    assert ("file-mistake" in codes(calibration)) is recognised
+    if recognised:
+        assert hl.calibrate(recording).warnings == ()
 
 
 def test_everything_in_millimetres_is_suspected():
     recording, _ = simulated("arm", range_sigma=3e-4)
-    scaled = broken(
+    scaled = replace(
         recording, ranges=1e3 * recording.ranges, world_t_hand=1e3 * recording.world_t_hand
     )
-    assert any("millimetres" in words.message for words in hl.calibrate(scaled).warnings)
+    assert {"long-ranges", "far-beam"} & set(codes(hl.calibrate(scaled)))
 
 
 def test_an_outlier_is_named():
@@ -459,11 +452,12 @@ def test_an_outlier_is_named():
     ranges = recording.ranges.copy()
     ranges[17, 2] += 1e-3
     keep = hl.CalibrationOptions(outliers="keep")
-    calibration = hl.calibrate(broken(recording, ranges=ranges), hl.Noise(SIGMA), keep)
+    calibration = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA), keep)
     assert calibration.fit.max_residual_at == ("18", "3")
-    assert any("beam 3 at station 18" in words.message for words in calibration.warnings)
+    named = {one.code: one.message for one in calibration.warnings}
+    assert "beam 3 at station 18" in named["far-reading"]
 
 
 def test_a_given_sigma_that_is_too_small_is_contradicted(gripper):
     calibration = hl.calibrate(gripper, hl.Noise(SIGMA / 2))
-    assert any("times as large as the sigmas" in words.message for words in calibration.warnings)
+    assert "sigmas-too-small" in codes(calibration)

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import simulated
+from helpers import codes, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.file_mistakes import better_ways
+from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_ways
 from handlaser_gtsam.simulation.scenes import Layout
 
 
@@ -46,12 +46,28 @@ MISTAKES = {
     "KUKA A B C read as FANUC W P R": turned(
         lambda q: Rotation.from_euler("xyz", q.as_euler("ZYX"))
     ),
-    "radians taken as degrees": turned(lambda q: Rotation.from_rotvec(np.pi / 180 * q.as_rotvec())),
+    "rotation vectors look like radians taken as degrees": turned(
+        lambda q: Rotation.from_rotvec(np.pi / 180 * q.as_rotvec())
+    ),
     "read as angles about x, y, z": turned(lambda q: Rotation.from_euler("xyz", q.as_rotvec())),
 }
 
 
 @pytest.mark.parametrize("words", MISTAKES)
+def test_undoing_a_mistake_gives_the_right_file(right, words):
+    (hypothesis,) = (one for one in HYPOTHESES if words in one.words)
+    spoilt = MISTAKES[words](right)
+    found = hypothesis.undone(spoilt)
+    changed = []
+    for name in ("world_R_hand", "world_t_hand", "ranges"):
+        wrong, again, expected = (getattr(one, name) for one in (spoilt, found, right))
+        # Rounding, where angles about three axes amplify it.
+        assert np.allclose(again, expected, rtol=1e-12, atol=1e-12)
+        changed.append(not np.allclose(wrong, expected, rtol=1e-3, atol=1e-3))
+    assert any(changed)
+
+
+@pytest.mark.parametrize("words", ["qw qx qy qz", "ranges look like millimetres"])
 def test_the_mistake_is_named_first(right, words):
     found = better_ways(MISTAKES[words](right), 0)
     assert words in found[0]
@@ -69,11 +85,12 @@ def test_beams_swapped_before_one_plane_are_named():
 
 def test_a_right_file_suggests_nothing(right):
     assert better_ways(right, 0) == ()
-    assert hl.calibrate(right, hl.Noise(1e-3)).warnings == ()
+    assert hl.calibrate(right, hl.Noise(1e-3, 0.0, 0.0)).warnings == ()
 
 
 def test_the_calibration_warns_and_does_not_converge(right):
     found = hl.calibrate(inverted(right), hl.Noise(1e-3))
     assert found.status != "converged"
+    assert codes(found)[0] == "file-mistake"
     assert "poses look inverted" in found.warnings[0].message
     assert all(beam.covariance is None for beam in found.beams.values())

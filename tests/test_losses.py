@@ -5,7 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from helpers import simulated
+from helpers import codes, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.losses import Loss, LossName
@@ -16,6 +16,7 @@ from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 NAMES = get_args(LossName)
 ROBUST = [name for name in NAMES if name != "gaussian"]
 SIGMA = 1e-3
+NOISE = hl.Noise(SIGMA, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -44,49 +45,60 @@ def test_the_graph_has_the_same_cost_and_weighs_reading_by_reading(name):
     assert np.abs(gradient / scale).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", ROBUST)
-def test_a_robust_loss_bears_outliers_that_are_kept(name):
-    recording, truth = simulated("arm", Layout(2, 3, 20), SIGMA)
-    rng = np.random.default_rng(0)
+@pytest.fixture(scope="module")
+def spoilt():
+    """Calibrations with outliers of 30 sigmas by loss, and how far each moved a location [m]."""
+    recording, _ = simulated("arm", Layout(1, 3, 16), SIGMA)
     ranges = recording.ranges.copy()
-    chosen = rng.choice(ranges.size, 10, replace=False)
-    ranges.flat[chosen] += 0.08
-    spoilt = replace(recording, ranges=ranges)
-    options = hl.CalibrationOptions("none", outliers="keep", loss=name)
-    robust = hl.calibrate(spoilt, hl.Noise(SIGMA), options)
-    plain = hl.calibrate(spoilt, hl.Noise(SIGMA), hl.CalibrationOptions("none", outliers="keep"))
-    error = [np.linalg.norm(c.beams["1"].location - truth.locations[0]) for c in (robust, plain)]
-    assert error[0] < 0.5 * error[1]
-    assert len(robust.fit.rejected) == 0
-    assert robust.warnings  # chi2 of what was kept contradicts the sigma
+    chosen = np.random.default_rng(0).choice(ranges.size, 4, replace=False)
+    ranges.flat[chosen] += 0.03
+    found = {
+        name: hl.calibrate(
+            replace(recording, ranges=ranges),
+            NOISE,
+            hl.CalibrationOptions("none", outliers="keep", loss=name),
+        )
+        for name in NAMES
+    }
+    r = hl.calibrate(recording, NOISE, hl.CalibrationOptions("none")).beams["1"].location
+    return found, {name: np.linalg.norm(c.beams["1"].location - r) for name, c in found.items()}
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_a_robust_loss_bears_outliers_that_are_kept(spoilt, name):
+    found, moved = spoilt
+    assert moved[name] < 0.25 * moved["gaussian"]
+    assert len(found[name].fit.rejected) == 0
+    # Chi2 of what was kept contradicts the sigma.
+    assert "sigmas-too-small" in codes(found[name])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_covariance_of_a_robust_estimate_matches_its_scatter(name):
-    """NEES of beam 1's location over 60 recordings with 10 % of the readings off."""
+    """NEES of beam 1's location over 20 recordings with 10 % of the readings off."""
     rng = np.random.default_rng(1)
     truth, stations = hl.scenes.arm(Layout(1, 3, 30), rng)
     options = hl.CalibrationOptions("none", outliers="keep", loss=name)
     nees = []
-    for _ in range(60):
+    for _ in range(20):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
         ranges = recording.ranges.copy()
         off = rng.random(ranges.shape) < 0.1
         ranges[off] += 10 * SIGMA * rng.standard_normal(off.sum())
-        found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA), options)
+        found = hl.calibrate(replace(recording, ranges=ranges), NOISE, options)
         beam = found.beams["1"]
         error = beam.location - truth.locations[0]
         nees.append(error @ np.linalg.solve(beam.covariance[:3, :3], error))
-    # The mean of 60 draws of chi2(3) has standard deviation sqrt(6 / 60) = 0.32; three of them.
-    assert np.mean(nees) == pytest.approx(3.0, abs=1.0)
+    # The mean of 20 draws of chi2(3) has standard deviation sqrt(6 / 20) = 0.55; three of them.
+    assert np.mean(nees) == pytest.approx(3.0, abs=1.65)
 
 
 @pytest.mark.parametrize("name", ROBUST)
 def test_without_outliers_a_robust_loss_costs_little(name):
     recording, _ = simulated("arm", Layout(2, 3, 30), SIGMA)
     sigma = [
-        hl.calibrate(recording, hl.Noise(SIGMA), hl.CalibrationOptions("none", loss=loss))
+        hl.calibrate(recording, NOISE, hl.CalibrationOptions("none", loss=loss))
         .beams["1"]
         .location_sigma
         for loss in ("gaussian", name)

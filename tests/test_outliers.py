@@ -67,9 +67,10 @@ def test_clean_readings_stay(told):
 
 
 def test_keep_keeps_everything():
-    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
-    spoilt = with_garbage(recording, 0.05, 0)
-    found = hl.calibrate(spoilt, options=KEEP)
+    recording, _ = simulated("arm", Layout(2, 2, 12), SIGMA["arm"])
+    ranges = recording.ranges.copy()
+    ranges[[5, 20], [1, 0]] += [0.02, -0.03]
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), KEEP)
     assert found.fit.rejected == ()
     assert found.fit.readings == recording.ranges.size
 

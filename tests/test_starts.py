@@ -152,7 +152,7 @@ def test_the_choice_is_automatic_and_reported(scene, method):
 
 
 def test_misleading_translations_lose_against_the_sweep():
-    """Readings of one series are wrong by centimetres: the closed form fits badly, the sweep wins."""
+    """Readings of one series are wrong by centimetres: the closed form fits worse than a sweep."""
     truth = bench(2, 1)
     R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [4, 2, 2, 2])
     free_R, free_t = motion("free", 20, seed=6)
@@ -162,12 +162,11 @@ def test_misleading_translations_lose_against_the_sweep():
     readings = recording.readings()
     d = readings.distance.copy()
     d[readings.station < 4] += [0.04, -0.05, 0.03, -0.02]
-    spoilt = readings.__class__(
-        readings.station, readings.beam, readings.plane, d,
-        readings.world_R_hand, readings.world_t_hand, 1, 2,
-    )  # fmt: skip
-    tried = dict(find_start(spoilt).tried)
-    assert {"translations", "sweep"} <= set(tried)
+    start = find_start(replace(readings, distance=d))
+    tried = dict(start.tried)
+    assert tried["sweep"] < 0.1 * tried["translations"]
+    # Two sweeps reach the same optimum; rounding decides which of them is named.
+    assert start.method in ("sweep", "directions")
 
 
 def test_growing_fills_what_nothing_reaches():
@@ -192,9 +191,9 @@ def test_a_start_that_grazes_is_straightened():
 
 @pytest.mark.slow
 def test_random_problems_reach_the_optimum_found_from_the_truth():
-    """Never a wrong optimum that is not flagged: 60 random sizes, each seed its own scene."""
+    """Never a wrong optimum that is not flagged: 16 random sizes, each seed its own scene."""
     compared = 0
-    for seed in range(60):
+    for seed in range(16):
         rng = np.random.default_rng(seed)
         scene, sigma = (("paper", 3e-5), ("arm", 1e-3))[seed % 2]
         sizes = [int(x) for x in rng.integers([1, 1, 9], [7, 7, 24])]
@@ -207,7 +206,7 @@ def test_random_problems_reach_the_optimum_found_from_the_truth():
         # Costs that close differ by less than a hundredth of a standard deviation.
         assert calibration.fit.chi2 / 2 <= from_truth.cost + 1e-4
         compared += 1
-    assert compared > 40
+    assert compared > 10
 
 
 def test_planes_known_the_wrong_way_round_are_turned():
