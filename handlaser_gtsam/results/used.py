@@ -1,9 +1,15 @@
 """The readings behind a calibration."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..data.recording import Recording
-from .calibration import Calibration
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
 
 
 def used_recording(calibration: Calibration, recording: Recording) -> Recording:
