@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from .results.spots import spot as spot
     from .results.systematic import SystematicError as SystematicError
     from .session.drift import Moved as Moved
+    from .session.reports import Change as Change
     from .session.reports import Comparison as Comparison
     from .session.reports import Update as Update
     from .session.session import Session as Session
@@ -137,7 +138,7 @@ _NAMES = {
     "results.spots": "MeasuredPlane Spot measured_plane spot",
     "results.systematic": "SystematicError",
     "session.drift": "Moved",
-    "session.reports": "Comparison Update",
+    "session.reports": "Change Comparison Update",
     "session.session": "Session",
     "solvers.graph": "CalibrationGraph build_graph read_parameters",
     "solvers.incremental": "IncrementalOptions",

@@ -5,7 +5,7 @@ settle the matter, and a thorough plain search only where nothing else fits.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -66,6 +66,7 @@ class PlainJudge:
     readings: Readings
     terms: int
     range_sigma: float | None
+    latest: list[tuple[Parameters, Screening | None]] = field(default_factory=list)
 
     def accepts(self, candidate: Parameters, agreed: bool) -> bool:
         """Tell whether a candidate, on which several starts may have `agreed`, needs no rivals."""
@@ -74,8 +75,11 @@ class PlainJudge:
         return self.settles(self.screened(candidate), agreed)
 
     def screened(self, candidate: Parameters, scale: float | None = None) -> Screening | None:
-        """Return what contradicts the rest, from a candidate on."""
-        return screen(self.readings, candidate, self.terms, self.range_sigma, scale)
+        """Return what contradicts the rest, from a candidate on; the same one is screened once."""
+        if not self.latest or self.latest[0][0] is not candidate:
+            one = screen(self.readings, candidate, self.terms, self.range_sigma, scale)
+            self.latest[:] = [(candidate, one)]
+        return self.latest[0][1]
 
     def settles(self, one: Screening | None, agreed: bool) -> bool:
         """Tell whether what was left out is little, and the rest hides no further outliers."""
@@ -151,9 +155,9 @@ def find_consensus(
     """
     sigma, usable = range_sigma if certain else None, usable_terms(readings, terms)
     part, judge = part_of(readings), PlainJudge(readings, usable, sigma)
-    accepts = PlainJudge(part.readings, usable, sigma).accepts
+    early = judge if part.is_whole else PlainJudge(part.readings, usable, sigma)
     start = find_start(
-        readings, range_sigma, terms, effort="quick", certain=certain, accepts=accepts
+        readings, range_sigma, terms, effort="quick", certain=certain, accepts=early.accepts
     )
     plain = judge.screened(start.parameters)
     found = [] if plain is None else [(start.method, plain)]

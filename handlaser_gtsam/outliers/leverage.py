@@ -18,8 +18,16 @@ from ..data.recording import Readings
 from ..observability.rank import Observability
 from ..solvers.reduction import jacobian_columns
 
+MOST_WORK = 50_000_000
+"""Readings times beam unknowns beyond which leverages are taken as zero: so many readings share so many
+unknowns that one weighs little, and the information takes too long to invert."""
 LEAST_FREEDOM = 1e-6
 """A reading with less than this part of its variance left checks nothing."""
+
+
+def negligible(readings: Readings, terms: int) -> bool:
+    """Tell whether leverages are taken as zero."""
+    return len(readings) * readings.beams * (5 + terms) > MOST_WORK
 
 
 def leverages(parameters: Parameters, readings: Readings, found: Observability) -> FloatArray:

@@ -21,7 +21,7 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..observability.rank import observability
 from ..solvers.refine import refine
-from .leverage import leverages, standardized
+from .leverage import leverages, negligible, standardized
 
 LEAST_CUT, MOST_CUT = 3.0, 4.0
 """A reading further off than a cut between these, in its standard deviations, is an outlier."""
@@ -227,10 +227,11 @@ def judge(
     typical = float(np.median(unit[kept]))
     least = 1.0 if known and (sigmas > 0.0).all() else 0.0
     scale = max(least, estimated, ROUNDING * readings.largest_range() / typical)
-    found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
-    steep = np.flatnonzero(np.isfinite(e))
     h = np.zeros(len(readings))
-    h[steep] = leverages(parameters, readings.subset(steep), found)
+    if not negligible(readings, terms):
+        found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
+        steep = np.flatnonzero(np.isfinite(e))
+        h[steep] = leverages(parameters, readings.subset(steep), found)
     t = standardized(e / unit, h, kept, scale)
     t[~kept & _vague(readings, kept, scale * unit * np.sqrt(1.0 + h))] = np.inf
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..model.equation import plausible_range_errors
+from ..model.equation import plausible_range_errors, residuals_or_infinite
 from ..solvers.refine import Refined, refine_many
 from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
@@ -25,6 +25,8 @@ from .translations import translation_start, translation_start_with_range_errors
 
 CLOSED_STEPS, FIRST_STEPS, LAST_STEPS = 4, 10, 40
 """Refinement steps of a closed form alone, of many starts, and of the best of those."""
+MOST_REFINED = 100
+"""More beams than this stay as they grow from the planes: a step costs the third power of them."""
 FINALISTS = 6
 """So many starts of each round are refined to the end, or a quarter of the round if that is more."""
 RANDOM_ROUNDS, RANDOM_STARTS = 5, 100
@@ -126,9 +128,11 @@ def find_start(
     best, fits = found[0].parameters, fits_sigma(found[0].criterion, some, range_sigma, terms)
     if not part.is_whole:
         best = part.extended(best)
-        whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
-        fits = whole is not None and fits_sigma(whole.squares, readings, range_sigma, terms)
-        best = best if whole is None else whole.parameters
+        if readings.beams <= MOST_REFINED:
+            whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
+            best = best if whole is None else whole.parameters
+        e = residuals_or_infinite(best, readings)
+        fits = fits_sigma(float(e @ e), readings, range_sigma, terms)
     lowest: dict[str, float] = {}
     for one in found:
         lowest.setdefault(one.method, float(np.sqrt(one.criterion / len(some))))

@@ -1,4 +1,4 @@
-"""A part of a long recording to search on: some of its planes, all of its beams."""
+"""A part of a long recording to search on: some of its planes, and some of very many beams."""
 
 from dataclasses import dataclass, replace
 
@@ -11,64 +11,101 @@ from .partial import PartialStart, grow
 
 ENOUGH = 1500
 """About so many readings decide which start is best; more would only cost time."""
+MOST = 6000
+"""Of more, as a plane with very many stations has them, evenly spaced stations are taken."""
+MOST_BEAMS = 32
+"""So many beams do too; a refinement costs the third power of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Some planes of a recording.
+    """Some planes and beams of a recording.
 
     Attributes
     ----------
     readings : Readings
-        With planes numbered anew.
-    planes : IntArray
+        With planes and beams numbered anew.
+    planes, beams : IntArray
         Their numbers in the whole.
     whole : Readings
     """
 
     readings: Readings
     planes: IntArray
+    beams: IntArray
     whole: Readings
 
     @property
     def is_whole(self) -> bool:
         """Whether nothing was left out."""
-        return len(self.planes) == self.whole.planes
+        return len(self.readings) == len(self.whole)
 
     def restricted(self, parameters: Parameters) -> Parameters:
         """Return the parameters of the part."""
-        return replace(
-            parameters,
-            normals=parameters.normals[self.planes],
-            offsets=parameters.offsets[self.planes],
+        return Parameters(
+            parameters.locations[self.beams],
+            parameters.directions[self.beams],
+            parameters.range_errors[self.beams],
+            parameters.normals[self.planes],
+            parameters.offsets[self.planes],
         )
 
     def extended(self, parameters: Parameters) -> Parameters:
-        """Return the parameters of the whole: the other planes grow from the spots of the beams."""
+        """Return the parameters of the whole: the others grow from the spots of the beams."""
         if self.is_whole:
             return parameters
         start = PartialStart.empty(self.whole)
-        start.locations[:], start.directions[:] = parameters.locations, parameters.directions
-        start.range_errors[:] = parameters.range_errors
+        start.locations[self.beams] = parameters.locations
+        start.directions[self.beams] = parameters.directions
+        start.range_errors[self.beams] = parameters.range_errors
         start.normals[self.planes] = parameters.normals
         start.offsets[self.planes] = parameters.offsets
         return grow(start, self.whole)
 
 
 def part_of(readings: Readings) -> Part:
-    """Return the planes with most readings, so many that they suffice, and one for every beam."""
-    count = np.bincount(readings.plane, minlength=readings.planes)
+    """Return the planes with most readings, so many that they suffice, and one for every beam.
+
+    Of very many beams only those with most readings are there, and of very many stations some.
+    """
+    counts = np.bincount(readings.beam, minlength=readings.beams)
+    beams = np.sort(np.argsort(-counts, kind="stable")[:MOST_BEAMS])
+    some = readings if len(beams) == readings.beams else _of_beams(readings, beams)
+    count = np.bincount(some.plane, minlength=readings.planes)
     order = np.argsort(-count, kind="stable")
     enough = int(np.searchsorted(np.cumsum(count[order]), ENOUGH)) + 1
-    if enough >= readings.planes:
-        return Part(readings, np.arange(readings.planes), readings)
-    chosen = np.zeros(readings.planes, dtype=bool)
-    chosen[order[:enough]] = True
-    for beam in range(readings.beams):
-        own = readings.plane[readings.beam == beam]
-        if own.size and not chosen[own].any():
-            chosen[own[np.argmax(count[own])]] = True
-    planes = np.flatnonzero(chosen)
+    chosen = count > 0
+    if enough < readings.planes:
+        chosen = np.zeros(readings.planes, dtype=bool)
+        chosen[order[:enough]] = True
+        for beam in range(some.beams):
+            own = some.plane[some.beam == beam]
+            if own.size and not chosen[own].any():
+                chosen[own[np.argmax(count[own])]] = True
+    elif some is readings and len(readings) <= MOST:
+        return Part(readings, np.arange(readings.planes), beams, readings)
     number = np.cumsum(chosen) - 1
-    subset = readings.subset(np.flatnonzero(chosen[readings.plane]))
-    return Part(replace(subset, plane=number[subset.plane], planes=len(planes)), planes, readings)
+    subset = _thinned(some.subset(np.flatnonzero(chosen[some.plane])))
+    planes = np.flatnonzero(chosen)
+    part = replace(subset, plane=number[subset.plane], planes=len(planes))
+    return Part(part, planes, beams, readings)
+
+
+def _thinned(readings: Readings) -> Readings:
+    """Return the readings of evenly spaced stations, unless a plane or a beam were lost by that."""
+    step = -(-len(readings) // MOST)
+    index = np.unique(readings.station, return_inverse=True)[1]
+    few = readings.subset(np.flatnonzero(index % step == 0))
+    same = all(
+        len(np.unique(getattr(few, name))) == len(np.unique(getattr(readings, name)))
+        for name in ("plane", "beam")
+    )
+    return few if same else readings
+
+
+def _of_beams(readings: Readings, beams: IntArray) -> Readings:
+    """Return the readings of some beams, numbered anew."""
+    number = np.full(readings.beams, -1, dtype=np.intp)
+    number[beams] = np.arange(len(beams))
+    some = readings.subset(np.flatnonzero(number[readings.beam] >= 0))
+    return replace(some, beam=number[some.beam], beams=len(beams))
