@@ -100,7 +100,8 @@ def _saturated(recording: hl.Recording, rng: np.random.Generator) -> hl.Recordin
     return replace(recording, ranges=np.minimum(recording.ranges, limit))
 
 
-def _rows(recording: hl.Recording, rows: IntArray) -> hl.Recording:
+def logged(recording: hl.Recording, rows: IntArray) -> hl.Recording:
+    """Return stations in another order, some more than once, under new names."""
     return hl.Recording(
         recording.world_R_hand[rows],
         recording.world_t_hand[rows],
@@ -113,7 +114,7 @@ def _rows(recording: hl.Recording, rows: IntArray) -> hl.Recording:
 def _held(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:
     times = rng.integers(2, 11)
     rows = np.repeat(np.arange(len(recording.plane_labels)), times)
-    found = _rows(recording, rows)
+    found = logged(recording, rows)
     jitter = 1e-7 * rng.choice([0.0, 0.1, 1.0])
     return replace(
         found,
@@ -124,7 +125,7 @@ def _held(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:
 
 def _doubled(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:
     if rng.random() < 0.5:
-        return _rows(recording, np.tile(np.arange(len(recording.plane_labels)), 2))
+        return logged(recording, np.tile(np.arange(len(recording.plane_labels)), 2))
     ranges = recording.ranges.copy()
     one, other = rng.permutation(ranges.shape[1])[:2]
     ranges[:, one] = ranges[:, other]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.robot_cell import readings_of
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.data.parameters import Parameters
@@ -196,9 +197,7 @@ def read(
     s = -distance / np.where(np.abs(cosine) > 1e-6, cosine, 1e-6)
     hit = (cosine > LEAST_COSINE) & (s > 0.02 * L) & (s < 3.0 * L)
     hit &= rng.random(hit.shape) >= (rng.choice([0.0, 0.1, 0.3]) if missing is None else missing)
-    k1, k2 = truth.range_errors.T
-    s = np.where(hit, s, L)
-    d = 2.0 * s / (1.0 + k1 + np.sqrt((1.0 + k1) ** 2 + 4.0 * k2 * s))
+    d = readings_of(np.where(hit, s, L), truth.range_errors)
     d = d + sigma * rng.standard_normal(d.shape)
     d = np.where(hit & (d > 0.0), d, np.nan)
     rows = np.flatnonzero(~np.isnan(d).all(axis=1))

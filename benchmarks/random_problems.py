@@ -52,14 +52,13 @@ class Verdict:
 def judge_solvable(seed: int) -> Verdict:
     """Calibrate a solvable problem and compare with the optimum found from the truth."""
     problem = solvable(np.random.default_rng(seed))
+    noise, options = _given(problem)
     begin = time.perf_counter()
-    options = hl.CalibrationOptions(TERMS[problem.terms], outliers="keep")
-    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma, 0.0, 0.0), options)
+    found = hl.calibrate(problem.recording, noise, options)
     seconds = time.perf_counter() - begin
     readings = problem.recording.readings()
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
-    noise = hl.Noise(problem.range_sigma, 0.0, 0.0)
     best = solve(readings.seen_from(origins), truth, noise, options).chi2
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
@@ -74,8 +73,7 @@ def judge_unsolvable(seed: int) -> Verdict:
     """Calibrate an unsolvable problem and compare what is named with what is open."""
     problem = unsolvable(np.random.default_rng(seed))
     begin = time.perf_counter()
-    options = hl.CalibrationOptions(TERMS[problem.terms], outliers="keep")
-    found = hl.calibrate(problem.recording, hl.Noise(problem.range_sigma, 0.0, 0.0), options)
+    found = hl.calibrate(problem.recording, *_given(problem))
     seconds = time.perf_counter() - begin
     if found.status == "converged":
         return Verdict(seed, problem.kind, "converged", False, seconds)
@@ -87,6 +85,12 @@ def judge_unsolvable(seed: int) -> Verdict:
         return Verdict(seed, problem.kind, "an open direction not named", False, seconds)
     outcome = "all named" if named == open_ else "all named, and weak ones"
     return Verdict(seed, problem.kind, outcome, True, seconds)
+
+
+def _given(problem: Problem) -> tuple[hl.Noise, hl.CalibrationOptions]:
+    """Return the noise of a problem and the options with which it is solved."""
+    options = hl.CalibrationOptions(TERMS[problem.terms], outliers="keep")
+    return hl.Noise(problem.range_sigma, 0.0, 0.0), options
 
 
 def _dimension(problem: Problem) -> int:

@@ -24,8 +24,9 @@ from rich.progress import Progress  # isort: skip
 from scipy.spatial.transform import Rotation  # isort: skip
 
 import handlaser_gtsam as hl
+from benchmarks.odd_readings import logged
 from benchmarks.robot_cell import Scene, cell
-from handlaser_gtsam.arrays import FloatArray, IntArray
+from handlaser_gtsam.arrays import FloatArray
 
 JITTER = 1e-7
 """Of poses [m, rad] and readings [m] that are held."""
@@ -45,17 +46,6 @@ class Found:
 
     codes: tuple[str, ...]
     farthest: float
-
-
-def logged(recording: hl.Recording, rows: IntArray) -> hl.Recording:
-    """Return stations in another order, some more than once."""
-    return hl.Recording(
-        recording.world_R_hand[rows],
-        recording.world_t_hand[rows],
-        recording.ranges[rows],
-        tuple(recording.plane_labels[row] for row in rows),
-        recording.beam_names,
-    )
 
 
 def every(recording: hl.Recording, times: int) -> hl.Recording:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import POSTURE, STATION_SPREAD, cast, forward
+from benchmarks.robot_cell import POSTURE, STATION_SPREAD, cast, forward, readings_of
 from handlaser_gtsam.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("table", "wall", "front", "D", "E", "F")
@@ -86,10 +86,7 @@ def plates(scene: Scene, rng: np.random.Generator) -> tuple[hl.Recording, Truth]
     wrong = math.radians(scene.joint_sigma_deg) * noise.standard_normal(joints.shape)
     s = _hits(joints + wrong, beams, centres[plane], axes[plane])[..., 0]
     k = noise.standard_normal((scene.beams, 2)) * (scene.k1, scene.k2)
-    # The reading whose corrected range is s: the smaller root of k2 d^2 + (1 + k1) d - s.
-    slope = 1.0 + k[:, 0]
-    d = 2.0 * s / (slope + np.sqrt(slope**2 + 4.0 * k[:, 1] * s))
-    d += scene.range_sigma * noise.standard_normal(d.shape)
+    d = readings_of(s, k) + scene.range_sigma * noise.standard_normal(s.shape)
     R, t = forward(joints)
     labels = tuple(NAMES[p] for p in plane)
     names = tuple(f"L{i + 1}" for i in range(scene.beams))

@@ -163,7 +163,7 @@ def cell(scene: Scene, rng: np.random.Generator) -> tuple[hl.Recording, Truth]:
     true_R, true_t = _moved(scene, *forward(joints + wrong), plane)
     plates = _displaced(scene, plates, plane, subject)
     s, tangent = _ranges(scene, (true_R, true_t), (r, v), plates)
-    d = _readings(s, k) + scene.range_sigma * range_noise.standard_normal(s.shape)
+    d = readings_of(s, k) + scene.range_sigma * range_noise.standard_normal(s.shape)
     d = d + _wrong_readings(scene, d, tangent, plane, subject)
     if scene.code == "translation-scale":
         t = t / (1.0 + scene.size)
@@ -331,12 +331,14 @@ def _range_errors(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return k
 
 
-def _readings(s: FloatArray, k: FloatArray) -> FloatArray:
-    """Return the readings (M, B) whose corrected ranges are s (M, B) [m]."""
-    d = s.copy()
-    for _ in range(12):
-        d -= (d * (1.0 + k[:, 0] + k[:, 1] * d) - s) / (1.0 + k[:, 0] + 2.0 * k[:, 1] * d)
-    return d
+def readings_of(s: FloatArray, k: FloatArray) -> FloatArray:
+    """Return the readings (M, B) whose corrected ranges are s (M, B) [m].
+
+    They are the smaller roots of k2 d^2 + (1 + k1) d - s, for range errors k (B, 2).
+    """
+    slope = 1.0 + k[:, 0]
+    found: FloatArray = 2.0 * s / (slope + np.sqrt(slope**2 + 4.0 * k[:, 1] * s))
+    return found
 
 
 def _subject(scene: Scene, rng: np.random.Generator) -> tuple[int, int]:

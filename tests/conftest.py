@@ -1,4 +1,7 @@
-"""What all tests share: the command, and benchmarks importable behind whatever is installed."""
+"""What all tests share: the command, and benchmarks importable behind whatever is installed.
+
+HYPOTHESIS_PROFILE=gate draws ten times as many examples, others in every run.
+"""
 
 import os
 import sys
@@ -8,10 +11,14 @@ from pathlib import Path
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import pytest
+from hypothesis import settings
 
 from handlaser_gtsam.cli import main
 
 sys.path.append(str(Path(__file__).parents[1]))
+settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
+settings.register_profile("gate", max_examples=400, deadline=None, database=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 @pytest.fixture

@@ -1,6 +1,8 @@
 """Problems and comparisons that several tests share."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -10,8 +12,10 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.results.calibration import Calibration
+from handlaser_gtsam.results.systematic import SystematicError
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, Stations, simulate
+from handlaser_gtsam.solvers.graph import CalibrationGraph
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"
@@ -52,9 +56,57 @@ def numeric_jacobian(
     return np.array(columns).T
 
 
+def assert_jacobians_match(factor: gtsam.NoiseModelFactor, values: gtsam.Values) -> None:
+    """Compare a factor's Jacobians, and its residual, with differences through Values.retract."""
+    A, b = factor.linearize(values).jacobian()
+    assert np.allclose(-b, factor.unwhitenedError(values), rtol=1e-12)
+    keys = list(factor.keys())
+    numeric = np.hstack([numeric_jacobian(factor, values, key, 1e-5) for key in keys])
+    # Central differences err by step**2 / 6 times the third derivative: up to 2 * 3! * 2 / 0.1**4
+    # where the beam is 0.1 from grazing, hence relative to the largest entry.
+    assert np.abs(A - numeric).max() < 1e-5 * max(1.0, np.abs(A).max() ** 2)
+
+
+def solved_by_gtsam(problem: CalibrationGraph) -> gtsam.Values:
+    """Return the optimum that GTSAM's own optimizer finds, which evaluates block by block."""
+    settings = gtsam.LevenbergMarquardtParams()
+    settings.setDiagonalDamping(True)
+    settings.setlambdaInitial(1e-9)
+    settings.setlambdaUpperBound(1e20)
+    settings.setRelativeErrorTol(1e-15)
+    settings.setAbsoluteErrorTol(1e-15)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(problem.graph, problem.values, settings)
+    return gtsam.Values(optimizer.optimize())
+
+
 def codes(found: Calibration | Recording) -> list[str]:
     """Return the codes of all warnings of a calibration or a recording, in their order."""
     return [one.code for one in found.warnings]
+
+
+def error_of(shift: FloatArray, **columns: Any) -> SystematicError:
+    """Return a systematic error that moves the location of every beam by `shift` (B, 3) [m]."""
+    still = np.zeros_like(shift)
+    found = SystematicError(
+        "sag",
+        subject="",
+        unit="m",
+        size=1e-4,
+        sigma=1e-5,
+        p_value=1e-4,
+        found=True,
+        explained_by="",
+        detectable=1e-4,
+        location_shift=shift,
+        direction_shift=still,
+        location_error=shift,
+        direction_error=still,
+        alike=(),
+        confounded=False,
+        message="a sag of 0.1 mm over the plate",
+        remedy="use a flatter plate",
+    )
+    return replace(found, **columns)
 
 
 def largest_error(found: Parameters, truth: Parameters) -> tuple[float, float]:

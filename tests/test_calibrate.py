@@ -1,5 +1,6 @@
 """The whole way: recovered truth, honest covariance, refusals in words."""
 
+import functools
 import json
 import math
 from dataclasses import replace
@@ -249,17 +250,22 @@ def test_range_error_can_be_forced(gripper, choice, terms):
     assert calibration.range_error_scales is None
 
 
-@pytest.mark.parametrize("case", DEGENERATE)
-@pytest.mark.parametrize("range_error", ["auto", "k1k2"])
-@pytest.mark.parametrize("sigma", [0.0, 1e-4])
-def test_degenerate_motion_is_unobservable(case, range_error, sigma):
+@functools.cache
+def left_open(case, range_error="auto", sigma=1e-4):
+    """Return the calibration of a recording that does not determine it; solved once."""
     options = hl.CalibrationOptions(range_error=range_error)
-    calibration = hl.calibrate(degenerate(case, sigma), options=options)
+    return hl.calibrate(degenerate(case, sigma), options=options)
+
+
+@pytest.mark.parametrize("case", DEGENERATE)
+@pytest.mark.parametrize(("range_error", "sigma"), [("auto", 1e-4), ("auto", 0.0), ("k1k2", 0.0)])
+def test_degenerate_motion_is_unobservable(case, range_error, sigma):
+    calibration = left_open(case, range_error, sigma)
     assert calibration.status == "unobservable"
     assert calibration.observability.rank < calibration.observability.unknowns
     assert calibration.observability.condition is None
     assert all(beam.covariance is None for beam in calibration.beams.values())
-    assert "location" in calibration.message
+    assert "location" in {part.quantity for part in calibration.observability.open_parts}
     assert "turn the hand" in calibration.message
 
 
@@ -276,7 +282,7 @@ def test_one_axis_leaves_the_location_along_it_open():
 
 @pytest.mark.parametrize("case", DEGENERATE)
 def test_range_errors_with_a_prior_are_never_undetermined(case):
-    parts = hl.calibrate(degenerate(case)).observability.open_parts
+    parts = left_open(case).observability.open_parts
     assert parts
     assert not any(part.quantity == "range error" for part in parts)
 
@@ -364,9 +370,9 @@ def test_ctrl_c_gives_a_result_marked_as_interrupted(gripper):
 
 
 def test_cross_check_needs_a_converged_calibration():
-    recording = degenerate("pure translations")
+    calibration = left_open("pure translations")
     with pytest.raises(hl.InputError, match="unobservable"):
-        hl.cross_check(hl.calibrate(recording), recording)
+        hl.cross_check(calibration, degenerate("pure translations"))
 
 
 @pytest.mark.parametrize("away", [5.0, 1000.0])
@@ -418,7 +424,8 @@ def test_turning_off_centre_by_a_hair_is_a_mirror_all_the_same():
     R, t = motion("free", 30)
     recording = recording_of(bench(1, 1), R, 1e-5 * t, [0] * 30, 1e-3)
     options = hl.CalibrationOptions(range_error="none")
-    assert hl.calibrate(recording, hl.Noise(1e-3), options).status == "unobservable"
+    noise = hl.Noise(1e-3, 0.0, 0.0)
+    assert hl.calibrate(recording, noise, options).status == "unobservable"
 
 
 @pytest.mark.parametrize(
@@ -444,7 +451,7 @@ def test_everything_in_millimetres_is_suspected():
     scaled = replace(
         recording, ranges=1e3 * recording.ranges, world_t_hand=1e3 * recording.world_t_hand
     )
-    assert {"long-ranges", "far-beam"} & set(codes(hl.calibrate(scaled)))
+    assert codes(hl.calibrate(scaled)) == ["long-ranges", "far-beam"]
 
 
 def test_an_outlier_is_named():

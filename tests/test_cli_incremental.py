@@ -54,7 +54,7 @@ def test_what_does_not_determine_the_beams_says_so_as_ever(handlaser, tmp_path):
     recording = hl.read_recording(RECORDING)
     path = tmp_path / "part.csv"
     hl.write_recording(path, recording.part(np.arange(5)))
-    code, out, err = handlaser("calibrate", path, "--incremental")
+    code, out, err = handlaser("calibrate", path, "--rig", RIG, "--incremental")
     assert code == 3
     assert "does not determine" in err
     assert "waits for more" in out

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, degenerate
-from test_verdict import error_of
+from helpers import GRIPPER, degenerate, error_of
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.tables import systematic_lines
@@ -52,10 +51,10 @@ def test_the_shipped_recording_fits_on_the_screen(handlaser, tmp_path):
         assert len(lines[row].split("+-")) == len(lines[row + 1].split("+-")) == 5
 
 
-@pytest.mark.parametrize("beams", [1, 4, 8, 20])
+@pytest.mark.parametrize("beams", [1, 8, 20])
 @pytest.mark.parametrize("scene", ["paper", "arm"])
 def test_simulated_scenes_fit_on_the_screen(handlaser, tmp_path, beams, scene):
-    options = ("--scene", scene, "--beams", beams, "--planes", 13, "--k1", 0.01)
+    options = ("--scene", scene, "--beams", beams, "--planes", 6, "--k1", 0.01)
     handlaser("simulate", tmp_path, *options, "--quiet")
     arguments = ("calibrate", tmp_path / "recording.csv", "--rig", tmp_path / "rig.toml")
     code, out, _ = handlaser(*arguments)
@@ -79,22 +78,12 @@ def test_outliers_are_listed_in_one_line(handlaser, tmp_path, recording):
     ranges = recording.ranges.copy()
     ranges[[3, 8, 14, 20, 26, 33], [0, 1, 2, 3, 0, 1]] += 0.004
     path = tmp_path / "outliers.csv"
-    hl.write_recording(path, replace_ranges(recording, ranges))
+    hl.write_recording(path, replace(recording, ranges=ranges))
     _, out, _ = handlaser("calibrate", path, "--rig", RIG)
     lines = fits(out)
     (line,) = [line for line in lines if line.startswith("rejected: ")]
     assert "6 readings" in line
     assert "and 3 more" in line
-
-
-def replace_ranges(recording, ranges):
-    return hl.Recording(
-        recording.world_R_hand,
-        recording.world_t_hand,
-        ranges,
-        recording.plane_labels,
-        recording.beam_names,
-    )
 
 
 def test_warnings_that_do_not_fit_are_counted(calibration, recording):

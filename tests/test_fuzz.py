@@ -1,7 +1,6 @@
 """Any file is read as it plainly stands, or refused in one line: bytes, cells and fields of any kind.
 
-The judges are those of `benchmarks.fuzz`, which reads thousands of files more. Examples are the same in
-every run.
+The judges are those of `benchmarks.fuzz`, which reads thousands of files more.
 """
 
 import json
@@ -9,14 +8,13 @@ import random
 import tomllib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import mutated_fields, mutated_tables
 from benchmarks.judged_readers import WrongError, judge_recording, judge_result, judge_rig
 from benchmarks.plain_readers import UnclearError, plain_recording
 
-FIXED = settings(max_examples=150, deadline=None, derandomize=True, database=None)
 HEADER = ["plane", "station", "x", "y", "z", "qx", "qy", "qz", "qw", "range_1", "range_2", "note"]
 ROWS = [
     ["A", "s1", "0.1", "0.2", "0.3", "0", "0", "0", "1", "0.020", "0.021", "ok"],
@@ -38,13 +36,11 @@ def path(tmp_path_factory):
     return tmp_path_factory.mktemp("fuzz") / "file"
 
 
-@FIXED
 @given(st.integers(0, len(GOOD)), st.integers(0, 12), st.binary(max_size=8))
 def test_bytes_put_into_a_recording(path, first, gone, new):
     judge_recording(path, GOOD[:first] + new + GOOD[first + gone :])
 
 
-@FIXED
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 11), values), min_size=1, max_size=3))
 def test_cells_put_into_a_recording(path, changes):
     rows = [list(row) for row in [HEADER, *ROWS]]
@@ -54,26 +50,22 @@ def test_cells_put_into_a_recording(path, changes):
     judge_recording(path, text.encode("utf-8", "surrogatepass"))
 
 
-@FIXED
 @given(seeds)
 def test_mishaps_of_recordings(path, seed):
     judge_recording(path, mutated_tables.mutated_recording(random.Random(seed)))
 
 
-@FIXED
 @given(seeds)
 def test_recordings_that_are_only_written_in_an_unusual_way_are_read(path, seed):
     data = mutated_tables.harmless_recording(random.Random(seed))
     assert judge_recording(path, data) == "read"
 
 
-@FIXED
 @given(st.sampled_from(mutated_fields.TOKEN.findall(RIG)), values | st.floats().map(repr))
 def test_values_put_into_a_rig(path, old, new):
     judge_rig(path, RIG.replace(old, new, 1).encode("utf-8", "surrogatepass"))
 
 
-@FIXED
 @given(seeds)
 def test_mishaps_of_rigs(path, seed):
     rng = random.Random(seed)
@@ -94,7 +86,6 @@ words = st.none() | st.booleans() | st.integers() | st.floats() | texts
 records = st.recursive(words, lambda inner: st.lists(inner, max_size=3), max_leaves=6)
 
 
-@FIXED
 @given(st.sampled_from(paths_of(json.loads(RESULT))), records)
 def test_values_put_into_a_result(path, place, value):
     record = json.loads(RESULT)
@@ -105,7 +96,6 @@ def test_values_put_into_a_result(path, place, value):
     judge_result(path, json.dumps(record).encode())
 
 
-@FIXED
 @given(seeds)
 def test_mishaps_of_results(path, seed):
     rng = random.Random(seed)

@@ -138,11 +138,9 @@ def test_a_plane_is_mended_from_its_beams():
     normals = at.normals.copy()
     normals[0] = model.normalized(normals[0] + [0.2, -0.1, 0.15])
     found = mended(replace(at, normals=normals), readings, 5e-4, np.random.default_rng(0))
+    assert np.abs(normals[0] - at.normals[0]).max() > 0.1
     # A plane through three spots that err by a few tenths of a millimetre, some 0.1 m apart.
     assert np.abs(found.normals - at.normals).max() < 0.02
-    assert np.array_equal(found.normals[1], at.normals[1]) or (
-        np.abs(found.normals[1] - at.normals[1]).max() < 0.02
-    )
 
 
 def test_agreement_by_chance_is_told_from_a_solution():

@@ -1,5 +1,7 @@
 """The order of rows, beams and planes in a file changes nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import simulated
@@ -27,34 +29,27 @@ def shuffled(recording, seed):
 @pytest.mark.parametrize(("scene", "sigma"), [("paper", 3e-5), ("arm", None), ("arm", 1e-3)])
 @pytest.mark.parametrize("garbage", [False, True])
 def test_the_order_changes_nothing(scene, sigma, garbage):
-    recording, _ = simulated(scene, Layout(3, 4, 12), {"paper": 3e-5, "arm": 1e-3}[scene])
+    recording, _ = simulated(scene, Layout(2, 3, 12), {"paper": 3e-5, "arm": 1e-3}[scene])
     if garbage:
         ranges = recording.ranges.copy()
         ranges[::7, 1] = ranges.mean()
-        recording = hl.Recording(
-            recording.world_R_hand,
-            recording.world_t_hand,
-            ranges,
-            recording.plane_labels,
-            recording.beam_names,
-        )
+        recording = replace(recording, ranges=ranges)
     first = hl.calibrate(recording, hl.Noise(sigma))
-    for seed in (1, 2):
-        again = hl.calibrate(shuffled(recording, seed), hl.Noise(sigma))
-        assert again.status == first.status == "converged"
-        assert (again.message, again.iterations) == (first.message, first.iterations)
-        for name, beam in first.beams.items():
-            other = again.beams[name]
-            for quantity in ("location", "direction", "range_error", "sigma"):
-                mine, its = getattr(beam, quantity), getattr(other, quantity)
-                assert np.array_equal(mine, its), quantity  # to the last bit
-        for name, plane in first.planes.items():
-            assert np.array_equal(plane.normal, again.planes[name].normal)
-            assert plane.offset == again.planes[name].offset
-        key = [(r.station, r.beam, r.reason, r.residual) for r in first.fit.rejected]
-        assert sorted(key) == sorted(
-            (r.station, r.beam, r.reason, r.residual) for r in again.fit.rejected
-        )
+    again = hl.calibrate(shuffled(recording, 1), hl.Noise(sigma))
+    assert again.status == first.status == "converged"
+    assert (again.message, again.iterations) == (first.message, first.iterations)
+    for name, beam in first.beams.items():
+        other = again.beams[name]
+        for quantity in ("location", "direction", "range_error", "sigma"):
+            mine, its = getattr(beam, quantity), getattr(other, quantity)
+            assert np.array_equal(mine, its), quantity  # to the last bit
+    for name, plane in first.planes.items():
+        assert np.array_equal(plane.normal, again.planes[name].normal)
+        assert plane.offset == again.planes[name].offset
+    key = [(r.station, r.beam, r.reason, r.residual) for r in first.fit.rejected]
+    assert sorted(key) == sorted(
+        (r.station, r.beam, r.reason, r.residual) for r in again.fit.rejected
+    )
 
 
 def test_sorted_readings_are_the_recording():

@@ -7,6 +7,7 @@ import pytest
 from helpers import GRIPPER, bench, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
+from benchmarks.garbage import distance, with_garbage
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers.leverage import leverages, standardized
@@ -21,25 +22,8 @@ NONE = hl.CalibrationOptions("none")
 KEEP = hl.CalibrationOptions("none", outliers="keep")
 
 
-def with_garbage(recording, share, seed):
-    rng = np.random.default_rng(seed)
-    ranges = recording.ranges.copy()
-    chosen = rng.choice(ranges.size, round(share * ranges.size), replace=False)
-    low, high = np.nanmin(ranges), np.nanmax(ranges)
-    ranges.flat[chosen] = rng.uniform(low, high, len(chosen))
-    return replace(recording, ranges=ranges)
-
-
-def distance(found, clean):
-    """Largest difference of a beam's coordinate, in standard deviations of `found`."""
-    worst = 0.0
-    for name, beam in found.beams.items():
-        difference = np.append(
-            beam.location - clean.beams[name].location,
-            beam.direction - clean.beams[name].direction,
-        )
-        worst = max(worst, np.abs(difference / beam.sigma[:6]).max())
-    return worst
+def spoilt(recording, share, seed):
+    return with_garbage(recording, share, np.random.default_rng(seed))[0]
 
 
 @pytest.mark.slow
@@ -49,7 +33,7 @@ def distance(found, clean):
 def test_a_third_of_garbage_does_not_move_the_result(scene, told, seed):
     recording, _ = simulated(scene, range_sigma=SIGMA[scene], seed=seed)
     noise = hl.Noise(SIGMA[scene] if told else None)
-    found = hl.calibrate(with_garbage(recording, 0.3, seed), noise, NONE)
+    found = hl.calibrate(spoilt(recording, 0.3, seed), noise, NONE)
     assert found.status == "converged"
     assert distance(found, hl.calibrate(recording, noise, KEEP)) < 3.0
     # Garbage that by chance lands near the truth may stay; little does.
@@ -165,7 +149,7 @@ def test_too_few_agreeing_readings_are_no_consensus():
 
 def test_robust_starts_agree_on_the_good_readings():
     recording, truth = simulated("arm", range_sigma=SIGMA["arm"])
-    readings = with_garbage(recording, 0.3, 4).readings()
+    readings = spoilt(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 
     class LeastScale:

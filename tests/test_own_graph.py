@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import pytest
-from helpers import GRIPPER
+from helpers import GRIPPER, codes, simulated
 
 import handlaser_gtsam as hl
 from benchmarks.mobile_base import WALLS, driven, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.factors import range_to_plane, range_to_plane_from_pose
+from handlaser_gtsam.simulation.scenes import Layout
 
 SIGMA = 1e-3
 FIX = gtsam.noiseModel.Diagonal.Sigmas(np.array([2e-3] * 3 + [1e-3] * 3))
@@ -254,7 +255,7 @@ def test_a_landmark_of_the_graph_is_the_plane(walk):
 
 
 def test_known_poses_give_what_calibrate_gives():
-    recording = hl.read_recording("examples/gripper/recording.csv")
+    recording, _ = simulated(layout=Layout(2, 4, 11))
     noise = hl.Noise(3e-5, 0.0, 0.0)
     batch = hl.calibrate(recording, noise, hl.CalibrationOptions("none", outliers="keep"))
     graph, values, beams, planes = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, {}
@@ -316,7 +317,7 @@ def test_a_wrong_noise_is_warned_of():
     found = hl.read_graph(
         graph, hl.optimize(graph, started(walker.values)).values, {"laser": BEAM}, PLANES
     )
-    assert "chi2" in found.warnings[0].message
+    assert codes(found) == ["sigmas-too-small"]
 
 
 def test_wrong_keys_are_refused(walk):
@@ -338,7 +339,7 @@ def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
     far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
     solved = hl.optimize(graph, far)
     assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
-    assert len(solved.history) > solved.iterations or solved.iterations > 5
+    assert any(not trial.accepted for trial in solved.history)
 
     def stop(_trial):
         raise KeyboardInterrupt
@@ -406,10 +407,16 @@ def test_the_solution_of_the_shipped_recording_is_determined_as_calibrate_says()
     assert found.fit.median_reading == pytest.approx(done.fit.median_reading, rel=0.1)
 
 
-@pytest.mark.parametrize(("scale", "sigma"), [(1.0, 6e-5), (0.1, 6e-6), (100.0, 6e-3)])
-def test_what_is_determined_does_not_depend_on_the_unit(scale, sigma):
+@pytest.fixture(scope="module")
+def without_range_errors():
     recording = hl.read_recording(GRIPPER / "recording.csv")
-    done = hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0), hl.CalibrationOptions("none"))
+    noise = hl.Noise(3e-5, 0.0, 0.0)
+    return recording, hl.calibrate(recording, noise, hl.CalibrationOptions("none"))
+
+
+@pytest.mark.parametrize(("scale", "sigma"), [(1.0, 6e-5), (0.1, 6e-6), (100.0, 6e-3)])
+def test_what_is_determined_does_not_depend_on_the_unit(without_range_errors, scale, sigma):
+    recording, done = without_range_errors
     for factor, status in ((1.0, "converged"), (10.0, "unobservable")):
         graph, values, keys, planes = graph_of(recording, done, scale, factor * sigma)
         assert hl.read_graph(graph, values, keys, planes).status in (status, "not_converged")

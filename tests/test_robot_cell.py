@@ -194,12 +194,12 @@ def test_unknown_systematic_errors_are_refused():
 
 @pytest.mark.slow
 def test_the_study_of_the_defaults_judges_by_the_stated_covariance():
-    """With the noise given and both terms free, NEES is 1 to what 12 recordings can tell."""
-    runs = [defaults.run_once(defaults.Case(4, 0.3, True), seed) for seed in range(12)]
+    """With the noise given and both terms free, NEES is 1 to what five recordings can tell."""
+    runs = [defaults.run_once(defaults.Case(4, 0.3, True), seed) for seed in range(5)]
     found = [one["k1k2"] for one in runs]
     assert all(one is not None for one in found)
-    # One NEES over 28 unknowns has a standard deviation of 0.27, twelve 0.08: four of them.
-    assert np.mean([one.nees for one in found]) == pytest.approx(1.0, abs=0.32)
+    # One NEES over 28 unknowns has a standard deviation of 0.27, five 0.12: four of them.
+    assert np.mean([one.nees for one in found]) == pytest.approx(1.0, abs=0.48)
     assert np.mean([one.covered for one in found]) > 0.85
     assert max(one.farthest for one in found) < defaults.FAR
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import simulated
+from helpers import codes, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks.odd_readings import logged
 from handlaser_gtsam.data.codes import without_codes
 from handlaser_gtsam.data.columns import RepeatedColumnError, refuse_repeated_columns
 from handlaser_gtsam.data.stations import merged_stations, pose_groups
@@ -33,18 +34,14 @@ def repeated(recording, rows, jitter=0.0, noise=0.0, seed=0):
     """The stations `rows`, each with its own jitter of pose and readings, and noise of the readings."""
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(jitter * rng.standard_normal((len(rows), 3))).as_matrix()
-    t, d = recording.world_t_hand[rows], recording.ranges[rows]
-    return hl.Recording(
-        recording.world_R_hand[rows] @ turn,
-        t + jitter * rng.standard_normal(t.shape),
-        d + (jitter + noise) * rng.standard_normal(d.shape),
-        tuple(recording.plane_labels[j] for j in rows),
-        recording.beam_names,
+    many = logged(recording, rows)
+    t, d = many.world_t_hand, many.ranges
+    return replace(
+        many,
+        world_R_hand=many.world_R_hand @ turn,
+        world_t_hand=t + jitter * rng.standard_normal(t.shape),
+        ranges=d + (jitter + noise) * rng.standard_normal(d.shape),
     )
-
-
-def codes(found):
-    return [one.code for one in found.warnings]
 
 
 def doubled(recording, column):

@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from helpers import GRIPPER, bench, motion, recording_of
+from helpers import GRIPPER, bench, motion, recording_of, solved_by_gtsam
 
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import Parameters
@@ -127,14 +127,7 @@ def test_scipy_agrees_in_value_and_covariance(problem):
 def test_gtsams_own_optimizer_agrees(problem):
     graph = problem[3]
     result = levenberg_marquardt(graph)
-    settings = gtsam.LevenbergMarquardtParams()
-    settings.setDiagonalDamping(True)
-    settings.setlambdaInitial(1e-9)
-    settings.setlambdaUpperBound(1e20)
-    settings.setRelativeErrorTol(1e-15)
-    settings.setAbsoluteErrorTol(1e-15)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph.graph, graph.values, settings)
-    theirs = read_parameters(graph, gtsam.Values(optimizer.optimize()))
+    theirs = read_parameters(graph, solved_by_gtsam(graph))
     mine = read_parameters(graph, result.values)
     joint = covariance(graph, result.values)
     beams, planes = joint.all_beams(), joint.all_planes()

@@ -292,6 +292,7 @@ def test_many_candidates_refine_as_each_alone():
     readings = recording_of(bench(2), *motion("free", 20), [0] * 10 + [1] * 10, 1e-4).readings()
     starts = [grow(s, readings) for s in direction_starts(readings, 5)]
     together = refine_many(starts, readings, 0, 12)
+    assert sum(one is not None for one in together) > 3
     for start, one in zip(starts, together, strict=True):
         alone = refine_many([start], readings, 0, 12)[0]
         assert (one is None) == (alone is None)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, degenerate, simulated
+from helpers import GRIPPER, degenerate, error_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.sensor import Rejected
@@ -14,7 +14,6 @@ from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, exceeded
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import radius
 from handlaser_gtsam.results.spots import spot
-from handlaser_gtsam.results.systematic import SystematicError
 from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.simulation.scenes import Layout
@@ -24,31 +23,6 @@ NOISE = hl.Noise(3e-5, 0.0, 0.0)
 LOOSE = Limits(1e-3, 1e-3, 0.1)
 BOTH = hl.CalibrationOptions("k1k2")
 NONE = VarianceShares(0.0, 0.0, 0.0)
-
-
-def error_of(shift, **columns):
-    """Return a systematic error that moves the location of every beam by `shift` (B, 3) [m]."""
-    still = np.zeros_like(shift)
-    found = SystematicError(
-        "sag",
-        subject="",
-        unit="m",
-        size=1e-4,
-        sigma=1e-5,
-        p_value=1e-4,
-        found=True,
-        explained_by="",
-        detectable=1e-4,
-        location_shift=shift,
-        direction_shift=still,
-        location_error=shift,
-        direction_error=still,
-        alike=(),
-        confounded=False,
-        message="a sag of 0.1 mm over the plate",
-        remedy="use a flatter plate",
-    )
-    return replace(found, **columns)
 
 
 @pytest.fixture(scope="module")
