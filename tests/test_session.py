@@ -52,7 +52,7 @@ def assert_batch(session):
 def test_every_step_is_the_batch_solution(noise, range_error, k, poses):
     if poses == "estimated":
         noise = ROBOT
-    recording = recorded(8, noise=noise, k=k)
+    recording = recorded(6, noise=noise, k=k)
     session = hl.Session(noise, hl.CalibrationOptions(range_error, poses=poses))
     for index, name in enumerate(recording.plane_names):
         update = session.add(plane(recording, index))
