@@ -148,7 +148,7 @@ def test_too_few_agreeing_readings_are_no_consensus():
 
 
 def test_robust_starts_agree_on_the_good_readings():
-    recording, truth = simulated("arm", range_sigma=SIGMA["arm"])
+    recording, truth = simulated("arm", Layout(2, 3, 14), SIGMA["arm"])
     readings = spoilt(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 

@@ -263,7 +263,7 @@ def test_a_file_that_is_cut_is_refused_wherever_its_end_is_lost(tmp_path, cut):
     text = "\n".join([HEADER, *ROWS])[:-cut]
     error = refusal(without_end(tmp_path, text))
     assert error.line == text.count("\n") + 1
-    assert ("cut" in str(error)) != ("longer one" in str(error))
+    assert "cut" in str(error) or "longer one" in str(error)
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def assert_batch(session):
 def test_every_step_is_the_batch_solution(noise, range_error, k, poses):
     if poses == "estimated":
         noise = ROBOT
-    recording = recorded(8, noise=noise, k=k)
+    recording = recorded(6, noise=noise, k=k)
     session = hl.Session(noise, hl.CalibrationOptions(range_error, poses=poses))
     for index, name in enumerate(recording.plane_names):
         update = session.add(plane(recording, index))
@@ -261,7 +261,7 @@ def test_random_sequences_end_at_the_batch_solution(monkeypatch, seed):
 )
 def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
     """Two ways that share nothing but the readings: plane by plane, and from nowhere."""
-    recording = recorded(10, noise=noise, k=k)
+    recording = recorded(7, noise=noise, k=k)
     session = filled(recording, noise, options)
     apart = session.recalibrate()
     assert apart.largest < 0.01
@@ -289,7 +289,7 @@ def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
 def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
     if noise is EXACT and poses == "estimated":
         pytest.skip("exact poses are no variables")
-    recording = recorded(9, noise=ROBOT, k=(0.02, 0.3))
+    recording = recorded(9, stations=9, beams=2, noise=ROBOT, k=(0.02, 0.3))
     session, messages = hl.Session(noise, hl.CalibrationOptions(poses=poses)), []
     for index in range(9):
         update = session.add(plane(recording, index))
@@ -309,9 +309,9 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
 
 
 def test_scales_that_were_learned_from_fewer_planes_are_named():
-    recording = recorded(8, k=(0.02, 0.3))
+    recording = recorded(5, stations=10, beams=2, k=(0.02, 0.3))
     session = hl.Session(hl.Noise(), incremental=IncrementalOptions(compare_every=0))
-    for index in range(8):
+    for index in range(5):
         session.add(plane(recording, index))
     words = "planes: recalibrate() learns them anew"
     assert any(words in warning.message for warning in session.calibration().warnings)
@@ -374,7 +374,7 @@ def test_threads_take_turns():
 
 def test_many_blocks_evaluate_together_as_each_does_alone():
     """What iSAM2 is handed once it asks for many blocks; with gaps, poses and whitening."""
-    recording = recorded(14, noise=ROBOT)
+    recording = recorded(7, noise=ROBOT)
     ranges = recording.ranges.copy()
     ranges.flat[::7] = np.nan
     session = filled(replace(recording, ranges=ranges), ROBOT, replace(NONE, poses="estimated"))

@@ -98,9 +98,9 @@ def test_the_bootstrap_agrees_with_the_covariance(gripper):
     noise = hl.Noise(3e-5, 2e-5, 1e-4)
     for poses in ("marginalised", "exact"):
         calibration = hl.calibrate(gripper, noise, hl.CalibrationOptions("k1k2", poses=poses))
-        found = hl.bootstrap(calibration, gripper, noise, np.random.default_rng(0), 200)
+        found = hl.bootstrap(calibration, gripper, noise, np.random.default_rng(0), 80)
         assert found.failed == 0
-        assert found.draws.shape == (200, 4, 8)
-        # 200 draws tell a standard deviation to 5 %; the largest of 32 is within four of those.
-        assert np.abs(found.ratio - 1.0).max() < 0.2
-        assert found.ratio.mean() == pytest.approx(1.0, abs=0.05)
+        assert found.draws.shape == (80, 4, 8)
+        # 80 draws tell a standard deviation to 8 %; the largest of 32 is within four of those.
+        assert np.abs(found.ratio - 1.0).max() < 0.32
+        assert found.ratio.mean() == pytest.approx(1.0, abs=0.08)
