@@ -140,7 +140,7 @@ def of_member(
     scene: Scene, result: hl.Calibration, recording: hl.Recording, given: bool, seed: int
 ) -> tuple[float, FloatArray]:
     """Return the detectable size, and its effect, of the error of `scene` with this seed."""
-    from handlaser_gtsam.results.systematic import detectable_of
+    from handlaser_gtsam.results.reliability import detectable_of
 
     _, truth = cell(scene, np.random.default_rng(seed))
     plane, other = truth.subject

@@ -65,7 +65,13 @@ def beam_drift(
             isotropic(2, direction_sigma), [before.direction, now.direction], _DirectionChange()
         ),
     ]
-    k, k_now = before.range_error, now.range_error
+    return (*factors, *_range_error_drift(before.range_error, now.range_error, range_error_sigmas))
+
+
+def _range_error_drift(
+    k: int | None, k_now: int | None, range_error_sigmas: Sequence[float]
+) -> list[gtsam.NonlinearFactor]:
+    """Return the factor between two range errors; none where both are one, or there are none."""
     tied = k is not None and k_now is not None and k != k_now
     if (k is None) != (k_now is None) or bool(range_error_sigmas) != tied:
         raise InputError(
@@ -73,11 +79,10 @@ def beam_drift(
             "both beams with range errors and one sigma a term; no sigmas where both have none, or the "
             "key of one that stays the same",
         )
-    if k is not None and k_now is not None and tied:
-        model = gtsam.noiseModel.Diagonal.Sigmas(np.asarray(range_error_sigmas, dtype=float))
-        none = np.zeros(len(range_error_sigmas))
-        factors.append(gtsam.BetweenFactorVector(k, k_now, none, model))
-    return tuple(factors)
+    if k is None or k_now is None or not tied:
+        return []
+    model = gtsam.noiseModel.Diagonal.Sigmas(np.asarray(range_error_sigmas, dtype=float))
+    return [gtsam.BetweenFactorVector(k, k_now, np.zeros(len(range_error_sigmas)), model)]
 
 
 class _DirectionChange:

@@ -43,19 +43,11 @@ def calibrate(
     Raises
     ------
     InputError
-        The sensor's limits leave a beam or a plane without readings; a channel was logged twice;
-        errors of the poses are to be counted but not stated; pose covariances of another number of
-        stations; a range sigma by beam of a beam with few readings; arguments of other types.
+        A beam or a plane without readings within the sensor's limits; a channel that was logged twice;
+        pose covariances of another number of stations; arguments of other types, or contradictory.
     """
     noise = Noise() if noise is None else noise
-    options = CalibrationOptions() if options is None else options
-    require_kind("recording", recording, Recording)
-    require_kind("noise", noise, Noise)
-    require_kind("options", options, CalibrationOptions)
-    options.require_consistent(noise)
-    if not options.sensor.range_stated:  # then the recording knows whether negative readings count
-        sensor = replace(options.sensor, range_min=recording.range_min)
-        options = replace(options, sensor=sensor)
+    options = _checked(recording, noise, CalibrationOptions() if options is None else options)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
     found = screened(recording, noise.range_sigma)
     recording = found.recording
@@ -65,9 +57,20 @@ def calibrate(
     origins = readings.plane_means(readings.world_t_hand)
     # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
     with told_to(progress):
-        selection = select(
-            recording, readings.seen_from(origins), noise.reordered(order.stations), options
-        )
+        local, ordered = readings.seen_from(origins), noise.reordered(order.stations)
+        selection = select(recording, local, ordered, options)
         # 4. Covariances of what is determined, in the names and the order of the recording.
         result = assemble(Problem(recording, readings, order, origins, noise), selection)
     return replace(result, warnings=(*found.warnings, *result.warnings), recording=recording)
+
+
+def _checked(recording: Recording, noise: Noise, options: CalibrationOptions) -> CalibrationOptions:
+    """Refuse arguments of other types, and return options that suit the recording."""
+    require_kind("recording", recording, Recording)
+    require_kind("noise", noise, Noise)
+    require_kind("options", options, CalibrationOptions)
+    options.require_consistent(noise)
+    if options.sensor.range_stated:
+        return options
+    # Then the recording knows whether negative readings count.
+    return replace(options, sensor=replace(options.sensor, range_min=recording.range_min))

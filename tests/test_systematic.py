@@ -16,8 +16,9 @@ from handlaser_gtsam.estimation.solve import solve
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import Names
 from handlaser_gtsam.results.alternatives import WHOLE
+from handlaser_gtsam.results.reliability import detectable_of
 from handlaser_gtsam.results.score_tests import LEVEL, POWER, alike, holm, needed, two_sided
-from handlaser_gtsam.results.systematic import detectable_of, systematic_errors
+from handlaser_gtsam.results.systematic import systematic_errors
 
 SIGMA = 1e-4
 TESTED = (*WHOLE, "displaced", "beam-on-plane")

@@ -11,17 +11,25 @@ BAD_INPUT, UNDETERMINED = 2, 3
 
 def main() -> None:
     """Run the command line; errors made on purpose and Ctrl-C end in one line and an exit code."""
-    with Stopping() as stopping:
-        try:
-            code, words = _run()
-        except BaseException:
-            if not stopping.asked:
-                raise
-        if stopping.asked:  # whatever became of the KeyboardInterrupt on its way
-            code, words = INTERRUPTED, WORDS
-        if words:
-            print(f"handlaser: {words}", file=sys.stderr)
-        sys.exit(code)
+    try:
+        with Stopping() as stopping:
+            code, words = _stoppable(stopping)
+            if words:
+                print(f"handlaser: {words}", file=sys.stderr)
+            sys.exit(code)
+    except KeyboardInterrupt:  # in the first or the last line of the above
+        print(f"handlaser: {WORDS}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _stoppable(stopping: Stopping) -> tuple[int, str]:
+    """Run a verb that may be stopped, whatever becomes of the KeyboardInterrupt on its way."""
+    try:
+        code, words = _run()
+    except BaseException:
+        if not stopping.asked:
+            raise
+    return (INTERRUPTED, WORDS) if stopping.asked else (code, words)
 
 
 def _run() -> tuple[int, str]:

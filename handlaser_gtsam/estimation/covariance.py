@@ -35,19 +35,15 @@ def covariance(
 
     Raises
     ------
-    RuntimeError
-        GTSAM calls the system indeterminate; the variable it names is a bystander.
-    numpy.linalg.LinAlgError
-        The information of the beams is singular.
+    RuntimeError, numpy.linalg.LinAlgError
+        The system is indeterminate; the variable that GTSAM names is a bystander.
     """
     first = _ordering([*problem.poses, *problem.planes])
     net, rest = linearize(problem, values).eliminatePartialSequential(first)
     columns = _columns(problem)
     S = inverse_of(rest.hessian(_ordering(list(columns)))[0])
-    own, response = (
-        np.zeros((len(problem.planes), 3, 3)),
-        np.zeros((len(problem.planes), 3, len(S))),
-    )
+    count = len(problem.planes)
+    own, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
     number = {key: p for p, key in enumerate(problem.planes)}
     for conditional in (net.at(i) for i in range(net.size())):
         plane, *parents = list(conditional.keys())

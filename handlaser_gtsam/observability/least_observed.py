@@ -37,13 +37,10 @@ def least_observed(
     ----------
     found : Observability
         At `parameters`, of short rank.
-    parameters : Parameters
+    parameters, terms, range_sigma, options
+        Of the diagnosis.
     readings : Readings
         Long recordings are not searched: errors of their estimates are small.
-    terms : int
-    range_sigma : float
-        [m]
-    options : ObservabilityOptions
     prior : RangeErrorPrior, optional
         Other solutions are sought without range errors where these have a prior.
     """
@@ -52,11 +49,8 @@ def least_observed(
     partial = random_starts(readings, RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, SWEPT)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    refined = [
-        one
-        for one in refine_many(starts, readings, 0 if prior else terms, STEPS)
-        if one is not None
-    ]
+    tried = refine_many(starts, readings, 0 if prior else terms, STEPS)
+    refined = [one for one in tried if one is not None]
     if not refined:
         return parameters, found
     limit = min(one.squares for one in refined) + CHI2_MARGIN * range_sigma**2

@@ -11,21 +11,15 @@ rounding. Both follow from the noise: better sensors determine more.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
-from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
 from ..model.weighting import Whitening
-from ..solvers.elimination import ReducedInformation
+from ..solvers.elimination import ReducedInformation, spectrum
 from ..solvers.reduction import NormalEquations, normal_equations
 
-LARGE = 400
-"""Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
-NEARLY = 1e-2
-"""The relative accuracy of the extreme eigenvalues of so many unknowns."""
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
 WITHIN_PRIOR = 2.0
@@ -188,31 +182,24 @@ def observability(
 
     Parameters
     ----------
-    parameters : Parameters
-    readings : Readings
+    parameters, readings, options, whitening
     terms : int, or one a beam
     range_sigma : float
         Of a whitened residual.
-    options : ObservabilityOptions, optional
-    whitening : Whitening, optional
-        Where readings differ in weight or are correlated.
     prior : RangeErrorPrior, optional
         Its range errors are never undetermined.
 
     Raises
     ------
     GrazingBeamError
-        A beam grazes its plane at `parameters`.
     """
     options = options or ObservabilityOptions()
     counts, planes = per_beam(terms, readings.beams), readings.planes
     normal = normal_equations(parameters, readings, max(counts), whitening=whitening)
-    reduced, open_beams, plane_null = _reduced(
-        normal, readings, counts, range_sigma, options, prior
-    )
-    size, lost = len(reduced.beam_unit), open_beams.shape[1] + plane_null.shape[2]
-    follow = -reduced.information.plane_response @ open_beams
-    beams = reduced.padded(np.hstack((open_beams, np.zeros((size, plane_null.shape[2])))))
+    reduced, free, plane_null = _reduced(normal, readings, counts, range_sigma, options, prior)
+    size, lost = len(reduced.beam_unit), free.shape[1] + plane_null.shape[2]
+    follow = -reduced.information.plane_response @ free
+    beams = reduced.padded(np.hstack((free, np.zeros((size, plane_null.shape[2])))))
     return Observability(
         rank=size + 3 * planes - lost,
         unknowns=size + 3 * planes,
@@ -246,7 +233,7 @@ def _reduced(
     least_of_planes = _least_information(of_planes, range_sigma, options)
     found = normal.reduced(unit, plane_unit, active, known, least_of_planes)
     floor = _least_information(float((own + known).max()), range_sigma, options)
-    values, top, mean_log, axes = _spectrum(found.matrix, floor)
+    values, top, mean_log, axes = spectrum(found.matrix, floor)
     reduced = Reduced(
         found,
         floor,
@@ -298,35 +285,6 @@ def _prior_information(
 def _least_information(largest: float, range_sigma: float, options: ObservabilityOptions) -> float:
     """Return the information, for unit weights, below which a direction counts as open."""
     return max((range_sigma / options.most_sigma) ** 2, options.least_information * largest)
-
-
-def _spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
-    """Return eigenvalues from below, the largest, their mean logarithm, and eigenvectors of the first.
-
-    All of them, or of a large matrix that is determined altogether the least alone.
-    """
-    if len(matrix) > LARGE:
-        try:
-            root = np.linalg.cholesky(matrix)
-        except np.linalg.LinAlgError:
-            root = None
-        if root is not None:
-            factor = (root, True)
-
-            def inverse(x: FloatArray) -> FloatArray:
-                found: FloatArray = cho_solve(factor, x, check_finite=False)
-                return found
-
-            solve = LinearOperator(matrix.shape, inverse, dtype=float)
-            start = np.ones(len(matrix))
-            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
-            if small[0] >= floor:
-                top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
-                mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
-                return small, float(top[0]), mean_log, axis
-    values, axes = np.linalg.eigh(matrix)
-    mean_log = float(np.log(np.maximum(values, 1e-300)).mean())
-    return values, float(values[-1]), mean_log, axes
 
 
 def _plane_null(found: ReducedInformation, floor: float) -> FloatArray:

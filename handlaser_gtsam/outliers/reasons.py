@@ -77,16 +77,7 @@ def reasons(
     x = model.scene(parameters, readings)
     flat = np.abs(model.cosines(x)) < FLAT
     repeated = _repeated_poses(readings)
-    other: dict[int, int] = {}
-    if readings.planes > 1 and rows.size:
-        part = readings.subset(np.flatnonzero(kept))
-        found = observability(parameters, part, 0, 0.0)
-        predict = _Prediction(readings, kept, parameters, range_sigma, found)
-        out = np.bincount(readings.station[rows], minlength=len(left))
-        for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
-            plane = _fitting_plane(readings, one, predict)
-            if plane is not None:
-                other[one] = plane
+    other = _other_planes(readings, kept, left, parameters, range_sigma)
     swapped = _swapped(readings, rows, parameters, range_sigma)
     words = []
     for row in rows:
@@ -105,6 +96,28 @@ def reasons(
         else:
             words.append(OUTLIER)
     return Reasons(tuple(words), other, residuals(parameters, readings))
+
+
+def _other_planes(
+    readings: Readings,
+    kept: BoolArray,
+    left: IntArray,
+    parameters: Parameters,
+    range_sigma: float,
+) -> dict[int, int]:
+    """Return the plane that stations fit which mostly contradict the one of their label."""
+    other: dict[int, int] = {}
+    if readings.planes == 1 or kept.all():
+        return other
+    part = readings.subset(np.flatnonzero(kept))
+    found = observability(parameters, part, 0, 0.0)
+    predict = _Prediction(readings, kept, parameters, range_sigma, found)
+    out = np.bincount(readings.station[~kept], minlength=len(left))
+    for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
+        plane = _fitting_plane(readings, one, predict)
+        if plane is not None:
+            other[one] = plane
+    return other
 
 
 def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> int | None:

@@ -95,20 +95,9 @@ def dependence(
     *,
     known: bool,
 ) -> Dependence:
-    """Test the residuals at a solution for correlation between neighbours.
+    """Test the residuals at a solution for correlation between neighbours in time.
 
-    Parameters
-    ----------
-    at : Parameters
-    readings : Readings
-        Those used, every plane in a frame amid its own stations.
-    how : Whitening
-    prior : (B, 2)
-        As for `systematic_errors`.
-    position : (N,)
-        Order in time of each reading's station.
-    known : bool
-        Whether the size of the noise was given.
+    The arguments are those of `systematic_errors`.
     """
     chain = _Chain.of(readings, position)
     if chain.joined.sum() < LEAST_PAIRS:
@@ -130,19 +119,22 @@ def dependence(
     if found <= q.mean() + FAR * q.std():
         return INDEPENDENT
     means = [float(q.mean())]
-    for rho in STEPS[1:].tolist():
-        one = drawn(chain.coloured(white, rho))
+    while means[-1] < found and len(means) < len(STEPS):
+        one = drawn(chain.coloured(white, float(STEPS[len(means)])))
         means.append(max(float(one[0].mean()), means[-1] + 1e-9))
-        if means[-1] >= found:
-            break
     rho = float(np.interp(found, means, STEPS[: len(means)]))
     _, loud, more = drawn(chain.coloured(white, rho))
     lost = 1.0 if known else float(squares.mean() / loud.mean())
-    growth = np.sqrt(lost * float((more / np.where(variance > 0.0, variance, np.inf)).max()))
-    plane = np.sqrt(lost * chain.growth_of_means(rho))
+    growth = float((more / np.where(variance > 0.0, variance, np.inf)).max())
+    return _grown(rho, lost * growth, lost * chain.growth_of_means(rho))
+
+
+def _grown(rho: float, beams: float, planes: float) -> Dependence:
+    """Return the dependence that multiplies the variances so; none where that is little."""
+    growth, plane = float(np.sqrt(beams)), float(np.sqrt(planes))
     if max(growth, plane) < LEAST_GROWTH:
         return INDEPENDENT
-    return Dependence(rho, max(1.0, float(growth)), max(1.0, float(plane), float(growth)))
+    return Dependence(rho, max(1.0, growth), max(1.0, plane, growth))
 
 
 @dataclass(frozen=True, slots=True)

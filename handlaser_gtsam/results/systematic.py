@@ -21,14 +21,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
 from ..model.weighting import Whitening
 from ..observability.wording import Names
 from .score_tests import LEVEL, ScoreTests, alike
-from .wording import BY_NATURE, WORDING, size_in_words
+from .wording import BY_NATURE, WORDING
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -91,39 +91,6 @@ class SystematicError(Value):
         return f"{self.message}. To remove it: {self.remedy}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reliability:
-    """What could go unnoticed of every member of a family.
-
-    Attributes
-    ----------
-    plane, beam, position : (m,)
-        What each member concerns: a plane, a beam, and the position in the recording of its first
-        station; -1 for all.
-    determined : (m,) of bool
-    size, sigma : (m,)
-        Estimated sizes and their standard deviations; meaningless where not determined.
-    p_value : (m,)
-        Corrected for all members of all families.
-    detectable : (m,)
-        Infinite where not determined.
-    location_shift, direction_shift : (m, B, 3)
-        How wrong r [m] and v [rad] of every beam would be at the detectable size; NaN where not
-        determined.
-    """
-
-    plane: IntArray
-    beam: IntArray
-    position: IntArray
-    determined: BoolArray
-    size: FloatArray
-    sigma: FloatArray
-    p_value: FloatArray
-    detectable: FloatArray
-    location_shift: FloatArray
-    direction_shift: FloatArray
-
-
 def systematic_errors(
     at: Parameters,
     readings: Readings,
@@ -141,7 +108,6 @@ def systematic_errors(
     Parameters
     ----------
     at : Parameters
-        The solution.
     readings : Readings
         Those used, sorted, every plane in a frame amid its own stations.
     how : Whitening
@@ -155,7 +121,6 @@ def systematic_errors(
     known : bool
         Whether the size of the noise was given; else a common factor was estimated.
     dof : int
-        Degrees of freedom of the residuals.
     stations : sequence of str, optional
         Names of the stations by position; their numbers from 1 where not given.
 
@@ -163,52 +128,18 @@ def systematic_errors(
     -------
     tuple of SystematicError
         Empty where there is no redundancy. Errors that no recording can show come last.
-
-    Raises
-    ------
-    GrazingBeamError
-        A beam is parallel to its plane.
     """
     if dof < (1 if known else 2):
         return ()
     found = ScoreTests(at, readings, how, prior, position, None if known else dof)
-    label = [str(j + 1) for j in range(int(position.max()) + 1)] if stations is None else stations
-    by_nature = [
-        _confounded(code, message, remedy, readings.beams)
-        for code, (message, remedy) in BY_NATURE.items()
-    ]
-    return (*_reports(found, names, label), *by_nature)
+    if stations is None:
+        stations = [str(j + 1) for j in range(int(position.max()) + 1)]
+    return (*_reports(found, names, stations), *_by_nature(readings.beams))
 
 
-def detectable_of(
-    code: str,
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    prior: FloatArray,
-    position: IntArray,
-    *,
-    known: bool,
-    dof: int,
-) -> Reliability:
-    """Return what could go unnoticed of every member of the family `code`.
-
-    The arguments are those of `systematic_errors`. The displacement of plane p from the station at
-    position j on is the member with `plane == p` and `position == j`.
-    """
-    found = ScoreTests(at, readings, how, prior, position, None if known else dof)
-    members = np.flatnonzero(found.members.codes == code)
-    return Reliability(
-        found.members.plane[members],
-        found.members.beam[members],
-        found.members.position[members],
-        found.determined[members],
-        found.size[members],
-        found.sigma[members],
-        found.p[members],
-        found.detectable[members],
-        *found.shifts(members, found.detectable[members]),
-    )
+def _by_nature(beams: int) -> list[SystematicError]:
+    """Return the errors that no recording can show."""
+    return [_confounded(code, *words, beams) for code, words in BY_NATURE.items()]
 
 
 def _reports(found: ScoreTests, names: Names, stations: Sequence[str]) -> list[SystematicError]:
@@ -258,19 +189,14 @@ def _report(
     clear = p < LEVEL
     beams = names.sorted_beams()
     if clear:
-        size = size_in_words(float(found.size[member]), words.unit)
-        message = (
-            f"the readings show {words.phrase.format(size=size, subject=subject)} (p = {p:.1g}), which "
-            f"makes {_effect(error, twist, beams, 'wrong by')}"
-        )
+        effect = _effect(error, twist, beams, "wrong by")
+        phrase = words.with_size(float(found.size[member]), subject)
+        message = f"the readings show {phrase} (p = {p:.1g}), which makes {effect}"
         message += f"; it is explained by what is found as {explained}" if explained else ""
         message += f"; it may also be {' or '.join(others)}" if others and not explained else ""
     else:
-        size = size_in_words(detectable, words.unit)
-        phrase = words.phrase.format(size=size, subject=words.anywhere)
-        message = (
-            f"{phrase} would go unnoticed, and make {_effect(shift, turn, beams, 'wrong by up to')}"
-        )
+        effect = _effect(shift, turn, beams, "wrong by up to")
+        message = f"{words.with_size(detectable)} would go unnoticed, and make {effect}"
     return SystematicError(
         code,
         subject,

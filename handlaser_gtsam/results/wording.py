@@ -26,6 +26,11 @@ class Wording:
     confounded: str
     remedy: str
 
+    def with_size(self, size: float, subject: str | None = None) -> str:
+        """Return the phrase with a size, and a subject: any one where none is meant."""
+        whose = self.anywhere if subject is None else subject
+        return self.phrase.format(size=size_in_words(size, self.unit), subject=whose)
+
 
 UNKNOWNS = "the unknowns of the calibration in this recording"
 WORDING = {

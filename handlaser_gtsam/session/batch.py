@@ -21,8 +21,8 @@ from ..observability.rank import Observability, ObservabilityOptions, observabil
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
+from ..solvers.beam_state import BeamState
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
-from ..solvers.incremental import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
 from .config import SessionConfig

@@ -16,8 +16,8 @@ from ..factors import beam_drift
 from ..keys import BeamKeys, beam_keys
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
+from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
-from ..solvers.incremental import BeamStart, BeamState
 from .drift import History, Reference
 from .reports import Change
 

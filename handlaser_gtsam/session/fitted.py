@@ -18,8 +18,8 @@ from ..errors import GrazingBeamError
 from ..keys import plane_key, pose_key
 from ..model.joint import beam_lift
 from ..model.weighting import Whitening, whitening
+from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
-from ..solvers.incremental import BeamState, PlaneFactors
 from ..solvers.poses import pose_priors
 from ..solvers.reduction import NormalEquations, normal_equations
 from .config import SessionConfig

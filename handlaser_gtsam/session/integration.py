@@ -19,7 +19,7 @@ from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.joint import beam_lift
-from ..solvers.incremental import BeamState
+from ..solvers.beam_state import BeamState
 from .config import SessionConfig
 from .drift import Reference, turns
 from .fitted import FittedPlane

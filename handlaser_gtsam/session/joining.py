@@ -9,7 +9,7 @@ from ..data.parameters import Beams
 from ..data.recording import Recording
 from ..model.sensor import FLAT, Rejected, within_incidence
 from ..outliers.snooping import price
-from ..solvers.incremental import BeamState, PlaneFactors
+from ..solvers.beam_state import BeamState, PlaneFactors
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
 from .drift import MOVES, History

@@ -11,13 +11,9 @@ from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..factors import RangeBlock
 from ..keys import plane_key, pose_key
+from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import parameters_of
-from ..solvers.incremental import (
-    BeamState,
-    IncrementalGraph,
-    IncrementalOptions,
-    PlaneFactors,
-)
+from ..solvers.incremental import IncrementalGraph, IncrementalOptions
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents

@@ -3,10 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpotri
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ..arrays import FloatArray
 
+LARGE = 400
+"""Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
+NEARLY = 1e-2
+"""The relative accuracy of the extreme eigenvalues of so many unknowns."""
 RANK = 1e-12
 """Information of a plane below this part of its largest is rounding."""
 CERTAIN = 1e3
@@ -137,3 +143,32 @@ def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError:
         solved = np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ rhs
     return np.asarray(solved, dtype=np.float64)
+
+
+def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
+    """Return eigenvalues from below, the largest, their mean logarithm, and eigenvectors of the first.
+
+    All of them, or of a large matrix that is determined altogether the least alone.
+    """
+    if len(matrix) > LARGE:
+        try:
+            root = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            root = None
+        if root is not None:
+            factor = (root, True)
+
+            def inverse(x: FloatArray) -> FloatArray:
+                found: FloatArray = cho_solve(factor, x, check_finite=False)
+                return found
+
+            solve = LinearOperator(matrix.shape, inverse, dtype=float)
+            start = np.ones(len(matrix))
+            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
+            if small[0] >= floor:
+                top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
+                mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
+                return small, float(top[0]), mean_log, axis
+    values, axes = np.linalg.eigh(matrix)
+    mean_log = float(np.log(np.maximum(values, 1e-300)).mean())
+    return values, float(values[-1]), mean_log, axes

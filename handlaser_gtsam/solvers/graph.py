@@ -74,65 +74,74 @@ def build_graph(
 ) -> CalibrationGraph:
     """Return the graph of all readings.
 
-    A factor holds the readings of one plane and beam; those of a plane and all beams where errors of
-    the poses couple them, and those of one station where poses are variables.
+    A factor holds the readings of a plane and a beam; of a plane and all beams where errors of the
+    poses couple them, and of one station where poses are variables.
 
     Parameters
     ----------
-    readings : Readings
     start : Parameters
-        Where the solver starts; its range errors beyond `terms` are left out.
+        Where the solver starts; its range errors beyond `terms` are ignored.
     terms : int, or one a beam
     noise : float or Whitening
         Standard deviation of every reading [m], or how to whiten them.
-    loss : Loss
-        Weighs every whitened residual by itself.
     priors : PosePriors, optional
         Makes the hand pose of every station a variable; needs a whitening.
-    range_errors : RangeErrorPrior, optional
     """
     require_kind("readings", readings, Readings)
     require_kind("start", start, Parameters)
-    counts = per_beam(terms, readings.beams)
+    counts, planes = per_beam(terms, readings.beams), tuple(map(plane_key, range(readings.planes)))
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
-    planes = tuple(plane_key(p) for p in range(readings.planes))
-    rows = np.arange(len(readings))
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
-    if whitening is None or (priors is None and not whitening.is_coupled):
-        blocks = _blocks_by_beam(readings, beams, planes, whitening)
-    else:
-        group = readings.plane if priors is None else readings.station
-        rows = np.lexsort((readings.beam, readings.station, group))
-        where = stations_from_zero(readings), readings.beam, readings.beams
-        whitening = whitening.by_station(*where)
-        blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
-    graph = gtsam.NonlinearFactorGraph()
-    for block in blocks:
-        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
-    for factor in range_error_priors(beams, counts, range_errors):
-        graph.push_back(factor)
-    prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
+    blocks, rows, whitening = _blocks(readings, whitening, beams, planes, priors)
+    graph = _graph(blocks, sigma, loss, range_error_priors(beams, counts, range_errors))
+    rows_of_priors = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
     if priors is not None:
         poses = tuple(pose_key(j) for j in priors.stations.tolist())
         priors.join(graph, values, poses)
-        prior_rows += 6 * len(poses)
+        rows_of_priors += 6 * len(poses)
+    coupled = whitening is not None and whitening.is_coupled
+    whitening = None if whitening is None else whitening.reordered(rows)
+    ordering = _ordering(poses, planes, beams, coupled)
+    keys = beams, planes, poses
     return CalibrationGraph(
-        graph,
-        values,
-        blocks,
-        sigma,
-        _ordering(poses, planes, beams, whitening is not None and whitening.is_coupled),
-        beams,
-        planes,
-        poses,
-        counts,
-        loss,
-        rows,
-        None if whitening is None else whitening.reordered(rows),
-        prior_rows,
+        graph, values, blocks, sigma, ordering, *keys, counts, loss, rows, whitening, rows_of_priors
     )
+
+
+def _graph(
+    blocks: Sequence[RangeBlock],
+    sigma: float,
+    loss: Loss,
+    priors: Sequence[gtsam.NonlinearFactor],
+) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for block in blocks:
+        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+    for factor in priors:
+        graph.push_back(factor)
+    return graph
+
+
+def _blocks(
+    readings: Readings,
+    whitening: Whitening | None,
+    beams: tuple[BeamKeys, ...],
+    planes: tuple[int, ...],
+    priors: PosePriors | None,
+) -> tuple[tuple[RangeBlock, ...], IntArray, Whitening | None]:
+    """Return the blocks, the row of the readings for each of theirs, and their whitening."""
+    if whitening is None or (priors is None and not whitening.is_coupled):
+        return (
+            _blocks_by_beam(readings, beams, planes, whitening),
+            np.arange(len(readings)),
+            whitening,
+        )
+    group = readings.plane if priors is None else readings.station
+    rows = np.lexsort((readings.beam, readings.station, group))
+    coupled = whitening.by_station(stations_from_zero(readings), readings.beam, readings.beams)
+    return station_blocks(readings, coupled, rows, group, (beams, planes, priors)), rows, coupled
 
 
 def range_error_priors(

@@ -27,15 +27,14 @@ from ..data.parameters import Beams, Parameters
 from ..factors import RangeBlock, gathered, range_factor
 from ..keys import BeamKeys, plane_key
 from ..model.joint import beam_lift
+from .beam_state import BeamStart, BeamState, PlaneFactors
+from .isam import WITH_THE_OTHERS, isam_parameters, letter, thresholds
 
 BEAMS_LAST = 1
 ROUNDS = 15
 """Of relinearisation after a change: more mean that too little is determined."""
-WITH_THE_OTHERS = 0.05
-"""What has moved by more than this part of its threshold is linearised anew once another must be."""
 WEAK = 0.01
 """Beams are hardly known with standard deviations above this part of their natural units."""
-NEVER = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,69 +57,6 @@ class IncrementalOptions:
     def __post_init__(self) -> None:
         require_number("relinearize", self.relinearize, 0.0, 1e6, above=True)
         require_count("compare_every", self.compare_every, 0, 10**9)
-
-
-@dataclass(frozen=True, slots=True)
-class BeamState:
-    """Beams as iSAM2 has them.
-
-    Attributes
-    ----------
-    locations, directions : (B, 3)
-    range_errors : (B, 2)
-    covariance : (8 B, 8 B)
-        Ambient, over (x, y, z, vx, vy, vz, k1, k2) of every beam.
-    information : float
-        Logarithm of the determinant of the tangent information [nats, up to the units].
-    """
-
-    locations: FloatArray
-    directions: FloatArray
-    range_errors: FloatArray
-    covariance: FloatArray
-    information: float
-
-    @property
-    def beams(self) -> Beams:
-        """The estimate without its covariance."""
-        return self.locations, self.directions, self.range_errors
-
-    def sigmas(self) -> FloatArray:
-        """Return the standard deviations (B, 8)."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
-
-    def apart(self, beams: Beams, sigmas: FloatArray) -> tuple[float, float]:
-        """Return how far another estimate is: largest difference of a coordinate and of a sigma.
-
-        Parameters
-        ----------
-        beams : Beams
-        sigmas : (B, 8)
-            Of that estimate: the unit of the first number; the second is relative to them.
-        """
-        seen = sigmas > 0.0
-        difference = np.abs(np.hstack(self.beams) - np.hstack(beams))[seen] / sigmas[seen]
-        relative = np.abs(self.sigmas()[seen] / sigmas[seen] - 1.0)
-        return float(difference.max()), float(relative.max())
-
-
-@dataclass(frozen=True, slots=True)
-class PlaneFactors:
-    """What one plane brings into the graph.
-
-    Attributes
-    ----------
-    blocks : RangeBlocks
-        Each with a whitening.
-    others : factors
-        Priors of its hand poses.
-    start : gtsam.Values
-        Of its variables; those that are in the graph already are not started anew.
-    """
-
-    blocks: tuple[RangeBlock, ...]
-    others: tuple[gtsam.NonlinearFactor, ...]
-    start: gtsam.Values
 
 
 class IncrementalGraph:
@@ -153,9 +89,9 @@ class IncrementalGraph:
             if key is not None
         ]
         part = (options or IncrementalOptions()).relinearize
-        self._thresholds = _thresholds(part, length, self.beams, terms)
+        self._thresholds = thresholds(part, length, self.beams, terms)
         self._unit = np.array([length] * 3 + [1.0] * 4 + [1.0 / length])
-        self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
+        self._isam = gtsam.ISAM2(isam_parameters(self._thresholds))
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}
         self._blocks: dict[int, tuple[RangeBlock, ...]] = {}
@@ -171,7 +107,7 @@ class IncrementalGraph:
         self,
         added: Mapping[int, PlaneFactors],
         without: Iterable[int] = (),
-        beams: "BeamStart | None" = None,
+        beams: BeamStart | None = None,
         accept: Callable[[BeamState], bool] | None = None,
         *,
         fine: bool = False,
@@ -201,13 +137,7 @@ class IncrementalGraph:
         with self._lock:
             new = self._copy()
             gone = {*without, *(number for number in added if number in self._factors)}
-            old = [index for number in gone for index in self._factors[number]]
-            for number in gone:
-                del new._factors[number], new._blocks[number]
-            new._blocks |= {number: one.blocks for number, one in added.items()}
-            if not new._blocks:
-                raise RuntimeError("no plane is left")
-            new._limits = new._limits_of_all()
+            old = new._exchange(added, gone)
             new._add(added, old, beams)
             new._settle(WITH_THE_OTHERS if fine else 1.0)
             state = new.state()
@@ -256,8 +186,19 @@ class IncrementalGraph:
         new._view = new._isam.getLinearizationPoint()
         return new
 
+    def _exchange(self, added: Mapping[int, PlaneFactors], gone: set[int]) -> list[int]:
+        """Take over the blocks of planes, and return the factors of those that leave."""
+        old = [index for number in gone for index in self._factors[number]]
+        for number in gone:
+            del self._factors[number], self._blocks[number]
+        self._blocks |= {number: one.blocks for number, one in added.items()}
+        if not self._blocks:
+            raise RuntimeError("no plane is left")
+        self._limits = self._limits_of_all()
+        return old
+
     def _add(
-        self, added: Mapping[int, PlaneFactors], old: list[int], beams: "BeamStart | None"
+        self, added: Mapping[int, PlaneFactors], old: list[int], beams: BeamStart | None
     ) -> None:
         graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
         for one in added.values():
@@ -310,7 +251,7 @@ class IncrementalGraph:
         for beam in self.beams:
             for key in (beam.location, beam.direction, beam.range_error):
                 if key is not None:
-                    count[_letter(key)] = count.get(_letter(key), 0) + 1
+                    count[letter(key)] = count.get(letter(key), 0) + 1
         blocks = (block for own in self._blocks.values() for block in own)
         count["x"] = len({block.pose for block in blocks if block.pose is not None})
         return np.concatenate(
@@ -357,14 +298,6 @@ class IncrementalGraph:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class BeamStart:
-    """Where the beams of a new graph start, and what is known of them without any plane."""
-
-    values: gtsam.Values
-    factors: tuple[gtsam.NonlinearFactor, ...] = ()
-
-
 def _new_ones(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
     """Return the values of variables that are not in the graph."""
     known = [key for key in start.keys() if isam.valueExists(key)]  # noqa: SIM118
@@ -374,35 +307,3 @@ def _new_ones(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
     for key in known:
         new.erase(key)
     return new
-
-
-def _thresholds(
-    part: float, length: float, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
-) -> dict[str, FloatArray]:
-    """Return by how much the variables of each letter may move before they are linearised anew."""
-    units = {"p": [1.0, 1.0, length], "x": [1.0] * 3 + [length] * 3}
-    for beam, count in zip(beams, terms, strict=True):
-        units[_letter(beam.location)] = [length] * 3
-        units[_letter(beam.direction)] = [1.0, 1.0]
-        if beam.range_error is not None:
-            unit = [1.0, 1.0 / length][:count]
-            if len(units.setdefault(_letter(beam.range_error), unit)) != count:
-                raise ValueError("one letter for range errors of one term and of two")
-    return {letter: part * np.array(unit) for letter, unit in units.items()}
-
-
-def _isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
-    fine = gtsam.ISAM2ThresholdMap()
-    for letter, threshold in thresholds.items():
-        fine.insert((letter, WITH_THE_OTHERS * threshold))
-    parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(fine)
-    parameters.relinearizeSkip = NEVER
-    steps = gtsam.ISAM2GaussNewtonParams()
-    steps.setWildfireThreshold(0.0)
-    parameters.setOptimizationParams(steps)
-    return parameters
-
-
-def _letter(key: int) -> str:
-    return chr(gtsam.symbolChr(key))

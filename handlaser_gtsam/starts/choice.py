@@ -17,7 +17,7 @@ from ..model.equation import plausible_range_errors, residuals_or_infinite
 from ..solvers.refine import Refined, refine_many
 from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
-from .part import part_of
+from .part import Part, part_of
 from .partial import PartialStart, grow
 from .search import Candidate, Round, agreeing, rank, search
 from .sweep import SweepOptions, sweep_starts
@@ -97,14 +97,13 @@ def find_start(
 
     Parameters
     ----------
-    readings : Readings
     range_sigma : float, optional
         Standard deviation of a reading [m]: says when a start fits.
     terms : int
         Most range-error terms the solution will have.
     effort : {"glance", "quick", "normal", "thorough"}
-        What follows where the first starts are not believed: nothing, sweeps with finer steps, or
-        those and random starts. At a glance no start is refined to the end.
+        What follows where the first starts do not convince: nothing, finer sweeps, or those and random
+        starts. At a glance no start is refined to the end.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     accepts : callable, optional
@@ -117,26 +116,35 @@ def find_start(
     some = part.readings
     judge = _LeastSquaresJudge(some, range_sigma, terms, certain, accepts)
     loss = _LeastSquares(some, terms, 0 if effort == "glance" else LAST_STEPS)
-    rounds = chain(
-        _first_rounds(some, terms) if earlier is None else (), _later_rounds(some, effort)
-    )
-    before = () if earlier is None else earlier.found
-    found, believed = search(rounds, loss, judge, before)
+    rounds, before = _later_rounds(some, effort), () if earlier is None else earlier.found
+    first = _first_rounds(some, terms) if earlier is None else ()
+    found, believed = search(chain(first, rounds), loss, judge, before)
     if not found:
         lost = grow(PartialStart.empty(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
     best, fits = found[0].parameters, fits_sigma(found[0].criterion, some, range_sigma, terms)
     if not part.is_whole:
-        best = part.extended(best)
-        if readings.beams <= MOST_REFINED:
-            whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
-            best = best if whole is None else whole.parameters
+        best = _extended(part, best, readings, terms)
         e = residuals_or_infinite(best, readings)
         fits = fits_sigma(float(e @ e), readings, range_sigma, terms)
+    return Start(best, found[0].method, _lowest(found, len(some)), fits, believed, tuple(found))
+
+
+def _lowest(found: Sequence[Candidate], readings: int) -> tuple[tuple[str, float], ...]:
+    """Return every method with the lowest rms residual [m] that it led to."""
     lowest: dict[str, float] = {}
     for one in found:
-        lowest.setdefault(one.method, float(np.sqrt(one.criterion / len(some))))
-    return Start(best, found[0].method, tuple(lowest.items()), fits, believed, tuple(found))
+        lowest.setdefault(one.method, float(np.sqrt(one.criterion / readings)))
+    return tuple(lowest.items())
+
+
+def _extended(part: Part, best: Parameters, readings: Readings, terms: int) -> Parameters:
+    """Return the best start of a part of the readings for all of them."""
+    best = part.extended(best)
+    if readings.beams > MOST_REFINED:
+        return best
+    whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
+    return best if whole is None else whole.parameters
 
 
 def usable_terms(readings: Readings, terms: int) -> int:

@@ -72,12 +72,12 @@ def bootstrap(
     rng : numpy.random.Generator
     count : int
     progress : callable, optional
-        Called with a `Progress` before every draw, and with every trial step of the solver.
+        Called with a `Progress` before every draw and in its solution.
 
     Raises
     ------
     InputError
-        The calibration did not converge, or fewer than two draws did.
+        The calibration, or all but one draw, did not converge.
     """
     require_kind("calibration", calibration, Calibration)
     require_kind("recording", recording, Recording)
@@ -87,12 +87,17 @@ def bootstrap(
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     require_count("count of draws", count, 2, MOST_DRAWS)
     source = _Source.of(calibration, recording, noise)
-    draws = []
+    tried = []
     with told_to(progress):
         for number in range(count):
             tell("bootstrap", number, count)
-            one = source.draw(rng)
-            draws += [] if one is None else [one]
+            tried.append(source.draw(rng))
+    draws = [one for one in tried if one is not None]
+    return _compared(calibration, draws, count)
+
+
+def _compared(calibration: Calibration, draws: list[FloatArray], count: int) -> Bootstrap:
+    """Compare the spread of the draws that converged with the standard deviations stated."""
     if len(draws) < 2:
         raise InputError(f"{len(draws)} of {count} draws that converged", "two or more")
     sigma = np.array([beam.sigma for beam in calibration.beams.values()])

@@ -1,0 +1,81 @@
+"""What goes into an incremental graph with a plane, and what is known of the beams then."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from ..arrays import FloatArray
+from ..data.parameters import Beams
+from ..factors import RangeBlock
+
+
+@dataclass(frozen=True, slots=True)
+class BeamState:
+    """Beams as iSAM2 has them.
+
+    Attributes
+    ----------
+    locations, directions : (B, 3)
+    range_errors : (B, 2)
+    covariance : (8 B, 8 B)
+        Ambient, over (x, y, z, vx, vy, vz, k1, k2) of every beam.
+    information : float
+        Logarithm of the determinant of the tangent information [nats, up to the units].
+    """
+
+    locations: FloatArray
+    directions: FloatArray
+    range_errors: FloatArray
+    covariance: FloatArray
+    information: float
+
+    @property
+    def beams(self) -> Beams:
+        """The estimate without its covariance."""
+        return self.locations, self.directions, self.range_errors
+
+    def sigmas(self) -> FloatArray:
+        """Return the standard deviations (B, 8)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+
+    def apart(self, beams: Beams, sigmas: FloatArray) -> tuple[float, float]:
+        """Return how far another estimate is: largest difference of a coordinate and of a sigma.
+
+        Parameters
+        ----------
+        beams : Beams
+        sigmas : (B, 8)
+            Of that estimate: the unit of the first number; the second is relative to them.
+        """
+        seen = sigmas > 0.0
+        difference = np.abs(np.hstack(self.beams) - np.hstack(beams))[seen] / sigmas[seen]
+        relative = np.abs(self.sigmas()[seen] / sigmas[seen] - 1.0)
+        return float(difference.max()), float(relative.max())
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneFactors:
+    """What one plane brings into the graph.
+
+    Attributes
+    ----------
+    blocks : RangeBlocks
+        Each with a whitening.
+    others : factors
+        Priors of its hand poses.
+    start : gtsam.Values
+        Of its variables; those that are in the graph already are not started anew.
+    """
+
+    blocks: tuple[RangeBlock, ...]
+    others: tuple[gtsam.NonlinearFactor, ...]
+    start: gtsam.Values
+
+
+@dataclass(frozen=True, slots=True)
+class BeamStart:
+    """Where the beams of a new graph start, and what is known of them without any plane."""
+
+    values: gtsam.Values
+    factors: tuple[gtsam.NonlinearFactor, ...] = ()
