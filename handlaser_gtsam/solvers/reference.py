@@ -28,7 +28,7 @@ from ..data.recording import Recording
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
 TOLERANCE, INNER_TOLERANCE = 1e-15, 1e-10
-"""The second of the iterative solution of a sparse step; SciPy's own default stalls far from the optimum."""
+"""The second is of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
 ROUNDS = 4
 """Of new weights; each leaves about a thousandth of what the one before left."""
 POSE_STEP = 1e-6
