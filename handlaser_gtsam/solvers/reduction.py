@@ -198,7 +198,7 @@ def _summed(
     beams, planes, size = readings.beams, readings.planes, len(columns)
     width, blocks = size - 4, readings.block_starts()
     starts = (np.arange(copies)[:, None] * len(readings) + blocks).ravel()
-    products = np.empty((len(starts), size, size))
+    products = np.zeros((len(starts), size, size))
     for i in range(size):
         products[:, i, i:] = np.add.reduceat(columns[i] * heavy[i:], starts, axis=1).T
     copy = np.repeat(np.arange(copies), len(blocks))
