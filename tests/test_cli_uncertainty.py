@@ -120,7 +120,7 @@ def test_a_recording_validates_itself(handlaser):
     assert found["reconstruction"]["tests"] == 1760
 
 
-def test_an_old_calibration_holds_until_a_beam_is_knocked(handlaser, tmp_path):
+def test_an_old_calibration_holds_until_a_beam_is_displaced(handlaser, tmp_path):
     old = tmp_path / "old.json"
     handlaser("calibrate", RECORDING, "--rig", RIG, "--out", old, "-q")
     arguments = ("--rig", RIG, "--calibration", old)

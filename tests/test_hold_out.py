@@ -1,4 +1,4 @@
-"""Does an old calibration hold: for beams that stayed, and for one that was knocked."""
+"""Does an old calibration hold: for beams that stayed, and for one that was displaced."""
 
 from dataclasses import replace
 

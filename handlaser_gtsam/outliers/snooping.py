@@ -26,7 +26,7 @@ from .leverage import leverages, negligible, standardized
 LEAST_CUT, MOST_CUT = 3.0, 4.0
 """A reading further off than a cut between these, in its standard deviations, is an outlier."""
 CAUTION = 0.5
-"""So much below even odds is the cut: garbage that stays costs more than a good reading that goes."""
+"""So much below even odds is the cut: a gross error that stays costs more than a good reading that goes."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
 MOST_SPAN = 0.5
@@ -171,7 +171,7 @@ def price(distance: FloatArray, range_sigma: float) -> float:
 def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     """Return how many standard deviations off an outlier is, by the share of those left out so far.
 
-    A residual of z standard deviations is as likely garbage as good where
+    A residual of z standard deviations is as likely that of a gross error as of a good reading where
     z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
     """
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
