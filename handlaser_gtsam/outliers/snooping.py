@@ -26,7 +26,7 @@ from .leverage import leverages, negligible, standardized
 LEAST_CUT, MOST_CUT = 3.0, 4.0
 """A reading further off than a cut between these, in its standard deviations, is an outlier."""
 CAUTION = 0.5
-"""So much below even odds is the cut: a gross error that stays costs more than a good reading that goes."""
+"""So much below even odds is the cut: a gross error that stays costs more than a reading that goes."""
 FIRST_CUT = 4.0
 """The same for the candidate's own scale, in the first round."""
 MOST_SPAN = 0.5
