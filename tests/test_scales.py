@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers import simulated
 
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
@@ -13,7 +14,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
-from handlaser_gtsam.estimation.range_error_grid import PERFECT, SPAN
+from handlaser_gtsam.estimation.range_error_grid import PERFECT, SPAN, refined_grid, widest_grid
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS
@@ -407,3 +408,18 @@ def test_predictions_carry_the_noise_that_was_estimated():
     mean = np.mean([one.standardized**2 for one in found.splits])
     assert 0.6 < mean < 1.5
     assert all(one.result.p_value > 1e-3 for one in found.planes)
+
+
+def test_scales_are_found_where_the_evidence_is_beyond_all_bounds():
+    """Beside 1e19, which readings that fit nothing reach, differences of the prior are rounding."""
+    grid = widest_grid(0.01, 2, 4)
+    fine = refined_grid(grid, np.full(len(grid.own), -1e19), 0.01)
+    assert np.isfinite(fine.own).all()
+    assert fine.near(np.full(len(fine.own), -1e19)).own.size
+
+
+@pytest.mark.parametrize("noise", [hl.Noise(), hl.Noise(3e-5)], ids=["nothing given", "sigma"])
+def test_rows_shifted_against_the_poses_are_no_calibration(noise):
+    recording, _ = simulated(layout=Layout(3, 3, 8), range_sigma=3e-5)
+    shifted = replace(recording, ranges=np.roll(recording.ranges, 1, axis=0))
+    assert hl.calibrate(shifted, noise).status != "converged"

@@ -51,7 +51,7 @@ class RangeErrorGrid(Value):
 
     def near(self, value: FloatArray) -> "RangeErrorGrid":
         """Return the points whose value (G,), in the logarithm, is not far below the largest."""
-        kept = value > value[: max(len(value) - 1, 1)].max() - WIDTH
+        kept = value >= value[: max(len(value) - 1, 1)].max() - WIDTH
         kept[-1] = True
         return RangeErrorGrid(self.own[kept], self.common[kept], self.log_prior[kept])
 
@@ -71,7 +71,7 @@ def refined_grid(
     if terms == 0:
         return grid
     value = (log_evidence + grid.log_prior)[:-1]
-    points = np.column_stack((grid.own, grid.common))[:-1][value > value.max() - WIDTH]
+    points = np.column_stack((grid.own, grid.common))[:-1][value >= value.max() - WIDTH]
     points = points[:, : terms + int(grid.common.any())]
     near = np.log(points / linearity)
     sides = [

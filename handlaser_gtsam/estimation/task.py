@@ -8,7 +8,8 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
-from ..model.equation import residuals, scene
+from ..errors import GrazingBeamError
+from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening, whitening
 from ..observability.least_observed import least_observed
@@ -31,6 +32,8 @@ SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
 AHEAD = 1e-3
 """Linear steps that settle the weights end when they are shorter [standard deviations]."""
+ASTRAY = 4.0
+"""Other weights may double the residuals of most readings; a step that does more leads nowhere."""
 COARSE = 1e-2
 """Standard deviations that an equally weighted solution may be off where another follows it."""
 
@@ -91,7 +94,8 @@ class Task:
         at, solution = first.parameters, first
         ahead = first.observability.full and self.loss == GAUSSIAN
         for _ in range(ROUNDS if ahead else 0):
-            at, away = self.step(at, variances)
+            found = self.step_ahead(first, at, variances)
+            at, away = (first.parameters, 0.0) if found is None else found
             if away < AHEAD:
                 break
         for _ in range(ROUNDS):
@@ -108,6 +112,22 @@ class Task:
         """Return where a linear step with the weights at `at` leads, and its length [sigmas]."""
         how = whitening(at, self.readings, variances)
         return newton_step(at, self.readings, self.terms, how, self.prior)
+
+    def step_ahead(
+        self, first: Solution, at: Parameters, variances: Variances
+    ) -> tuple[Parameters, float] | None:
+        """Return what `step` does; None where that leads away from the solution begun with.
+
+        Undamped steps may, where the readings do not fit: then the graph's solver has to find the way.
+        """
+        try:
+            there, away = self.step(at, variances)
+        except GrazingBeamError:
+            return None
+        if not there.finite():
+            return None
+        e, before = residuals_or_infinite(there, self.readings), first.result.residual
+        return (there, away) if float(e @ e) <= ASTRAY * float(before @ before) else None
 
     def away(self, solution: Solution, variances: Variances) -> float:
         """Return how many standard deviations the weights there would move a solution.
