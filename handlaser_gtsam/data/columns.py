@@ -116,13 +116,11 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
 
 def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the unit (q,) of columns of b (M, q) over that of a; one where they are nearly equal."""
-    large = np.abs(a) >= 0.1 * float(np.median(np.abs(a)))
-    if not a[large].any():
+    large = (np.abs(a) >= 0.1 * float(np.median(np.abs(a)))) & (a != 0.0)
+    if not large.any():
         return np.ones(b.shape[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.nanmedian(b[large] / a[large, None], axis=0)
-    known = np.isfinite(factor) & (np.abs(factor - 1.0) > SAME_UNIT)
-    return np.where(known, factor, 1.0)
+    factor: FloatArray = np.median(b[large] / a[large, None], axis=0)
+    return np.where(np.abs(factor - 1.0) > SAME_UNIT, factor, 1.0)
 
 
 def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
