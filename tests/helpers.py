@@ -1,5 +1,6 @@
 """Problems and comparisons that several tests share."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,13 @@ from handlaser_gtsam.solvers.graph import CalibrationGraph
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"
+FULL = os.environ.get("STATISTICS") == "full"
+"""Whether statistics are tested at full size, as the gate does: see `draws`."""
+
+
+def draws(few: int, full: int) -> int:
+    """Return how many draws a statistical test takes; its bound follows from the number."""
+    return full if FULL else few
 
 
 def simulated(
