@@ -49,7 +49,7 @@ class PlaneContents:
 
     def used(self) -> Recording:
         """Return all stations with the readings that are used."""
-        return self.recording.without(self.unused())
+        return self.recording.without(self.unused()) if self.rejected else self.recording
 
     def joined(self, recording: Recording, rejected: tuple[Rejected, ...]) -> "PlaneContents":
         """Return the plane with more stations."""
