@@ -1,7 +1,7 @@
 """Whether wrong plane labels and readings that are codes are found, and nothing else is accused.
 
     python -m benchmarks.gross_errors [--runs 100] [--jobs 1] [--first-seed 0] [--given]
-                                      [--labels 14 20 30] [--codes 0.999 8.191 65.535 65535] [--more]
+                                      [--labels 14 20 30] [--codes 0 0.999 8.191 65.535 65535] [--more]
 
 The scenes are those of `benchmarks.right_angles`: an arm with joint errors and ray-cast plates, a
 table and a wall at right angles, four beams. --labels counts the stations before each plate of which
@@ -196,7 +196,9 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--labels", type=int, nargs="*", default=[14, 20, 30])
-    parser.add_argument("--codes", type=float, nargs="*", default=[0.999, 8.191, 65.535, 65535.0])
+    parser.add_argument(
+        "--codes", type=float, nargs="*", default=[0.0, 0.999, 8.191, 65.535, 65535.0]
+    )
     parser.add_argument("--more", action="store_true")
     parser.add_argument("--given", action="store_true")
     arguments = parser.parse_args()

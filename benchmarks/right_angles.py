@@ -10,9 +10,12 @@ readings that a sensor returns as a code instead of a range.
 """
 
 import math
+import tempfile
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import polars as pl
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -121,13 +124,22 @@ def exchanged(
 def coded(
     recording: hl.Recording, count: int, code: float, rng: np.random.Generator
 ) -> tuple[hl.Recording, BoolArray]:
-    """Return the recording with `count` readings that are a `code` [m], and which they are (M, B)."""
-    ranges = recording.ranges.copy()
-    chosen = rng.choice(ranges.size, count, replace=False)
-    ranges.flat[chosen] = code
-    bad = np.zeros(ranges.shape, dtype=bool)
-    bad.flat[chosen] = True
-    return replace(recording, ranges=ranges), bad
+    """Return the recording with `count` readings that are a `code` [m], and which they are (M, B).
+
+    It is read from a file: a recording in memory holds no reading of 0 m.
+    """
+    bad = np.zeros(recording.ranges.shape, dtype=bool)
+    bad.flat[rng.choice(bad.size, count, replace=False)] = True
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "recording.csv")
+        hl.write_recording(path, recording)
+        table = pl.read_csv(path, infer_schema=False)
+        for name, where in zip(recording.beam_names, bad.T, strict=True):
+            cells = table[f"range_{name}"]
+            code_or_range = pl.when(pl.Series(where)).then(pl.lit(str(code))).otherwise(cells)
+            table = table.with_columns(code_or_range.alias(cells.name))
+        table.write_csv(path)
+        return hl.read_recording(path), bad
 
 
 def _beams(scene: Scene, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -81,6 +81,9 @@ def test_gross_errors_are_those_asked_for():
     assert bad.sum() == 3
     assert (changed.ranges[bad] == 0.999).all()
     assert np.array_equal(changed.ranges[~bad], recording.ranges[~bad])
+    changed, bad = coded(recording, 3, 0.0, rng)
+    assert np.isnan(changed.ranges[bad]).all()
+    assert [one.code for one in changed.warnings] == ["reading-code"]
 
 
 def labelled(seed=1):
