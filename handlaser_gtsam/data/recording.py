@@ -200,6 +200,9 @@ class Recording(Value):
         if not rows.size:
             raise InputError("no readings in this part", "at least one")
         beams = np.flatnonzero(~np.isnan(self.ranges[rows]).all(axis=0))
+        whole = len(beams) == len(self.beam_names) and np.array_equal(rows, np.arange(count))
+        if whole and not (self.ignored_columns or self.warnings):
+            return self
         return Recording(
             self.world_R_hand[rows],
             self.world_t_hand[rows],

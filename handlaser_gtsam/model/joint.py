@@ -177,6 +177,17 @@ def beam_lift(basis: FloatArray, terms: int) -> FloatArray:
     return lift
 
 
+def beams_lift(bases: FloatArray, terms: Sequence[int]) -> FloatArray:
+    """Return (8 B, nb) from tangent to ambient coordinates of beams, bases (B, 3, 2)."""
+    count = len(bases)
+    each, lift = np.arange(count), np.zeros((count, 8, count, 7))
+    lift[each, :3, each, :3] = np.eye(3)
+    lift[each, 3:6, each, 3:5] = bases
+    lift[each, 6:, each, 5:] = np.eye(2)
+    active = np.arange(7) < 5 + np.array(terms)[:, None]
+    return lift.reshape(8 * count, 7 * count)[:, active.ravel()]
+
+
 def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:
     """Return (4, 3) from (tangent of n, offset at `origin`) to (n, b)."""
     lift = np.zeros((4, 3))

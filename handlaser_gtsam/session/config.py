@@ -1,6 +1,7 @@
 """What all planes of a session have in common until its graph is begun anew."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import gtsam
@@ -80,7 +81,7 @@ class ProcessNoise:
         return np.array([*location, *direction, *self.range_error_sigmas])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SessionConfig:
     """Beams, noise and natural unit of a session.
 
@@ -117,7 +118,7 @@ class SessionConfig:
     links: tuple[ProcessNoise, ...] = ()
     learned: LearnedScales | None = None
 
-    @property
+    @cached_property
     def beams(self) -> tuple[BeamKeys, ...]:
         """Keys of the beams."""
         found = []

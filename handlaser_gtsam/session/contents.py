@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class PlaneContents:
         return replace(self, recording=recording, rejected=tuple(rejected))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Contents:
     """All planes of a session.
 
@@ -84,7 +85,7 @@ class Contents:
     station_numbers: Mapping[str, int] = field(default_factory=dict)
     names: Mapping[str, str] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def numbers(self) -> dict[str, int]:
         """Number of every plane that is in the graph, in their order."""
         found = {name: p.number for name, p in self.planes.items() if p.number is not None}

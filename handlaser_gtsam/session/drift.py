@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from scipy.special import betaln, gammaln
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import betaln, chdtrc, gammaln
 from scipy.stats import f as f_distribution
 
 from .. import model
@@ -319,11 +318,11 @@ def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
     """Return the logarithm of the probability of a larger statistic, beyond the smallest number too."""
     with np.errstate(divide="ignore"):
         if np.isinf(dof):
-            log_p = chi2_distribution.logsf(statistic, rank)
+            log_p = np.log(chdtrc(rank, statistic))
             half = np.maximum(0.5 * statistic, 1.0)
             tail = (0.5 * rank - 1.0) * np.log(half) - half - gammaln(0.5 * rank)
         else:
-            log_p = f_distribution.logsf(statistic / rank, rank, dof)
+            log_p = np.asarray(f_distribution.logsf(statistic / rank, rank, dof))
             a = 0.5 * dof
             tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
     return np.where(np.isfinite(log_p), log_p, tail)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 from scipy.stats import norm
 from scipy.stats import t as student
 
@@ -16,7 +15,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..keys import plane_key, pose_key
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
@@ -129,7 +128,7 @@ class FittedPlane:
         dof = self.config.sigma_dof
         if np.isfinite(dof):  # an estimated sigma may be wrong by so much
             chi2 /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
-        return free <= 0 or bool(chi2_distribution.sf(chi2, free) > UNLIKELY)
+        return free <= 0 or bool(chdtrc(free, chi2) > UNLIKELY)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""
@@ -157,7 +156,7 @@ class FittedPlane:
         active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
         J = np.zeros((len(readings), len(config.names), 7))
         J[np.arange(len(J)), readings.beam] = own
-        lift = block_diag(*(beam_lift(B, 2) for B in v_basis))[:, active]
+        lift = beams_lift(v_basis, config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
         prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
@@ -271,8 +270,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
     soon: then it is not the readings that are at fault.
     """
     dof = fitted.config.sigma_dof
-    tail = float(norm.sf(CUT))
-    cut = CUT if np.isinf(dof) else float(student.isf(tail, dof))
+    cut = CUT if np.isinf(dof) else float(student.isf(norm.sf(CUT), dof))
     bad = np.zeros(recording.ranges.shape, dtype=bool)
     total, now = int((~np.isnan(recording.ranges)).sum()), fitted
     while True:

@@ -18,7 +18,7 @@ from ..data.parameters import Beams
 from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
 from .drift import Reference, turns
@@ -101,7 +101,7 @@ class ScaleSums:
         step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
         change = (mixture.covariance - covariance) * np.outer(unit, unit)
         bases = model.tangent_basis(self.reference.beams[1])
-        lift = block_diag(*(beam_lift(basis, learned.terms) for basis in bases))
+        lift = beams_lift(bases, [learned.terms] * len(bases))
         k = state.range_errors.copy()
         k[:, : learned.terms] += step[:, 5:]
         turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])

@@ -121,11 +121,12 @@ def fitted_planes(
 
 def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
     """Return what planes of the contents bring into a graph, by their number."""
-    numbers, stations = contents.numbers, contents.station_numbers
-    return {
-        numbers[plane]: one.factors(numbers[plane], stations, contents.planes[plane].used())
-        for plane, one in fitted.items()
-    }
+    found = {}
+    for plane, one in fitted.items():
+        own = contents.planes[plane]
+        if own.number is not None:
+            found[own.number] = one.factors(own.number, contents.station_numbers, own.used())
+    return found
 
 
 def _less(

@@ -19,14 +19,13 @@ from threading import RLock
 
 import gtsam
 import numpy as np
-from scipy.linalg import block_diag
 
 from ..arrays import FloatArray
 from ..checks import require_count, require_number
 from ..data.parameters import Beams, Parameters
 from ..factors import RangeBlock, gathered, range_factor
 from ..keys import BeamKeys, plane_key
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from .beam_state import BeamStart, BeamState, PlaneFactors
 from .isam import WITH_THE_OTHERS, isam_parameters, letter, thresholds
 
@@ -286,11 +285,8 @@ class IncrementalGraph:
         sign, size = np.linalg.slogdet(S / np.outer(scale, scale))
         if sign <= 0:
             raise RuntimeError("the beams are not determined")
-        lifts = [
-            beam_lift(self._view.atUnit3(beam.direction).basis(), terms)
-            for beam, terms in zip(self.beams, self.terms, strict=True)
-        ]
-        lift = block_diag(*lifts)
+        bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
+        lift = beams_lift(bases, self.terms)
         return BeamState(
             *self._read(self._beam_values()),
             lift @ S @ lift.T,
