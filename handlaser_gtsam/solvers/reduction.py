@@ -23,8 +23,10 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
+from ..errors import GrazingBeamError
 from ..model.weighting import Whitening
 from .elimination import ReducedInformation, eliminated
+from .grid import FREE, Grid, Rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,95 +148,90 @@ class NormalEquations:
 
 def normal_equations(
     parameters: Parameters,
-    readings: Readings,
+    readings: Readings | Grid,
     terms: int,
     weights: FloatArray | None = None,
     whitening: Whitening | None = None,
 ) -> NormalEquations:
-    """Return the normal equations at `parameters`; raises GrazingBeamError like the model.
+    """Return the normal equations at `parameters`.
 
     Parameters
     ----------
     parameters : Parameters
-        Of K copies: K B beams and K P planes, copy after copy.
-    readings : Readings
-        Of one copy.
+        Of K problems: K B beams and K P planes, one problem after the other.
+    readings : Readings or Grid
+        Of each of K problems, or of all of them.
     terms : int
-    weights : (K N,), optional
-        Of the readings; one where not given.
+    weights : (K, N), optional
+        Of the readings; one where not given. Those of weight zero may graze their planes.
     whitening : Whitening, optional
-        Of the readings of one copy, in place of weights.
+        Of the readings of one problem, in place of weights.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
     """
-    copies = len(parameters.locations) // readings.beams
-    counted = None if weights is None else weights > 0.0
-    many = readings.copies(copies)
-    columns, centres = jacobian_columns(parameters, many, terms, counted=counted)
-    heavy, width = columns, 5 + terms
+    grid = readings if isinstance(readings, Grid) else Grid([readings])
     coupled = whitening is not None and whitening.is_coupled
-    if whitening is not None:
-        weights = whitening.squares()
+    if whitening is not None and not coupled:
+        weights = whitening.squares()[None]
+    heavy = None if weights is None else grid.spread(weights)
+    rows = grid.rows(parameters, terms, None if heavy is None else heavy > 0.0)
+    worst = float(rows.cosine.min())
+    if not worst >= model.GRAZING_LIMIT:
+        raise GrazingBeamError(worst, model.GRAZING_LIMIT)
     if coupled and whitening is not None:
-        heavy = columns.copy()
-        heavy[width:] = whitening.weighed(columns[width:].T).T
-    elif weights is not None:
-        heavy = columns * weights
-    found = _summed(columns, heavy, centres, readings, copies)
-    if not coupled or whitening is None:
-        return found
-    H = _coupled(columns[:width], readings, whitening)
-    each = np.arange(readings.beams)
-    blocks = H.reshape(readings.beams, width, readings.beams, width)[each, :, each]
-    return replace(found, blocks=blocks[None], coupled=H[None])
+        return _coupled(rows, grid, whitening)
+    columns = rows.columns if heavy is None else rows.columns * np.sqrt(heavy)
+    blocks = grid.by_block(columns)
+    return _summed(grid.by_plane(blocks @ np.swapaxes(blocks, -1, -2)), rows.centres)
 
 
-def _summed(
-    columns: FloatArray,
-    heavy: FloatArray,
-    centres: FloatArray,
-    readings: Readings,
-    copies: int,
-) -> NormalEquations:
-    """Return the sums over the blocks of readings that share plane and beam."""
-    beams, planes, size = readings.beams, readings.planes, len(columns)
-    width, blocks = size - 4, readings.block_starts()
-    starts = (np.arange(copies)[:, None] * len(readings) + blocks).ravel()
-    products = np.zeros((len(starts), size, size))
-    for i in range(size):
-        products[:, i, i:] = np.add.reduceat(columns[i] * heavy[i:], starts, axis=1).T
-    copy = np.repeat(np.arange(copies), len(blocks))
-    beam_of = np.tile(readings.beam[blocks], copies)
-    plane_of = np.tile(readings.plane[blocks], copies)
-    own = np.zeros((copies, beams, width, width + 1))
-    np.add.at(own, (copy, beam_of), products[:, :width, [*range(width), size - 1]])
-    rest = np.zeros((copies, planes, 3, 4))
-    np.add.at(rest, (copy, plane_of), products[:, width : width + 3, width:])
-    for blocks_of in (own, rest):  # the lower triangles were not summed
-        for i in range(1, blocks_of.shape[2]):
-            blocks_of[:, :, i, :i] = blocks_of[:, :, :i, i]
-    border = np.zeros((copies, planes, beams, width, 3))
-    border[copy, plane_of, beam_of] = products[:, :width, width : width + 3]
+def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
+    """Return the normal equations from the products (K, P, B, q, q) of the columns of every block."""
+    copies, planes, beams, size, _ = products.shape
+    width = size - FREE
+    own, rest = products[..., :width, :].sum(axis=1), products[..., width:, width:].sum(axis=2)
     return NormalEquations(
         own[..., :width],
-        border.reshape(copies, planes, beams * width, 3),
-        rest[..., :3],
-        own[..., width].reshape(copies, -1),
-        rest[..., 3],
-        centres.reshape(copies, planes, 3),
-        products[:, -1, -1].reshape(copies, -1).sum(axis=1),
+        products[..., :width, width:-1].reshape(copies, planes, beams * width, 3),
+        rest[..., :3, :3],
+        own[..., -1].reshape(copies, -1),
+        rest[..., :3, 3],
+        centres,
+        rest[..., 3, 3].sum(axis=1),
     )
 
 
-def _coupled(columns: FloatArray, readings: Readings, how: Whitening) -> FloatArray:
-    """Return all of H_bb (nb, nb) of correlated readings, from the beams' columns (w, N)."""
-    width, beams = len(columns), readings.beams
-    grid = np.zeros((*how.root.shape[:2], width))
-    grid[how.station, how.beam] = columns.T
-    weight = how.root @ how.root
+def _coupled(rows: Rows, grid: Grid, how: Whitening) -> NormalEquations:
+    """Return the normal equations of the only problem, whose readings are correlated by station."""
+    columns, beams = rows.columns, grid.beams
+    width = len(columns) - FREE
+    by_cell = np.ascontiguousarray(columns[:, 0].transpose(2, 1, 0))
+    weight = np.zeros((grid.cells, beams, beams))
+    weight[grid.place] = (how.root @ how.root)[how.station]
+    heavy = np.moveaxis(weight @ by_cell[..., width:], 0, 2).swapaxes(0, 1)
+    free = np.swapaxes(grid.by_block(heavy[:, None]), -1, -2)
+    own, rest = grid.by_block(columns[:width]) @ free, grid.by_block(columns[width:]) @ free
+    border, rest = grid.by_plane(own), grid.by_plane(rest.sum(axis=2))
     H = np.empty((beams, width, beams, width))
     for i in range(beams):
-        heavy = weight[:, i, :, None] * grid
-        H[i] = (grid[:, i].T @ heavy.reshape(len(grid), -1)).reshape(width, beams, width)
-    return H.reshape(beams * width, beams * width)
+        there = weight[:, i, :, None] * by_cell[..., :width]
+        H[i] = (by_cell[:, i, :width].T @ there.reshape(grid.cells, -1)).reshape(
+            width, beams, width
+        )
+    each = np.arange(beams)
+    return NormalEquations(
+        H[each, :, each, :][None],
+        border[..., :3].reshape(1, grid.planes, -1, 3),
+        rest[..., :3, :3],
+        border[..., 3].sum(axis=1).reshape(1, -1),
+        rest[..., :3, 3],
+        rows.centres,
+        rest[..., 3, 3].sum(axis=1),
+        H.reshape(1, beams * width, beams * width),
+    )
 
 
 def jacobian_columns(

@@ -14,6 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN, Loss
+from .grid import Grid
 from .progress import tell
 from .reduction import normal_equations
 from .steps import apply_step, damped_step
@@ -130,7 +131,7 @@ class _Search:
         self.limit = np.inf
         if loss.name != "gaussian":
             self.limit = MOST_RESIDUAL * float(np.quantile(readings.distance, 0.75))
-        self.at = joined(starts)
+        self.at, self.grid = joined(starts), Grid([readings])
         self.damping = np.full(len(starts), LEAST_DAMPING)
         self.residual = self._residuals(self.at)
         self.scale = scale.of(self.residual)
@@ -157,7 +158,7 @@ class _Search:
         weights = None
         if self.loss.name != "gaussian":
             weights = self._tighten(rows)
-        normal = normal_equations(here, self.readings, self.terms, weights)
+        normal = normal_equations(here, self.grid, self.terms, weights)
         waiting = np.arange(len(rows))
         while waiting.size:
             own = rows[waiting]
@@ -193,33 +194,16 @@ class _Search:
         self.tightening[rows] = self.scale[rows] < 0.999 * before
         self.cost[rows] = self._costs(residual, self.scale[rows])
         weight = self.loss.weight(residual / self.scale[rows, None])
-        return np.where(np.abs(residual) < self.limit, weight, 0.0).ravel()
+        return np.where(np.abs(residual) < self.limit, weight, 0.0)
 
     def _residuals(self, at: Parameters) -> FloatArray:
-        """Return residuals (K, N) [m], infinite where a beam of the candidate grazes its plane."""
-        if np.isfinite(self.limit):
-            return self._limited(at)
-        copies = len(at.locations) // self.readings.beams
-        many = self.readings.copies(copies)
-        x = model.scene(at, many)
-        with np.errstate(all="ignore"):
-            steep = np.abs(model.cosines(x)) >= model.GRAZING_LIMIT
-        usable = steep.reshape(copies, -1).all(axis=1)
-        residual = np.full((copies, len(self.readings)), np.inf)
-        if usable.all():
-            return model.residuals(x, many.distance).reshape(copies, -1)
-        if usable.any():
-            kept = np.repeat(usable, len(self.readings))
-            part = model.Scene(*(getattr(x, name)[kept] for name in x.__dataclass_fields__))
-            e = model.residuals(part, many.distance[kept])
-            residual[usable] = e.reshape(-1, len(self.readings))
-        return residual
+        """Return residuals (K, N) [m] within the limit of a robust loss.
 
-    def _limited(self, at: Parameters) -> FloatArray:
-        """Return residuals (K, N) [m] within the limit; a beam that grazes its plane is at it."""
-        copies = len(at.locations) // self.readings.beams
-        e = model.residuals_or_infinite(at, self.readings.copies(copies))
-        return np.clip(e, -self.limit, self.limit).reshape(copies, -1)
+        Where a beam grazes its plane, it is at the limit: infinite, unless the loss is robust.
+        """
+        residual, cosine = map(self.grid.gathered, self.grid.residuals(at))
+        residual = np.where(np.abs(cosine) >= model.GRAZING_LIMIT, residual, np.inf)
+        return np.clip(residual, -self.limit, self.limit)
 
     def _costs(self, residual: FloatArray, scale: FloatArray) -> FloatArray:
         """Return costs (K,) [m^2], infinite where a residual is."""

@@ -1,0 +1,209 @@
+r"""Readings on a grid of beams and stations, and their rows at any parameters.
+
+Beams of a station share its hand pose R, t, and stations of a plane its normal n with the tangent basis
+u_1, u_2. All that a reading needs of its station are R'n, R'u_1, R'u_2 and the products of t with n,
+u_1 and u_2; all that it needs of its beam are products of the first three with r, v and the tangent
+basis of v. With the range s the spot lies at R'u_i . (r + s v) + u_i . t along u_i.
+
+Several problems of one shape are worked on together. The arrays are (problem, beam, cell): cells are
+the slots of chunks of stations of one plane, all chunks of one size, so that the normal equations are
+stacked products of the rows of a beam in a chunk.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.readings import Readings
+
+LONGEST = 32
+"""Slots of a chunk; a plane with more stations has several, so that unequal planes waste little."""
+FREE = 4
+"""Columns beside those of the beam: along the plane's tangents, its offset, and the residual."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of all readings of K problems.
+
+    Attributes
+    ----------
+    columns : (w + 4, K, B, cells)
+        Derivatives by the beam, along the plane's tangents and by its offset, then residuals [m]; zero
+        where no reading counts.
+    centres : (K, P, 3)
+        Where the offset of each plane is taken: amid its laser spots [m].
+    cosine : (K,)
+        Of the incidence closest to grazing.
+    """
+
+    columns: FloatArray
+    centres: FloatArray
+    cosine: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What the readings have in common at one point, (K, .., cells)."""
+
+    turned: FloatArray
+    """R'n, R'u_1, R'u_2: (K, 3, 3, cells), the coordinates second."""
+    along: FloatArray
+    """Products of these with r, then v: (K, 3, 2 B, cells)."""
+    off: FloatArray
+    """t along n, u_1, u_2: (K, 3, cells)."""
+    c: FloatArray
+    s: FloatArray
+    cosine: FloatArray
+
+
+class Grid:
+    """Readings of problems of one shape: the same beams, planes and stations, row by row.
+
+    Parameters
+    ----------
+    problems : sequence of Readings
+        Only one where all problems have the same: how many these are is then told by the parameters.
+    """
+
+    def __init__(self, problems: Sequence[Readings]) -> None:
+        one = problems[0]
+        rows, station, planes = _stations(one)
+        sizes = np.bincount(planes, minlength=one.planes)
+        self.beams, self.planes, self.slots = one.beams, one.planes, int(min(sizes.max(), LONGEST))
+        chunks = np.maximum(-(-sizes // self.slots), 1)
+        self.first: IntArray = np.cumsum(chunks) - chunks
+        self.plane: IntArray = np.repeat(np.arange(one.planes), chunks * self.slots)
+        place = (
+            np.arange(len(planes)) + (self.first * self.slots - np.cumsum(sizes) + sizes)[planes]
+        )
+        self.cells = len(self.plane)
+        self.place: IntArray = place[station]
+        self._at = one.beam * self.cells + self.place
+        self.read: BoolArray | None = None
+        if len(one) < self.beams * self.cells:
+            self.read = self.spread(np.ones((1, len(one)))) > 0.0
+        self.distance = self.spread(np.array([p.distance for p in problems]))
+        self.R = np.zeros((len(problems), 3, 3, self.cells))
+        self.t = np.zeros((len(problems), 3, self.cells))
+        self.R[..., place] = np.array([p.world_R_hand[rows] for p in problems]).transpose(
+            0, 2, 3, 1
+        )
+        self.t[..., place] = np.array([p.world_t_hand[rows] for p in problems]).transpose(0, 2, 1)
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """Return values (K, N) of readings on the grid (K, B, cells), zero where there is none."""
+        grid = np.zeros((len(values), self.beams * self.cells))
+        grid[:, self._at] = values
+        return grid.reshape(len(values), self.beams, -1)
+
+    def gathered(self, grid: FloatArray) -> FloatArray:
+        """Return what stands on the grid (K, B, cells), a reading each: (K, N)."""
+        values: FloatArray = grid.reshape(len(grid), -1)[:, self._at]
+        return values
+
+    def residuals(self, at: Parameters) -> tuple[FloatArray, FloatArray]:
+        """Return residuals [m] and cosines of the incidence (K, B, cells) at parameters of K problems.
+
+        Parameters stand one problem after the other. Residuals of beams that graze mean nothing.
+        """
+        seen = self._seen(at, at.normals[:, :, None], self.read)
+        return self._residual(seen, at), seen.cosine
+
+    def rows(self, at: Parameters, terms: int, counted: BoolArray | None = None) -> Rows:
+        """Return the rows of all readings at parameters of K problems, one after the other.
+
+        Parameters
+        ----------
+        at : Parameters
+        terms : int
+        counted : (K, B, cells), optional
+            Readings that count; the others may graze their planes.
+        """
+        counted = self.read if counted is None else counted
+        basis = model.tangent_basis(at.normals)
+        seen = self._seen(at, np.concatenate((at.normals[:, :, None], basis), axis=2), counted)
+        c, s, turned, along = seen.c, seen.s, seen.turned, seen.along
+        copies, width = len(c), 5 + terms
+        columns = np.empty((width + FREE, *c.shape))
+        np.multiply(c, np.moveaxis(turned[:, 0], 1, 0)[:, :, None], out=columns[:3])
+        v_basis = model.tangent_basis(at.directions).reshape(copies, self.beams, 3, 2)
+        v_along = np.swapaxes(v_basis, 2, 3).reshape(copies, -1, 3) @ turned[:, 0]
+        across = np.moveaxis(v_along.reshape(copies, self.beams, 2, -1), 2, 0)
+        np.multiply(s * c, across, out=columns[3:5])
+        for power in range(terms):
+            columns[5 + power] = -(self.distance ** (power + 1))
+        spot = np.moveaxis(s[:, None] * along[:, 1:, self.beams :], 1, 0)
+        spot += np.moveaxis(along[:, 1:, : self.beams], 1, 0) + np.moveaxis(
+            seen.off[:, 1:, None], 1, 0
+        )
+        middle = self._plane_means(spot, counted)
+        spot -= middle[..., None, self.plane]
+        np.multiply(c, spot, out=columns[width : width + 2])
+        columns[-2], columns[-1] = c, self._residual(seen, at)
+        if counted is not None:
+            columns *= counted
+        centres = np.einsum("pji,pi->pj", basis, np.moveaxis(middle, 0, 2).reshape(-1, 2))
+        centres -= at.offsets[:, None] * at.normals
+        worst = np.abs(seen.cosine).reshape(copies, -1).min(axis=1)
+        return Rows(columns, centres.reshape(copies, -1, 3), worst)
+
+    def by_block(self, columns: FloatArray) -> FloatArray:
+        """Return columns (q, K, B, cells) by chunk and beam: (K, chunks, B, q, slots)."""
+        parted = columns.reshape(*columns.shape[:3], -1, self.slots)
+        return parted.transpose(1, 3, 2, 0, 4)
+
+    def by_plane(self, sums: FloatArray) -> FloatArray:
+        """Return sums over chunks (K, chunks, ...) as sums over planes (K, P, ...)."""
+        if sums.shape[1] == self.planes:
+            return sums
+        total: FloatArray = np.add.reduceat(sums, self.first, axis=1)
+        return total
+
+    def _plane_means(self, values: FloatArray, counted: BoolArray | None) -> FloatArray:
+        """Return means (q, K, P) over the readings of every plane of values (q, K, B, cells)."""
+        first = self.first * self.slots
+        if counted is None:
+            size = self.beams * np.diff(np.append(first, self.cells))
+            return np.asarray(np.add.reduceat(values.sum(axis=2), first, axis=2) / size)
+        size = np.add.reduceat(counted.sum(axis=1), first, axis=1)
+        total = np.add.reduceat((values * counted).sum(axis=2), first, axis=2)
+        return np.asarray(total / np.maximum(size, 1))
+
+    def _residual(self, seen: _Seen, at: Parameters) -> FloatArray:
+        k = at.range_errors.reshape(len(seen.c), self.beams, 2)
+        d = self.distance
+        e: FloatArray = seen.s - d * (1.0 + k[..., :1] + k[..., 1:] * d)
+        return e
+
+    def _seen(self, at: Parameters, axes: FloatArray, counted: BoolArray | None) -> _Seen:
+        """Return what readings have in common for axes (K P, 3, q) of the planes, the normal first."""
+        copies = len(at.locations) // self.beams
+        by_cell = np.moveaxis(axes.reshape(copies, self.planes, 3, -1), 1, -1)[..., self.plane]
+        turned = np.einsum("kjic,kjac->kaic", self.R, by_cell)
+        off = np.einsum("kjc,kjac->kac", self.t, by_cell)
+        arms = np.concatenate(
+            (at.locations.reshape(copies, -1, 3), at.directions.reshape(copies, -1, 3)), axis=1
+        )
+        along = arms[:, None] @ turned
+        cosine = along[:, 0, self.beams :]
+        if counted is not None:
+            cosine = np.where(counted, cosine, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c = -1.0 / cosine
+        height = off[:, 0] + at.offsets.reshape(copies, -1)[:, self.plane]
+        s = (along[:, 0, : self.beams] + height[:, None]) * c
+        return _Seen(turned, along, off, c, s, cosine)
+
+
+def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:
+    """Return a row of each pair of plane and station, its number for each row (N,), and its plane."""
+    count = int(readings.station.max()) + 1
+    pairs, rows, number = np.unique(
+        readings.plane * count + readings.station, return_index=True, return_inverse=True
+    )
+    return rows, number, pairs // count
