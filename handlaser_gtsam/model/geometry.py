@@ -14,9 +14,11 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     sign = np.copysign(1.0, z)
     a = -1.0 / (sign + z)
     xy = x * y * a
-    first = np.stack((1.0 + sign * x * x * a, sign * xy, -sign * x), axis=1)
-    second = np.stack((xy, sign + y * y * a, -y), axis=1)
-    return np.stack((first, second), axis=2)
+    basis = np.empty((len(unit), 3, 2))
+    basis[:, 0, 0], basis[:, 0, 1] = 1.0 + sign * x * x * a, xy
+    basis[:, 1, 0], basis[:, 1, 1] = sign * xy, sign + y * y * a
+    basis[:, 2, 0], basis[:, 2, 1] = -sign * x, -y
+    return basis
 
 
 def normalized(vectors: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ stacked products of the rows of a beam in a chunk.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,12 +89,20 @@ class Grid:
         if len(one) < self.beams * self.cells:
             self.read = self.spread(np.ones((1, len(one)))) > 0.0
         self.distance = self.spread(np.array([p.distance for p in problems]))
+        self._powers = -np.array([self.distance, self.distance**2])
         self.R = np.zeros((len(problems), 3, 3, self.cells))
         self.t = np.zeros((len(problems), 3, self.cells))
         self.R[..., place] = np.array([p.world_R_hand[rows] for p in problems]).transpose(
             0, 2, 3, 1
         )
         self.t[..., place] = np.array([p.world_t_hand[rows] for p in problems]).transpose(0, 2, 1)
+
+    def picked(self, problems: IntArray) -> "Grid":
+        """Return the grid of some of the problems."""
+        new = copy(self)
+        new.distance, new.R, new.t = (a[problems] for a in (self.distance, self.R, self.t))
+        new._powers = self._powers[:, problems]
+        return new
 
     def spread(self, values: FloatArray) -> FloatArray:
         """Return values (K, N) of readings on the grid (K, B, cells), zero where there is none."""
@@ -125,29 +134,29 @@ class Grid:
             Readings that count; the others may graze their planes.
         """
         counted = self.read if counted is None else counted
-        basis = model.tangent_basis(at.normals)
+        bases = model.tangent_basis(np.concatenate((at.normals, at.directions)))
+        basis, v_basis = bases[: len(at.normals)], bases[len(at.normals) :]
+        v_basis = v_basis.reshape(-1, self.beams, 3, 2)
         seen = self._seen(at, np.concatenate((at.normals[:, :, None], basis), axis=2), counted)
         c, s, turned, along = seen.c, seen.s, seen.turned, seen.along
         copies, width = len(c), 5 + terms
         columns = np.empty((width + FREE, *c.shape))
-        np.multiply(c, np.moveaxis(turned[:, 0], 1, 0)[:, :, None], out=columns[:3])
-        v_basis = model.tangent_basis(at.directions).reshape(copies, self.beams, 3, 2)
-        v_along = np.swapaxes(v_basis, 2, 3).reshape(copies, -1, 3) @ turned[:, 0]
-        across = np.moveaxis(v_along.reshape(copies, self.beams, 2, -1), 2, 0)
+        np.multiply(c, turned[:, 0].transpose(1, 0, 2)[:, :, None], out=columns[:3])
+        v_along = v_basis.transpose(0, 1, 3, 2).reshape(copies, -1, 3) @ turned[:, 0]
+        across = v_along.reshape(copies, self.beams, 2, -1).transpose(2, 0, 1, 3)
         np.multiply(s * c, across, out=columns[3:5])
-        for power in range(terms):
-            columns[5 + power] = -(self.distance ** (power + 1))
-        spot = np.moveaxis(s[:, None] * along[:, 1:, self.beams :], 1, 0)
-        spot += np.moveaxis(along[:, 1:, : self.beams], 1, 0) + np.moveaxis(
-            seen.off[:, 1:, None], 1, 0
-        )
+        columns[5:width] = self._powers[:terms]
+        spot = s[:, None] * along[:, 1:, self.beams :]
+        spot += along[:, 1:, : self.beams]
+        spot += seen.off[:, 1:, None]
+        spot = spot.transpose(1, 0, 2, 3)
         middle = self._plane_means(spot, counted)
         spot -= middle[..., None, self.plane]
         np.multiply(c, spot, out=columns[width : width + 2])
         columns[-2], columns[-1] = c, self._residual(seen, at)
         if counted is not None:
             columns *= counted
-        centres = np.einsum("pji,pi->pj", basis, np.moveaxis(middle, 0, 2).reshape(-1, 2))
+        centres = (basis @ middle.transpose(1, 2, 0).reshape(-1, 2, 1))[..., 0]
         centres -= at.offsets[:, None] * at.normals
         worst = np.abs(seen.cosine).reshape(copies, -1).min(axis=1)
         return Rows(columns, centres.reshape(copies, -1, 3), worst)
@@ -183,7 +192,8 @@ class Grid:
     def _seen(self, at: Parameters, axes: FloatArray, counted: BoolArray | None) -> _Seen:
         """Return what readings have in common for axes (K P, 3, q) of the planes, the normal first."""
         copies = len(at.locations) // self.beams
-        by_cell = np.moveaxis(axes.reshape(copies, self.planes, 3, -1), 1, -1)[..., self.plane]
+        by_plane = axes.reshape(copies, self.planes, 3, -1).transpose(0, 2, 3, 1)
+        by_cell = by_plane.take(self.plane, axis=-1)
         turned = np.einsum("kjic,kjac->kaic", self.R, by_cell)
         off = np.einsum("kjc,kjac->kac", self.t, by_cell)
         arms = np.concatenate(

@@ -15,7 +15,9 @@ The offset of a plane is taken at the middle of its laser spots instead of the w
 changes neither S nor the solution, and keeps H_pp well conditioned far from the origin.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -79,35 +81,44 @@ class NormalEquations:
 
     def picked(self, copies: IntArray) -> "NormalEquations":
         """Return the normal equations of some copies."""
-        return NormalEquations(
-            self.blocks[copies],
-            self.border[copies],
-            self.plane[copies],
-            self.beam_gradient[copies],
-            self.plane_gradient[copies],
-            self.centres[copies],
-            self.squares[copies],
-            None if self.coupled is None else self.coupled[copies],
-        )
+        if len(copies) == len(self.squares) and (np.diff(copies) > 0).all():
+            return self
+        arrays: list[Any] = [a if a is None else a[copies] for a in self._arrays()]
+        return NormalEquations(*arrays)
+
+    @classmethod
+    def joined(cls, several: Sequence["NormalEquations"]) -> "NormalEquations":
+        """Return the copies of several, one after the other."""
+        if len(several) == 1:
+            return several[0]
+        parts = zip(*(one._arrays() for one in several), strict=True)
+        arrays: list[Any] = [own[0] if own[0] is None else np.concatenate(own) for own in parts]
+        return cls(*arrays)
+
+    def _arrays(self) -> list[Any]:
+        return [getattr(self, name) for name in self.__dataclass_fields__]
 
     def with_prior(
-        self, prior: RangeErrorPrior, range_errors: FloatArray, sigma: float
+        self, prior: RangeErrorPrior, range_errors: FloatArray, sigma: FloatArray
     ) -> "NormalEquations":
-        """Return the only copy with a prior of the range errors (B, 2), beside residuals of a sigma."""
-        beams, width = self.blocks.shape[1:3]
+        """Return the same with a prior of the range errors (K B, 2), beside residuals of sigma (K,)."""
+        copies, beams, width = self.blocks.shape[:3]
         terms = width - 5
-        pull = (sigma / prior.sigma[:, :terms]) ** 2
+        pull = (sigma[:, None, None] / prior.sigma[:, :terms]) ** 2
         mean = 0.0 if prior.mean is None else prior.mean[:, :terms]
+        off = range_errors.reshape(copies, beams, 2)[..., :terms] - mean
         blocks, gradient = self.blocks.copy(), self.beam_gradient.copy()
         rows = np.arange(5, width)
-        blocks[0][:, rows, rows] += pull
-        gradient.reshape(beams, width)[:, 5:] += pull * (range_errors[:, :terms] - mean)
-        coupled = self.coupled
+        blocks[..., rows, rows] += pull
+        gradient.reshape(copies, beams, width)[..., 5:] += pull * off
+        squares, coupled = self.squares + (pull * off**2).sum(axis=(1, 2)), self.coupled
         if coupled is not None:
             coupled = coupled.copy()
             at = (np.arange(beams)[:, None] * width + rows).ravel()
-            coupled[0][at, at] += pull.ravel()
-        return replace(self, blocks=blocks, beam_gradient=gradient, coupled=coupled)
+            coupled[:, at, at] += pull.reshape(copies, -1)
+        return replace(
+            self, blocks=blocks, beam_gradient=gradient, squares=squares, coupled=coupled
+        )
 
     def reduced(
         self,
@@ -173,19 +184,61 @@ def normal_equations(
         A beam is parallel to its plane.
     """
     grid = readings if isinstance(readings, Grid) else Grid([readings])
-    coupled = whitening is not None and whitening.is_coupled
-    if whitening is not None and not coupled:
-        weights = whitening.squares()[None]
-    heavy = None if weights is None else grid.spread(weights)
-    rows = grid.rows(parameters, terms, None if heavy is None else heavy > 0.0)
-    worst = float(rows.cosine.min())
+    weighing = Weighing()
+    if whitening is not None:
+        weighing = weighing_of(grid, [whitening])
+    elif weights is not None:
+        weighing = Weighing(np.sqrt(grid.spread(weights)))
+    found, cosine = grid_normal_equations(grid, parameters, terms, weighing)
+    worst = float(cosine.min())
     if not worst >= model.GRAZING_LIMIT:
         raise GrazingBeamError(worst, model.GRAZING_LIMIT)
-    if coupled and whitening is not None:
-        return _coupled(rows, grid, whitening)
-    columns = rows.columns if heavy is None else rows.columns * np.sqrt(heavy)
-    blocks = grid.by_block(columns)
-    return _summed(grid.by_plane(blocks @ np.swapaxes(blocks, -1, -2)), rows.centres)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Weighing:
+    """How the readings of K problems, or of all alike, weigh on a grid.
+
+    Attributes
+    ----------
+    root : (K, B, cells) or None
+        Roots of weights of independent readings; zero for those that do not count.
+    matrix : (K, cells, B, B) or None
+        Weights of the readings of a station, where they are correlated.
+    """
+
+    root: FloatArray | None = None
+    matrix: FloatArray | None = None
+
+    def picked(self, rows: IntArray) -> "Weighing":
+        """Return the weighing of some problems."""
+        of = (self.root, self.matrix)
+        return Weighing(*(a if a is None or len(a) == 1 else a[rows] for a in of))
+
+
+def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
+    """Return the weighing of whitenings, one a problem, or one for all."""
+    if not whitenings[0].is_coupled:
+        weights = np.array([how.squares() for how in whitenings])
+        return Weighing(np.sqrt(grid.spread(weights)))
+    matrix = np.zeros((len(whitenings), grid.cells, grid.beams, grid.beams))
+    for k, how in enumerate(whitenings):
+        matrix[k, grid.place] = (how.root @ how.root)[how.station]
+    return Weighing(matrix=matrix)
+
+
+def grid_normal_equations(
+    grid: Grid, at: Parameters, terms: int, weighing: Weighing
+) -> tuple[NormalEquations, FloatArray]:
+    """Return the normal equations of K problems, and the cosine (K,) of the flattest incidence."""
+    root = weighing.root
+    rows = grid.rows(at, terms, None if root is None else root > 0.0)
+    if weighing.matrix is not None:
+        return _coupled(rows, grid, weighing.matrix), rows.cosine
+    blocks = grid.by_block(rows.columns if root is None else rows.columns * root)
+    products = grid.by_plane(blocks @ np.swapaxes(blocks, -1, -2))
+    return _summed(products, rows.centres), rows.cosine
 
 
 def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
@@ -204,33 +257,30 @@ def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
     )
 
 
-def _coupled(rows: Rows, grid: Grid, how: Whitening) -> NormalEquations:
-    """Return the normal equations of the only problem, whose readings are correlated by station."""
-    columns, beams = rows.columns, grid.beams
+def _coupled(rows: Rows, grid: Grid, weight: FloatArray) -> NormalEquations:
+    """Return the normal equations of readings that are correlated within their stations."""
+    columns, beams, copies = rows.columns, grid.beams, rows.columns.shape[1]
     width = len(columns) - FREE
-    by_cell = np.ascontiguousarray(columns[:, 0].transpose(2, 1, 0))
-    weight = np.zeros((grid.cells, beams, beams))
-    weight[grid.place] = (how.root @ how.root)[how.station]
-    heavy = np.moveaxis(weight @ by_cell[..., width:], 0, 2).swapaxes(0, 1)
-    free = np.swapaxes(grid.by_block(heavy[:, None]), -1, -2)
-    own, rest = grid.by_block(columns[:width]) @ free, grid.by_block(columns[width:]) @ free
-    border, rest = grid.by_plane(own), grid.by_plane(rest.sum(axis=2))
-    H = np.empty((beams, width, beams, width))
+    by_cell = np.ascontiguousarray(columns.transpose(1, 3, 2, 0))
+    heavy = (weight @ by_cell[..., width:]).transpose(3, 0, 2, 1)
+    free = np.swapaxes(grid.by_block(heavy), -1, -2)
+    border = grid.by_plane(grid.by_block(columns[:width]) @ free)
+    rest = grid.by_plane((grid.by_block(columns[width:]) @ free).sum(axis=2))
+    H = np.empty((copies, beams, width, beams, width))
     for i in range(beams):
-        there = weight[:, i, :, None] * by_cell[..., :width]
-        H[i] = (by_cell[:, i, :width].T @ there.reshape(grid.cells, -1)).reshape(
-            width, beams, width
-        )
+        there = weight[:, :, i, :, None] * by_cell[..., :width]
+        own = np.swapaxes(by_cell[:, :, i, :width], 1, 2)
+        H[:, i] = (own @ there.reshape(copies, grid.cells, -1)).reshape(copies, width, beams, width)
     each = np.arange(beams)
     return NormalEquations(
-        H[each, :, each, :][None],
-        border[..., :3].reshape(1, grid.planes, -1, 3),
+        np.moveaxis(H[:, each, :, each], 0, 1),
+        border[..., :3].reshape(copies, grid.planes, -1, 3),
         rest[..., :3, :3],
-        border[..., 3].sum(axis=1).reshape(1, -1),
+        border[..., 3].sum(axis=1).reshape(copies, -1),
         rest[..., :3, 3],
         rows.centres,
         rest[..., 3, 3].sum(axis=1),
-        H.reshape(1, beams * width, beams * width),
+        H.reshape(copies, beams * width, beams * width),
     )
 
 

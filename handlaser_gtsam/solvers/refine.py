@@ -148,7 +148,10 @@ class _Search:
         return [
             Refined(parameters, float(2.0 * cost), float(scale)) if np.isfinite(cost) else None
             for parameters, cost, scale in zip(
-                parted(self.at, self.readings), self.cost, self.scale, strict=True
+                parted(self.at, self.grid.beams, self.grid.planes),
+                self.cost,
+                self.scale,
+                strict=True,
             )
         ]
 
@@ -214,13 +217,13 @@ class _Search:
         return cost
 
     def _pick(self, at: Parameters, rows: IntArray) -> Parameters:
-        return picked(at, self.readings, rows)
+        return picked(at, self.grid.beams, self.grid.planes, rows)
 
     def _take(self, rows: IntArray, new: Parameters) -> None:
         if len(rows) == len(self.cost):
             self.at = new
             return
-        beams, planes = _indices(self.readings, rows)
+        beams, planes = _indices(self.grid.beams, self.grid.planes, rows)
         arrays = []
         for name in ("locations", "directions", "range_errors", "normals", "offsets"):
             array = getattr(self.at, name).copy()
@@ -240,27 +243,23 @@ def joined(copies: Sequence[Parameters]) -> Parameters:
     )
 
 
-def parted(at: Parameters, readings: Readings) -> list[Parameters]:
-    """Return the candidates that were `joined`."""
-    copies = len(at.locations) // readings.beams
-    return [picked(at, readings, np.array([k])) for k in range(copies)]
+def parted(at: Parameters, beams: int, planes: int) -> list[Parameters]:
+    """Return the candidates that were `joined`, each with so many beams and planes."""
+    copies = len(at.locations) // beams
+    return [picked(at, beams, planes, np.array([k])) for k in range(copies)]
 
 
-def picked(at: Parameters, readings: Readings, rows: IntArray) -> Parameters:
+def picked(at: Parameters, beams: int, planes: int, rows: IntArray) -> Parameters:
     """Return candidates `rows` (ascending) of joined parameters."""
-    if len(rows) * readings.beams == len(at.locations):
+    if len(rows) * beams == len(at.locations):
         return at
-    beams, planes = _indices(readings, rows)
+    i, p = _indices(beams, planes, rows)
     return Parameters(
-        at.locations[beams],
-        at.directions[beams],
-        at.range_errors[beams],
-        at.normals[planes],
-        at.offsets[planes],
+        at.locations[i], at.directions[i], at.range_errors[i], at.normals[p], at.offsets[p]
     )
 
 
-def _indices(readings: Readings, rows: IntArray) -> tuple[IntArray, IntArray]:
-    beams = (rows[:, None] * readings.beams + np.arange(readings.beams)).ravel()
-    planes = (rows[:, None] * readings.planes + np.arange(readings.planes)).ravel()
-    return beams.astype(np.intp), planes.astype(np.intp)
+def _indices(beams: int, planes: int, rows: IntArray) -> tuple[IntArray, IntArray]:
+    of_beams = (rows[:, None] * beams + np.arange(beams)).ravel()
+    of_planes = (rows[:, None] * planes + np.arange(planes)).ravel()
+    return of_beams.astype(np.intp), of_planes.astype(np.intp)

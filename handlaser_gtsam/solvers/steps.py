@@ -16,9 +16,10 @@ MANY_BEAMS = 4
 
 def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the steps (K, nb) of the beams and (K, P, 3) of the planes for damping (K,)."""
-    lift = _lift(damping, normal.diagonal)
-    plane_lift = _lift(damping, np.einsum("kpii->kpi", normal.plane))
-    plane = normal.plane + plane_lift[..., None] * np.eye(3)
+    lift, plane = np.zeros_like(normal.beam_gradient), normal.plane
+    if damping.any():
+        lift = _lift(damping, normal.diagonal)
+        plane = plane + _lift(damping, np.einsum("kpii->kpi", plane))[..., None] * np.eye(3)
     copies, planes = normal.plane.shape[:2]
     size = normal.beam_gradient.shape[1]
     if normal.coupled is None and size > MANY_BEAMS * 3 * planes:
@@ -47,7 +48,7 @@ def newton_step(
     """Return where an undamped step leads, and its length sqrt(-g' delta) [standard deviations]."""
     normal = normal_equations(parameters, readings, terms, whitening=whitening)
     if prior is not None:
-        normal = normal.with_prior(prior, parameters.range_errors, whitening.sigma)
+        normal = normal.with_prior(prior, parameters.range_errors, np.array([whitening.sigma]))
     beam, plane = damped_step(normal, np.zeros(1))
     saved = -float((normal.beam_gradient * beam).sum() + (normal.plane_gradient * plane).sum())
     own = beam.reshape(readings.beams, -1)
@@ -87,8 +88,9 @@ def apply_step(
 ) -> Parameters:
     """Return `parameters` moved by beam (B, 5 + terms) and plane (P, 3) unknowns."""
     v, n = parameters.directions, parameters.normals
-    turned_v = np.einsum("bij,bj->bi", model.tangent_basis(v), beam[:, 3:5])
-    turned_n = np.einsum("pij,pj->pi", model.tangent_basis(n), plane[:, :2])
+    bases = model.tangent_basis(np.concatenate((v, n)))
+    turned_v = (bases[: len(v)] @ beam[:, 3:5, None])[..., 0]
+    turned_n = (bases[len(v) :] @ plane[:, :2, None])[..., 0]
     k = parameters.range_errors.copy()
     k[:, :terms] += beam[:, 5:]
     normals = model.normalized(n + turned_n)

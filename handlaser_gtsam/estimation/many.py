@@ -1,0 +1,185 @@
+"""Many recordings of one shape, solved together by the reduction: for studies and designs.
+
+Noise is taken as given, every reading counts, and a start that is given is believed: nothing is
+searched for, rejected or learned. `calibrate` does all that for one recording.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.readings import Readings
+from ..data.recording import Recording
+from ..data.value import Value
+from ..errors import InputError
+from ..model.weighting import Variances, unequal, whitening
+from ..solvers.elimination import eliminated
+from ..solvers.levenberg import LevenbergOptions
+from ..solvers.together import SolvedTogether, solve_together
+from ..starts import find_start
+
+ROUNDS = 2
+"""Of weights that depend on the solution."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SolvedMany(Value):
+    """Solutions of K recordings with the same beams, planes and stations.
+
+    Attributes
+    ----------
+    beam_names, plane_names : tuple of str
+    parameters : K Parameters
+        Planes in the world frame.
+    cost : (K,)
+        Half the sum of squares in standard deviations.
+    converged : (K,) of bool
+    iterations : (K,)
+        Steps of the last solution.
+    covariances : (K, B, 8, 8)
+        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units.
+    """
+
+    beam_names: tuple[str, ...]
+    plane_names: tuple[str, ...]
+    parameters: tuple[Parameters, ...]
+    cost: FloatArray
+    converged: BoolArray
+    iterations: IntArray
+    covariances: FloatArray
+
+
+def solve_many(
+    recordings: Sequence[Recording],
+    noise: Noise,
+    terms: int = 2,
+    starts: Sequence[Parameters] | None = None,
+    prior: RangeErrorPrior | None = None,
+    options: LevenbergOptions | None = None,
+) -> SolvedMany:
+    """Solve recordings of one shape together.
+
+    Parameters
+    ----------
+    recordings : K Recordings
+        With readings of the same beams and planes at the same stations.
+    noise : Noise
+        With a range sigma and the errors of the poses.
+    terms : int
+        Range-error terms of every beam: 0, 1 (k1) or 2 (k1 and k2).
+    starts : K Parameters, optional
+        Planes in the world frame; found for each recording where not given.
+    prior : RangeErrorPrior, optional
+    options : LevenbergOptions, optional
+
+    Raises
+    ------
+    InputError
+        No recordings, recordings of different shapes, or noise that is not given.
+    GrazingBeamError
+        A beam grazes its plane where the weights are taken.
+    """
+    readings = _of_one_shape(recordings)
+    origins = [one.plane_means(one.world_t_hand) for one in readings]
+    local = [one.seen_from(there) for one, there in zip(readings, origins, strict=True)]
+    variances, own = _variances(noise, recordings[0], terms), None
+    if starts is not None:
+        own = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
+    found = _solved(local, own, terms, variances, prior, options)
+    return SolvedMany(
+        recordings[0].beam_names,
+        recordings[0].plane_names,
+        tuple(at.seen_from(-there) for at, there in zip(found.parameters, origins, strict=True)),
+        found.cost,
+        found.converged,
+        found.iterations,
+        beam_covariances(found),
+    )
+
+
+def _solved(
+    local: list[Readings],
+    starts: Sequence[Parameters] | None,
+    terms: int,
+    variances: Variances,
+    prior: RangeErrorPrior | None,
+    options: LevenbergOptions | None,
+) -> SolvedTogether:
+    """Solve with equal weights, then with those of the solution where they differ."""
+    sigma = float(variances.range_sigma[0])
+    if starts is None:
+        starts = [find_start(one, sigma).parameters for one in local]
+    found = solve_together(local, starts, terms, sigma, prior, options)
+    pairs = list(zip(found.parameters, local, strict=True))
+    if any(unequal(at, one, variances) for at, one in pairs):
+        for _ in range(ROUNDS):
+            pairs = list(zip(found.parameters, local, strict=True))
+            weights = [whitening(at, one, variances) for at, one in pairs]
+            found = solve_together(local, found.parameters, terms, weights, prior, options)
+    return found
+
+
+def beam_covariances(found: SolvedTogether) -> FloatArray:
+    """Return the covariances (K, B, 8, 8) of the beams, NaN where they are not determined."""
+    normal = found.normal
+    copies, beams, width = normal.blocks.shape[:3]
+    S = eliminated(
+        normal.beam, normal.border, normal.plane, normal.beam_gradient, normal.plane_gradient
+    ).matrix
+    unit = 1.0 / np.sqrt(np.einsum("kii->ki", S))
+    try:
+        inverse = np.linalg.inv(S * unit[:, :, None] * unit[:, None, :])
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(S, np.nan)
+    inverse *= unit[:, :, None] * unit[:, None, :] * (found.sigma**2)[:, None, None]
+    each = np.arange(beams)
+    own = inverse.reshape(copies, beams, width, beams, width)[:, each, :, each]
+    bases = model.tangent_basis(np.concatenate([p.directions for p in found.parameters]))
+    lifts = np.zeros((copies * beams, 8, width))
+    lifts[:, :3, :3] = np.eye(3)
+    lifts[:, 3:6, 3:5] = bases
+    lifts[:, 6 : width + 1, 5:] = np.eye(width - 5)
+    lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
+    covariances: FloatArray = (lifts @ own @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
+    return covariances
+
+
+def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:
+    """Return the readings of all recordings, or refuse what is of different shapes."""
+    if not isinstance(recordings, Sequence) or not recordings:
+        raise InputError("no recordings", "a sequence of one or more")
+    for one in recordings:
+        require_kind("a recording", one, Recording)
+    first, readings = recordings[0], [one.readings() for one in recordings]
+    for one, own in zip(recordings, readings, strict=True):
+        same = one.beam_names == first.beam_names and one.plane_names == first.plane_names
+        if not same or any(
+            not np.array_equal(getattr(own, name), getattr(readings[0], name))
+            for name in ("station", "beam", "plane")
+        ):
+            found = "recordings of different shapes"
+            raise InputError(
+                found, "the same beams, planes, stations and places of readings in all"
+            )
+    return readings
+
+
+def _variances(noise: Noise, recording: Recording, terms: int) -> Variances:
+    """Return the given noise; refuse what is not given."""
+    require_kind("noise", noise, Noise)
+    if terms not in (0, 1, 2):
+        raise InputError(f"{terms!r} range-error terms", "0, 1 or 2")
+    if noise.range_sigma is None or not (noise.poses_uncertain or noise.poses_exact):
+        raise InputError(
+            "noise that is not given", "a range sigma and the sigmas of the poses, zero if exact"
+        )
+    stations = len(recording.plane_labels)
+    pose = noise.pose_covariances(stations) if noise.poses_uncertain else None
+    ranges = np.full(len(recording.beam_names), noise.range_sigma)
+    return Variances(ranges, noise.incidence_sigma, pose)

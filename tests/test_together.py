@@ -1,0 +1,142 @@
+"""Many problems solved together by the reduction: the minimum of the graph, one by one or at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import bench, motion, recording_of
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.data.parameters import RangeErrorPrior
+from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.solvers.graph import build_graph, read_parameters
+from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
+from handlaser_gtsam.solvers.together import solve_together
+
+SIGMA = 3e-5
+FINE = LevenbergOptions(step_tolerance=1e-10)
+ROBOT = Errors(SIGMA, 5e-5, np.radians(0.03))
+
+
+def scene(seed, gaps=False, errors=ROBOT):
+    """Return a recording of the paper's scene, and its truth."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["paper"](Layout(3, 3, 11, 0.01, 0.2), np.random.default_rng(1))
+    recording = simulate(truth, stations, errors, rng)
+    if gaps:
+        ranges = recording.ranges.copy()
+        ranges[::5, 1] = np.nan
+        ranges[recording.plane_of_station == 1, 2] = np.nan
+        recording = replace(recording, ranges=ranges)
+    return recording, truth
+
+
+def local(recording, truth):
+    readings = recording.readings()
+    origins = readings.plane_means(readings.world_t_hand)
+    return readings.seen_from(origins), truth.seen_from(origins)
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+@pytest.mark.parametrize("kind", ["alike", "incidence", "poses", "prior"])
+def test_the_minimum_is_that_of_the_graph(kind, gaps):
+    readings, truth = local(*scene(0, gaps))
+    pose = ROBOT.stated().pose_covariances(33) if kind == "poses" else None
+    variances = Variances(np.full(3, SIGMA), 1e-5 if kind == "incidence" else 0.0, pose)
+    how = whitening(truth, readings, variances) if kind in ("incidence", "poses") else SIGMA
+    prior = RangeErrorPrior(np.tile([0.01, 0.1], (3, 1))) if kind == "prior" else None
+    graph = build_graph(readings, truth, 2, how, range_errors=prior)
+    result = levenberg_marquardt(graph, FINE)
+    many = [how] if not isinstance(how, float) else how
+    found = solve_together([readings], [truth], 2, many, prior, FINE)
+    assert found.converged.all()
+    assert found.cost[0] == pytest.approx(result.cost, rel=1e-12)
+    mine, theirs = found.parameters[0], read_parameters(graph, result.values)
+    joint = covariance(graph, result.values)
+    for i, own in enumerate(joint.all_beams()):
+        sigma = np.sqrt(np.diagonal(own))
+        off = np.concatenate(
+            [
+                getattr(mine, name)[i] - getattr(theirs, name)[i]
+                for name in ("locations", "directions", "range_errors")
+            ]
+        )
+        assert np.abs(off / sigma).max() < 1e-8
+    for p, own in enumerate(joint.all_planes()):
+        off = np.append(mine.normals[p] - theirs.normals[p], mine.offsets[p] - theirs.offsets[p])
+        assert np.abs(off / np.sqrt(np.diagonal(own))).max() < 1e-8
+
+
+def test_together_or_one_by_one():
+    """What one problem gives does not depend on its company, nor on when the others arrive."""
+    pairs = [local(*scene(seed)) for seed in range(5)]
+    readings = [r for r, _ in pairs]
+    starts = [truth for _, truth in pairs]
+    starts[2] = replace(starts[2], locations=starts[2].locations + 0.03)
+    starts[4] = replace(starts[4], directions=np.roll(starts[4].directions, 1, axis=1))
+    together = solve_together(readings, starts, 2, SIGMA)
+    for k in range(5):
+        alone = solve_together([readings[k]], [starts[k]], 2, SIGMA)
+        assert together.cost[k] == pytest.approx(alone.cost[0], rel=1e-12)
+        assert together.iterations[k] == alone.iterations[0]
+        assert together.converged[k] == alone.converged[0]
+    assert together.converged[:4].all()
+    assert not np.isfinite(together.cost[4])  # its beams graze the planes
+
+
+def test_steps_are_damped_where_they_lead_too_far():
+    readings, truth = local(*scene(1))
+    far = replace(truth, locations=truth.locations + 0.05, normals=np.roll(truth.normals, 1, 0))
+    found = solve_together([readings], [far], 2, SIGMA, None, LevenbergOptions(max_iterations=3))
+    assert not found.converged[0]
+    assert found.cost[0] < 1e12
+
+
+@pytest.mark.parametrize("errors", [Errors(SIGMA), ROBOT])
+def test_recordings_are_solved_as_by_calibrate(errors):
+    recordings = [scene(seed, True, errors)[0] for seed in range(3)]
+    noise = errors.stated()
+    if not noise.poses_uncertain:
+        noise = hl.Noise(SIGMA, 0.0, 0.0)
+    found = hl.solve_many(recordings, noise)
+    options = hl.CalibrationOptions("k1k2", outliers="keep")
+    for k, recording in enumerate(recordings):
+        one = hl.calibrate(recording, noise, options)
+        for i, name in enumerate(found.beam_names):
+            beam, at = one.beams[name], found.parameters[k]
+            mine = np.concatenate((at.locations[i], at.directions[i], at.range_errors[i]))
+            theirs = np.concatenate((beam.location, beam.direction, beam.range_error))
+            sigma = np.sqrt(np.diagonal(found.covariances[k, i]))
+            assert np.abs((mine - theirs) / sigma).max() < 1e-3
+            assert np.abs(sigma / beam.sigma - 1.0).max() < 1e-3
+        assert (
+            np.abs(found.parameters[k].offsets - [p.offset for p in one.planes.values()]).max()
+            < 1e-5
+        )
+
+
+def test_readings_of_long_planes_are_parted():
+    """A plane with more stations than a chunk has slots, beside one with few."""
+    truth = bench(2)
+    recording = recording_of(truth, *motion("free", 80), [0] * 70 + [1] * 10, SIGMA)
+    readings, start = local(recording, truth)
+    graph = build_graph(readings, start, 0, SIGMA)
+    result = levenberg_marquardt(graph, FINE)
+    found = solve_together([readings], [start], 0, SIGMA, None, FINE)
+    assert found.cost[0] == pytest.approx(result.cost, rel=1e-12)
+
+
+def test_what_is_not_of_one_shape_is_refused():
+    one, other = scene(0)[0], scene(0, True)[0]
+    given = ROBOT.stated()
+    with pytest.raises(hl.InputError, match="different shapes"):
+        hl.solve_many([one, other], given)
+    with pytest.raises(hl.InputError, match="not given"):
+        hl.solve_many([one], hl.Noise(SIGMA))
+    with pytest.raises(hl.InputError, match="no recordings"):
+        hl.solve_many([], given)
+    with pytest.raises(hl.InputError, match="range-error terms"):
+        hl.solve_many([one], given, 3)
