@@ -81,7 +81,7 @@ def solve_many(
     Raises
     ------
     InputError
-        No recordings, recordings of different shapes, or noise that is not given.
+        No recordings, or of different shapes; noise that is not given.
     GrazingBeamError
         A beam grazes its plane where the weights are taken.
     """
@@ -93,8 +93,7 @@ def solve_many(
         own = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
     found = _solved(local, own, terms, variances, prior, options)
     return SolvedMany(
-        recordings[0].beam_names,
-        recordings[0].plane_names,
+        *(recordings[0].beam_names, recordings[0].plane_names),
         tuple(at.seen_from(-there) for at, there in zip(found.parameters, origins, strict=True)),
         found.cost,
         found.converged,
