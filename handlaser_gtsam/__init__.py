@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
+    from .files.study_folder import StudyFolder as StudyFolder
     from .keys import BeamKeys as BeamKeys
     from .model.joint import JointCovariance as JointCovariance
     from .model.losses import Loss as Loss
@@ -81,6 +82,8 @@ if TYPE_CHECKING:
     from .session.session import Session as Session
     from .simulation import scenes as scenes
     from .simulation import simulate as simulate
+    from .simulation.scenes import Layout as Layout
+    from .simulation.simulate import Errors as Errors
     from .solvers.graph import CalibrationGraph as CalibrationGraph
     from .solvers.graph import build_graph as build_graph
     from .solvers.graph import read_parameters as read_parameters
@@ -103,6 +106,16 @@ if TYPE_CHECKING:
     from .validation.leave_out import Prediction as Prediction
     from .validation.leave_out import Validation as Validation
     from .validation.leave_out import validate as validate
+    from .validation.study import Study as Study
+    from .validation.study import study as study
+    from .validation.study_cases import Calibrated as Calibrated
+    from .validation.study_cases import Case as Case
+    from .validation.study_cases import Drawn as Drawn
+    from .validation.study_cases import Reduced as Reduced
+    from .validation.study_cases import Simulated as Simulated
+    from .validation.study_cases import Treatment as Treatment
+    from .validation.study_rows import Estimated as Estimated
+    from .validation.study_tasks import Store as Store
 
 _NAMES = {
     "data.noise": "Noise",
@@ -122,6 +135,7 @@ _NAMES = {
     "files.mounts_json": "read_mounts",
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
+    "files.study_folder": "StudyFolder",
     "keys": "BeamKeys",
     "model.joint": "JointCovariance",
     "model.losses": "Loss",
@@ -143,6 +157,8 @@ _NAMES = {
     "session.drift": "Moved",
     "session.reports": "Change Comparison Update",
     "session.session": "Session",
+    "simulation.scenes": "Layout",
+    "simulation.simulate": "Errors",
     "solvers.graph": "CalibrationGraph build_graph read_parameters",
     "solvers.incremental": "IncrementalOptions",
     "solvers.levenberg": "LevenbergOptions LevenbergResult optimize",
@@ -152,6 +168,10 @@ _NAMES = {
     "validation.cross_check": "CrossCheck cross_check",
     "validation.hold_out": "BeamDrift HoldOut hold_out",
     "validation.leave_out": "PlaneLeftOut Prediction Validation validate",
+    "validation.study": "Study study",
+    "validation.study_cases": "Calibrated Case Drawn Reduced Simulated Treatment",
+    "validation.study_rows": "Estimated",
+    "validation.study_tasks": "Store",
 }
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 _MODULES = {

@@ -6,7 +6,7 @@ with the rules of `levenberg`; those that have arrived drop out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -72,6 +72,7 @@ def solve_together(
     problems : K Readings
         With the same beams, planes and stations, row by row.
     starts : K Parameters
+        Their range errors beyond `terms` are ignored.
     terms : int
         Range-error terms of every beam.
     noise : float or K Whitenings
@@ -87,7 +88,9 @@ def solve_together(
         some = slice(first, first + share)
         own = noise if isinstance(noise, float) else noise[some]
         task = _Task.of(problems[some], terms, own, prior)
-        ended += _Search(task, joined(starts[some]), options, first).run()
+        at = joined(starts[some])
+        at = replace(at, range_errors=at.range_errors * (np.arange(2) < terms))
+        ended += _Search(task, at, options, first).run()
     order = np.argsort(np.concatenate([one.index for one in ended]))
     parameters = [own for one in ended for own in one.parameters]
     return SolvedTogether(

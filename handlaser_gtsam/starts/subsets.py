@@ -83,7 +83,8 @@ def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
     weights: FloatArray = np.empty_like(away)
     for own in np.split(np.arange(len(readings)), first[1:]):
         unit = _nearer(away[:, own])[:, None] + 1e-300
-        weights[:, own] = 1.0 / (1.0 + (away[:, own] / unit) ** 2) ** 2
+        with np.errstate(over="ignore"):  # spots exactly on a plane: what is off weighs nothing
+            weights[:, own] = 1.0 / (1.0 + (away[:, own] / unit) ** 2) ** 2
     return weights
 
 
