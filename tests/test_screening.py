@@ -71,15 +71,15 @@ def test_samples_of_one_pose_are_averaged_and_weigh_as_many(recording):
     """The mean of five has the variance of a fifth, which the exact robot shows undiluted."""
     rows = np.repeat(np.arange(len(recording.plane_labels)), 5)
     many = repeated(recording, rows, noise=SIGMA)
-    merged = merged_stations(many, SIGMA)
-    assert [one.code for one in merged.warnings] == ["repeated-poses"]
+    merged, warnings = merged_stations(many, SIGMA)
+    assert [one.code for one in warnings] == ["repeated-poses"]
     first = np.arange(0, len(rows), 5)
-    assert np.isnan(np.delete(merged.recording.ranges, first, axis=0)).all()
+    assert np.isnan(np.delete(merged.ranges, first, axis=0)).all()
     mean = many.ranges.reshape(-1, 5, many.ranges.shape[1]).mean(axis=1)
-    assert merged.recording.ranges[first] == pytest.approx(mean, abs=1e-12)
-    assert merged.recording.samples[first] == pytest.approx(5.0)
+    assert merged.ranges[first] == pytest.approx(mean, abs=1e-12)
+    assert merged.samples[first] == pytest.approx(5.0)
     exact = hl.Noise(SIGMA, 0.0, 0.0)
-    once = hl.calibrate(replace(merged.recording, samples=None), exact)
+    once = hl.calibrate(replace(merged, samples=None), exact)
     found = hl.calibrate(many, exact)
     for name, beam in found.beams.items():  # range errors have a prior, which does not shrink
         ratio = (beam.sigma / once.beams[name].sigma)[:6]
@@ -90,7 +90,7 @@ def test_samples_of_one_pose_are_averaged_and_weigh_as_many(recording):
 def test_scatter_below_the_sigma_leaves_what_the_samples_share(recording):
     rows = np.repeat(np.arange(len(recording.plane_labels)), 8)
     many = repeated(recording, rows, noise=0.5 * SIGMA)
-    worth = merged_stations(many, SIGMA).recording.samples[0, 0]
+    worth = merged_stations(many, SIGMA)[0].samples[0, 0]
     assert worth == pytest.approx(1.0 / (0.75 + 0.25 / 8.0), rel=0.05)
 
 
@@ -99,7 +99,7 @@ def test_a_gross_error_among_samples_is_not_averaged(recording):
     many = repeated(recording, rows, noise=SIGMA)
     ranges = many.ranges.copy()
     ranges[7, 1] += 0.01
-    left = merged_stations(replace(many, ranges=ranges), SIGMA).recording.ranges
+    left = merged_stations(replace(many, ranges=ranges), SIGMA)[0].ranges
     assert left[7, 1] == ranges[7, 1]
     assert left[5, 1] == pytest.approx(np.delete(ranges[5:10, 1], 2).mean())
 

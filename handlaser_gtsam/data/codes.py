@@ -52,12 +52,12 @@ def code_warning(what: str, beams: list[str], count: int) -> CalibrationWarning:
 
 def _ends(d: FloatArray) -> list[float]:
     """Return the largest and smallest readings of all columns that stand several times."""
-    seen = ~np.isnan(d)
-    some = seen.any(axis=0)
-    if not some.any():
+    x = np.sort(d, axis=None)
+    often = x[LEAST - 1 :][x[LEAST - 1 :] == x[: 1 - LEAST]]
+    if not often.size:
         return []
-    ends = np.concatenate((np.nanmax(d[:, some], axis=0), np.nanmin(d[:, some], axis=0)))
-    return [float(value) for value in np.unique(ends)[::-1] if (d == value).sum() >= LEAST]
+    ends = np.concatenate((np.fmax.reduce(d), np.fmin.reduce(d)))
+    return [float(value) for value in np.intersect1d(often, ends)[::-1]]
 
 
 def _is_code(d: FloatArray, value: float) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import FloatArray
 from ..errors import InputError
 from .recording import Recording
 
@@ -34,6 +34,8 @@ SAME_UNIT = 0.01
 """Columns whose ratio is this near to one are in one unit."""
 FIRST_LOOK = 16
 """Stations at which all pairs are compared; only pairs that agree there are looked at further."""
+AT_ONCE = 4096
+"""Pairs that are compared at once."""
 
 
 class RepeatedColumnError(InputError):
@@ -85,7 +87,7 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
             continue
         look = both[:: max(len(both) // FIRST_LOOK, 1)]
         a, b = d[look, i], d[look, j]
-        factor = float(_factors(a, b[:, None])[0])
+        factor = float(_factors(a[:, None], b[:, None])[0])
         if _agreeing(a, b, factor, sigma) < 0.5 * len(look):
             continue
         a, b = d[both, i], d[both, j]
@@ -96,31 +98,42 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
 
 
 def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
-    """Yield all pairs of columns of (M, B) that may be alike; those without gaps are compared at once.
+    """Yield all pairs of columns of (M, B) that may be alike, in order; many are compared at once.
 
-    With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left.
+    With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left. Pairs
+    that share few of the stations looked at, though not of all, are left to `_agreeing`.
     """
-    whole: BoolArray = np.asarray(~np.isnan(d).any(axis=0))
-    x = d[:: max(len(d) // FIRST_LOOK, 1)]
-    for i in range(d.shape[1] - 1):
-        later = np.arange(i + 1, d.shape[1])
-        if whole[i] and (together := later[whole[later]]).size:
-            a, b = x[:, i], x[:, together]
-            factor = _factors(a, b)
-            limit = np.maximum(JITTER * np.abs(factor), RELATIVE * np.abs(b))
-            limit = np.maximum(limit, ROUNDED_PART * float(np.ptp(a)))
-            near = (np.abs(b - factor * a[:, None]) <= limit).sum(axis=0)
-            later = np.setdiff1d(later, together[near < 0.5 * len(a)])
-        yield from ((i, j) for j in later.tolist())
+    step = max(len(d) // FIRST_LOOK, 1)
+    x = d[::step]
+    firsts, seconds = np.triu_indices(d.shape[1], 1)
+    for begin in range(0, len(firsts), AT_ONCE):
+        i, j = firsts[begin : begin + AT_ONCE], seconds[begin : begin + AT_ONCE]
+        a, b = x[:, i], x[:, j]
+        a = np.where(np.isnan(b), np.nan, a)
+        factor = _factors(a, b)
+        limit = np.maximum(JITTER * np.abs(factor), RELATIVE * np.abs(b))
+        limit = np.maximum(limit, ROUNDED_PART * (np.fmax.reduce(a) - np.fmin.reduce(a)))
+        off = np.abs(b - factor * a)
+        common = (~np.isnan(off)).sum(axis=0)
+        alike = (off <= limit).sum(axis=0) >= 0.5 * common
+        alike |= (common < FIRST_LOOK // 2) & (step > 1)
+        yield from zip(i[alike].tolist(), j[alike].tolist(), strict=True)
 
 
 def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the unit (q,) of columns of b (M, q) over that of a; one where they are nearly equal."""
-    large = (np.abs(a) >= 0.1 * float(np.median(np.abs(a)))) & (a != 0.0)
-    if not large.any():
-        return np.ones(b.shape[1])
-    factor: FloatArray = np.median(b[large] / a[large, None], axis=0)
+    """Return the unit (q,) of columns of b (M, q) over those of a; one where they are nearly equal."""
+    size = np.abs(a)
+    large = (size >= 0.1 * _medians(size)) & (size > 0.0)
+    factor = _medians(np.divide(b, a, out=np.full(a.shape, np.nan), where=large))
     return np.where(np.abs(factor - 1.0) > SAME_UNIT, factor, 1.0)
+
+
+def _medians(x: FloatArray) -> FloatArray:
+    """Return the median (q,) of each column of (M, q) without its NaN; NaN where there is no other."""
+    count = (~np.isnan(x)).sum(axis=0)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, len(x) - 1)
+    x, column = np.sort(x, axis=0), np.arange(x.shape[1])
+    return np.asarray(0.5 * (x[low, column] + x[high, column]))
 
 
 def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:

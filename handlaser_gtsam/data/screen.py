@@ -43,7 +43,8 @@ def screened(recording: Recording, sigma: float | None) -> Screened:
     InputError
         A beam or a plane is left without readings.
     """
-    merged = merged_stations(recording, sigma)
-    left, codes = without_codes(merged.recording)
+    left, repeated = merged_stations(recording, sigma)
+    left, codes = without_codes(left)
     refuse_repeated_columns(left, sigma)
-    return Screened(replace(left, warnings=()), (*recording.warnings, *merged.warnings, *codes))
+    warnings = (*recording.warnings, *repeated, *codes)
+    return Screened(replace(left, warnings=()) if left.warnings else left, warnings)

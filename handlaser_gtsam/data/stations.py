@@ -41,22 +41,10 @@ MEDIAN_TO_SIGMA = 1.4826
 ROUNDS = 20
 
 
-@dataclass(frozen=True, slots=True)
-class Merged:
-    """A recording in which every pose stands once, and what was found.
-
-    Attributes
-    ----------
-    recording : Recording
-    warnings : tuple of CalibrationWarning
-    """
-
-    recording: Recording
-    warnings: tuple[CalibrationWarning, ...] = ()
-
-
-def merged_stations(recording: Recording, sigma: float | None) -> Merged:
-    """Merge stations that repeat a pose before the same plane.
+def merged_stations(
+    recording: Recording, sigma: float | None
+) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
+    """Return a recording in which every pose before a plane stands once, and what was found.
 
     Parameters
     ----------
@@ -67,7 +55,7 @@ def merged_stations(recording: Recording, sigma: float | None) -> Merged:
     group = pose_groups(recording)
     shared = np.bincount(group)[group] > 1
     if not shared.any():
-        return Merged(recording)
+        return recording, ()
     samples = _Samples.of(recording, np.flatnonzero(shared), group)
     mean, worth, agree, held = samples.averaged(sigma)
     ranges = recording.ranges.copy()
@@ -77,37 +65,39 @@ def merged_stations(recording: Recording, sigma: float | None) -> Merged:
     ranges[samples.station[first], samples.beam[first]] = mean[samples.key[first]]
     count[samples.station[first], samples.beam[first]] = worth[samples.key[first]]
     left = replace(recording, ranges=ranges, samples=count if (count != 1.0).any() else None)
-    return Merged(left, _warnings(recording, left, group, samples, held))
+    return left, _warnings(recording, left, group, samples, held)
 
 
 def pose_groups(recording: Recording) -> IntArray:
     """Return a number (M,) that stations of one plane share where their poses are one.
 
     Stations are split at every gap above `SAME_POSE` of every coordinate in turn, until nothing
-    splits any more: sorting is all that it costs.
+    splits any more: sorting is all that it costs, and whoever is alone is not sorted again.
     """
     R = recording.world_R_hand.reshape(-1, 9)
     coordinates = np.hstack((recording.world_t_hand, R)).T
-    group = recording.plane_of_station
-    count = 0
+    group = np.arange(R.shape[0])
+    rows, part, count = group, recording.plane_of_station, 0
     for _ in range(ROUNDS):
         for x in coordinates:
-            order = np.lexsort((x, group))
-            new = (np.diff(group[order]) != 0) | (np.diff(x[order]) > SAME_POSE)
-            group = np.empty(len(group), dtype=np.intp)
-            group[order] = np.concatenate(([0], np.cumsum(new)))
-        if group.max() + 1 == count:
+            order = np.lexsort((x[rows], part))
+            rows, part = rows[order], part[order]
+            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > SAME_POSE)
+            first = np.concatenate(([True], first, [True]))
+            shared = ~(first[:-1] & first[1:])
+            rows, part = rows[shared], np.cumsum(first[:-1])[shared]
+            if not rows.size:
+                return group
+        start = np.flatnonzero(np.diff(part, prepend=-1))
+        if len(start) == count:
             break
-        count = int(group.max()) + 1
-    wide = np.zeros(count, dtype=bool)
-    for x in coordinates:
-        least, most = np.full(count, np.inf), np.full(count, -np.inf)
-        np.minimum.at(least, group, x)
-        np.maximum.at(most, group, x)
-        wide |= most - least > WIDEST * SAME_POSE
-    alone = wide[group]
-    group = np.where(alone, count + np.arange(len(group)), group)
-    return np.unique(group, return_inverse=True)[1].astype(np.intp)
+        count = len(start)
+    index = np.repeat(np.arange(count), np.diff(start, append=len(rows)))
+    x = coordinates[:, rows]
+    extent = np.maximum.reduceat(x, start, axis=1) - np.minimum.reduceat(x, start, axis=1)
+    wide = np.any(extent > WIDEST * SAME_POSE, axis=0)
+    group[rows] = np.where(wide[index], rows, len(group) + index)
+    return group
 
 
 @dataclass(frozen=True, slots=True)
