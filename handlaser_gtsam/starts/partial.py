@@ -7,6 +7,7 @@ n_H . r + d n_H . v = -(b + n . t) in the six numbers (r, v).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -17,6 +18,9 @@ FLATNESS = 1e-3
 """A plane needs points whose second spread is at least this part of the first."""
 CONDITION = 1e-6
 """A beam needs a linear system whose singular values are within this ratio."""
+
+Index = int | IntArray | slice
+ALL = slice(None)
 
 LEAST_COSINE = 0.02
 """Beams that meet a plane of the start flatter than this (88.9 degrees) turn the plane."""
@@ -33,17 +37,29 @@ class PartialStart:
     range_errors: FloatArray
 
     @classmethod
-    def empty(cls, readings: Readings) -> "PartialStart":
-        """Return a start that knows nothing."""
-        beams, planes = readings.beams, readings.planes
-        nan = np.nan
-        return cls(
-            np.full((beams, 3), nan),
-            np.full((beams, 3), nan),
-            np.full((planes, 3), nan),
-            np.full(planes, nan),
-            np.zeros((beams, 2)),
+    def of(
+        cls,
+        readings: Readings,
+        beams: Index = ALL,
+        planes: Index = ALL,
+        r: ArrayLike = np.nan,
+        v: ArrayLike = np.nan,
+        n: ArrayLike = np.nan,
+        b: ArrayLike = np.nan,
+        k: ArrayLike = 0.0,
+    ) -> "PartialStart":
+        """Return a start that knows r, v and k of some beams, n and b of some planes, or nothing."""
+        of_beams, of_planes = (readings.beams, 3), (readings.planes, 3)
+        start = cls(
+            np.full(of_beams, np.nan),
+            np.full(of_beams, np.nan),
+            np.full(of_planes, np.nan),
+            np.full(readings.planes, np.nan),
+            np.zeros((readings.beams, 2)),
         )
+        start.locations[beams], start.directions[beams], start.range_errors[beams] = r, v, k
+        start.normals[planes], start.offsets[planes] = n, b
+        return start
 
     def known_beams(self) -> BoolArray:
         """Return a boolean (B,): location and direction are known."""

@@ -13,13 +13,12 @@ import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..model.losses import Loss
+from ..model.losses import Loss, LossName
 from ..solvers.refine import Refined, Scale, refine_many
-from .directions import direction_starts, random_starts
+from .directions import direction_starts, random_starts, subset_starts
 from .mending import mended
 from .partial import PartialStart, grow
 from .search import Candidate, Judge, Round, search
-from .subsets import subset_starts
 
 METHOD = "consensus"
 FIRST_SWEPT, SWEPT, TRIED = 12, 32, 400
@@ -134,14 +133,12 @@ class _RobustLoss:
             mended(one.parameters, self.readings, MENDING * one.scale, self.rng)
             for one in best[:FIRST_MENDED]
         ]
-        steps = TUKEY_STEPS
-        return self._tight(
-            refine_many(new, self.readings, self.terms, steps, Loss("cauchy"), rule), rule
-        )
+        return self._tight(self._under("cauchy", new, rule), rule)
 
     def _tight(self, loose: list[Refined | None], rule: Scale) -> list[Refined | None]:
         usable = [one.parameters for one in loose if one is not None]
-        tight = iter(
-            refine_many(usable, self.readings, self.terms, TUKEY_STEPS, Loss("tukey"), rule)
-        )
+        tight = iter(self._under("tukey", usable, rule))
         return [None if one is None else next(tight) for one in loose]
+
+    def _under(self, loss: LossName, at: list[Parameters], rule: Scale) -> list[Refined | None]:
+        return refine_many(at, self.readings, self.terms, TUKEY_STEPS, Loss(loss), rule)

@@ -146,9 +146,8 @@ def fit_planes(
     beams: Beams, readings: Readings, variances: Variances
 ) -> tuple[Parameters, Whitening]:
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
-    start = PartialStart.empty(readings)
-    start.locations[:], start.directions[:], start.range_errors[:] = beams
-    at = grow(start, readings)
+    r, v, k = beams
+    at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
     unit = np.array([1.0, 1.0, readings.typical_range()])
     still = np.zeros((readings.beams, 7))
     for _ in range(STEPS):

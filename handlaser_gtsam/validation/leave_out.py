@@ -13,7 +13,6 @@ from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
-from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError, SolverError
@@ -226,16 +225,9 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     readings = recording.readings()
-    whole = calibration.parameters()
     beams = [list(calibration.beams).index(name) for name in recording.beam_names]
     planes = [list(calibration.planes).index(name) for name in recording.plane_names]
-    at = Parameters(
-        whole.locations[beams],
-        whole.directions[beams],
-        whole.range_errors[beams],
-        whole.normals[planes],
-        whole.offsets[planes],
-    )
+    at = calibration.parameters().part(beams, planes)
     x = model.scene(at, readings)
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
