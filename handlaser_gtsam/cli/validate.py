@@ -100,7 +100,7 @@ def _tested(
     recording: "Recording", rig: "Rig", options: "CalibrationOptions", against: Against
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
-    from ..files.mounts_json import read_mounts
+    from ..files.calibration_reading import read_mounts
     from ..files.recording_csv import read_recording
     from ..files.validation_json import hold_out_text
     from ..model.sensor import within

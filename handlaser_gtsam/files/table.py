@@ -18,6 +18,7 @@ from ..arrays import BoolArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import InputError
 from ..text import LONGEST_NAME, name_fault, shown
+from .reading import read_text
 
 SEPARATORS = ",;\t"
 BLANK = " \t"
@@ -135,20 +136,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
 
 def _text(path: Path) -> str:
     """Return the text of a file, whose lines end with a line feed."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as fault:
-        line = data.count(b"\n", 0, fault.start) + 1
-        if b"\n" not in data:
-            line = data.count(b"\r", 0, fault.start) + 1
-        found = f"the byte 0x{data[fault.start]:02x}, which is not UTF-8, at offset {fault.start}"
-        raise InputError(found, "a file saved as UTF-8", path, line) from fault
+    text = read_text(path, "a recording")
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     if "\n" not in text:
         text = text.replace("\r", "\n")  # line ends of an old Mac
