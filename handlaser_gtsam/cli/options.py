@@ -18,24 +18,13 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
 
 
-class RangeErrorChoice(StrEnum):
-    """Values of --range-error."""
-
-    auto = "auto"
-    none = "none"
-    k1 = "k1"
-    k1k2 = "k1k2"
-
-
-class PosesChoice(StrEnum):
-    """Values of --poses."""
-
-    auto = "auto"
-    exact = "exact"
-    marginalised = "marginalised"
-    estimated = "estimated"
-
-
+RangeErrorChoice = StrEnum(
+    "RangeErrorChoice", {"auto": "auto", "none": "none", "k1": "k1", "k1k2": "k1k2"}
+)
+PosesChoice = StrEnum(
+    "PosesChoice",
+    {"auto": "auto", "exact": "exact", "marginalised": "marginalised", "estimated": "estimated"},
+)
 RecordingArgument = Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")

@@ -17,23 +17,8 @@ MM, DEG = 1e-3, math.pi / 180.0
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
 
-class SceneName(StrEnum):
-    """Values of --scene."""
-
-    paper = "paper"
-    unplanned = "unplanned"
-    arm = "arm"
-
-
-class PoseAxes(StrEnum):
-    """Values of --pose-axes."""
-
-    x = "x"
-    y = "y"
-    z = "z"
-    xyz = "xyz"
-
-
+SceneName = StrEnum("SceneName", {"paper": "paper", "unplanned": "unplanned", "arm": "arm"})
+PoseAxes = StrEnum("PoseAxes", {"x": "x", "y": "y", "z": "z", "xyz": "xyz"})
 SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict, Field, Strict
+from pydantic import Field, Strict
 
 from ..arrays import FloatArray
 from ..errors import InputError
@@ -18,7 +18,7 @@ from ..text import shown
 from .reading import Record, json_value, read_checked
 from .writing import path_of
 
-EXPECTED = "a calibration, JSON"
+EXPECTED = "a calibration of handlaser, JSON"
 
 Item = TypeVar("Item")
 Many = Annotated[tuple[Item, ...], Strict(False)]  # strictly, the lists of JSON are no tuples
@@ -263,8 +263,8 @@ def read_calibration(path: Path | str) -> CalibrationFile:
     return read_checked(path, CalibrationFile, json_value, EXPECTED)
 
 
-class _PartOf(Record):
-    model_config = ConfigDict(extra="ignore")
+class _PartOf(Record, extra="ignore"):
+    """Some fields of a record."""
 
 
 class _Beam(_PartOf):
@@ -311,14 +311,13 @@ def _mounts(file: _Beams, rows: Many[Numbers]) -> Mounts:
     beams, pose = file.beams, file.fit.pose_covariance
     if not beams:
         raise InputError("no beams", "one or more")
-    expected = "8 rows a beam, of as many numbers"
     return Mounts(
         tuple(beam.name for beam in beams),
         np.array([beam.location_m for beam in beams]),
         np.array([beam.direction for beam in beams]),
         np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
         tuple(beam.range_error_terms for beam in beams),
-        _matrix(rows, 8 * len(beams), f"{len(beams)} beams", expected),
+        _matrix(rows, 8 * len(beams), f"{len(beams)} beams", "8 rows a beam, of as many numbers"),
         file.fit.range_sigma_m,
         None if pose is None else _matrix(pose, 6, "fit.pose_covariance", "6 rows of 6 numbers"),
     )

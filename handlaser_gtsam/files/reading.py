@@ -66,7 +66,7 @@ def read_checked(
     try:
         return schema.model_validate(parse(text))
     except ValidationError as error:
-        raise _first_fault(error, schema, path) from error
+        raise _first_fault(error, schema, expected, path) from error
     except (InputError, ValueError, RecursionError) as error:  # ValueError: endless integers, too
         what = str(error).split(";")[0].splitlines()[0][:120]
         found = f"no {expected.split()[-1]} ({what})"
@@ -75,10 +75,14 @@ def read_checked(
         ) from error
 
 
-def _first_fault(error: ValidationError, schema: type[BaseModel], path: Path) -> InputError:
+def _first_fault(
+    error: ValidationError, schema: type[BaseModel], expected: str, path: Path
+) -> InputError:
     fault = error.errors()[0]
     place = [str(part) for part in fault["loc"]]
-    field = ".".join(place) or "the file"
+    if not place:
+        return InputError(f"the file = {shown(fault['input'])}", expected, path)
+    field = ".".join(place)
     if fault["type"] == "extra_forbidden" and len(place) <= 2:
         table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
         names = ", ".join(getattr(table, "model_fields", ()))

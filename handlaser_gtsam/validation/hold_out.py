@@ -176,8 +176,6 @@ class _Quadratic:
         Natural units.
     beam : (n,)
         Index of the beam of each unknown.
-    bases : (B, 3, 2)
-        Of the directions.
     rank : int
     dof : int
         Degrees of freedom of the noise, the beams free.
@@ -192,7 +190,6 @@ class _Quadratic:
     root: FloatArray
     unit: FloatArray
     beam: IntArray
-    bases: FloatArray
     rank: int
     dof: int
     readings: int
@@ -225,15 +222,13 @@ class _Quadratic:
         bases = model.tangent_basis(mounts.directions)
         lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]
         P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
-        variances, sides = np.linalg.eigh(0.5 * (P + P.T))
         return cls(
             cost / scale,
             axes @ along,
             (axes * values) @ axes.T,
-            sides * np.sqrt(np.maximum(variances, 0.0)),
+            _root(P),
             unit,
             np.repeat(np.arange(readings.beams), 7)[active],
-            bases,
             int(keep.sum()),
             free - int(keep.sum()),
             len(readings),
@@ -252,6 +247,14 @@ class _Quadratic:
         z = -np.linalg.pinv(Q, rcond=RANK, hermitian=True) @ b
         return float(-b @ z), A @ z
 
+    def p_value(self, statistic: float, dof: int) -> float:
+        """Return the probability of a larger statistic; NaN without degrees of freedom."""
+        if dof == 0:
+            return float("nan")
+        if self.known:
+            return float(chi2_distribution.sf(statistic, dof))
+        return float(f_distribution.sf(statistic / dof, dof, max(self.dof, 1)))
+
 
 def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
     n = len(of.unit)
@@ -266,17 +269,9 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         root = np.zeros((n, others.shape[1]))
         root[~mine] = others
         fall, x = of.least(root, np.eye(n)[:, mine])
-        statistic = max(fall - held, 0.0)
-        dx = (x * of.unit)[mine]
-        beams.append(
-            BeamDrift(
-                name,
-                statistic,
-                _p_value(statistic, min(int(mine.sum()), of.rank), of),
-                dx[:3],
-                float(np.linalg.norm(dx[3:5])),
-            )
-        )
+        statistic, dx = max(fall - held, 0.0), (x * of.unit)[mine]
+        p_value = of.p_value(statistic, min(int(mine.sum()), of.rank))
+        beams.append(BeamDrift(name, statistic, p_value, dx[:3], float(np.linalg.norm(dx[3:5]))))
     return HoldOut(
         of.readings,
         float(np.sqrt(np.mean(e**2))),
@@ -286,17 +281,9 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         float(chi2_distribution.sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
         drift,
         of.rank,
-        _p_value(drift, of.rank, of),
+        of.p_value(drift, of.rank),
         tuple(beams),
     )
-
-
-def _p_value(statistic: float, dof: int, of: _Quadratic) -> float:
-    if dof == 0:
-        return float("nan")
-    if of.known:
-        return float(chi2_distribution.sf(statistic, dof))
-    return float(f_distribution.sf(statistic / dof, dof, max(of.dof, 1)))
 
 
 def _root(P: FloatArray) -> FloatArray:

@@ -233,12 +233,9 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
     S = joint.matrix(recording.beam_names, recording.plane_names)
     first = 8 * len(beams)
-    columns = np.hstack(
-        (
-            8 * readings.beam[:, None] + np.arange(8),
-            first + 4 * readings.plane[:, None] + np.arange(4),
-        )
-    )
+    of_beam = 8 * readings.beam[:, None] + np.arange(8)
+    of_plane = first + 4 * readings.plane[:, None] + np.arange(4)
+    columns = np.hstack((of_beam, of_plane))
     own = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, own, J)
     ranges = np.full(len(beams), calibration.fit.range_sigma)
@@ -254,11 +251,8 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
 
 def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
     """Predict all stations of a plane from the plane that the beams span at each one of them."""
-    errors = [
-        one
-        for p in range(len(recording.plane_names))
-        for one in _of_plane(calibration, recording, p)
-    ]
+    planes = range(len(recording.plane_names))
+    errors = [one for p in planes for one in _of_plane(calibration, recording, p)]
     if not errors:
         return None
     e = np.concatenate(errors)
@@ -278,9 +272,7 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
     read = ~np.isnan(d)
     for station in range(len(rows)):
         X = spots[station, read[station]]
-        if len(X) < 3:
-            continue
-        found = plane_of(X)
+        found = plane_of(X) if len(X) >= 3 else None
         if found is None:
             continue
         (_, _, n), middle = found

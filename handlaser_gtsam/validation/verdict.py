@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from ..data.recording import Recording
 from ..results.limits import Limits, rms_checked
+from ..results.lines import some
 from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
 from .leave_out import Validation
@@ -47,5 +48,4 @@ def verdict_of_validation(
 def _planes(names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return f"plane {names[0]} contradicts"
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"planes {', '.join(names[:SHOWN])}{more} contradict"
+    return f"planes {some(list(names), SHOWN)} contradict"
