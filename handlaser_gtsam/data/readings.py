@@ -43,6 +43,10 @@ class Readings(Value):
     def __len__(self) -> int:
         return len(self.distance)
 
+    def unknowns(self, terms: int) -> int:
+        """Return how many unknowns the beams, with so many range-error terms, and the planes have."""
+        return (5 + terms) * self.beams + 3 * self.planes
+
     def block_starts(self) -> IntArray:
         """Return the first row of each block of readings that share plane and beam."""
         change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)

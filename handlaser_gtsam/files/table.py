@@ -64,9 +64,7 @@ class Table:
         rows = np.flatnonzero(wrong)
         if rows.size:
             row = int(rows[0])
-            if found is None:
-                cell = self.frame[column][row]
-                found = "an empty cell" if cell is None else shown(cell)
+            found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
     def fault(self, found: str, expected: str, column: str) -> InputError:
@@ -82,14 +80,14 @@ class Table:
         column = self.frame[name]
         if not self.open_ended or _whole(column[-1], column[:-1]):
             return
-        cell = "an empty cell" if column[-1] is None else shown(column[-1])
-        raise InputError(
-            f"a last line without a line end: {cell} may be what is left of a longer one",
-            "a line end; add one if the line is whole",
-            self.path,
-            int(self.lines[-1]),
-            name,
-        )
+        last = np.arange(len(column)) == len(column) - 1
+        cell = _cell(column[-1])
+        found = f"a last line without a line end: {cell} may be what is left of a longer one"
+        self.refuse(last, name, "a line end; add one if the line is whole", found)
+
+
+def _cell(text: str | None) -> str:
+    return "an empty cell" if text is None else shown(text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,8 @@ def mirror_image_fits(
 
 def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     """Tell from one linear step that no image near `image` has a sum of squares below `limit` [m^2]."""
-    kept = np.flatnonzero(readings.plane < _planes_of(readings))
-    part = readings.subset(kept)
+    last = readings.plane[min(len(readings), ENOUGH) - 1]
+    part = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
         normal = normal_equations(image, part, 0)
     except GrazingBeamError:
@@ -65,13 +65,6 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     before = normal.squares[0]
     left = before - float(step[2])
     return bool(left > LEFT * before and left > FAR * limit)
-
-
-def _planes_of(readings: Readings) -> int:
-    """Return how many planes have `ENOUGH` readings; all where there are fewer."""
-    if len(readings) <= ENOUGH:
-        return readings.planes
-    return int(readings.plane[ENOUGH - 1]) + 1
 
 
 def _image(solution: Parameters, readings: Readings) -> Parameters:

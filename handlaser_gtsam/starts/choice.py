@@ -149,7 +149,7 @@ def _extended(part: Part, best: Parameters, readings: Readings, terms: int) -> P
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    spare = len(readings) - 5 * readings.beams - 3 * readings.planes - SPARE
+    spare = len(readings) - readings.unknowns(0) - SPARE
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
@@ -157,7 +157,7 @@ def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, te
     """Tell whether a sum of squares [m^2] agrees with the given range sigma [m]."""
     if squares <= len(readings) * (EXACT * readings.largest_range()) ** 2:
         return True
-    dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
+    dof = len(readings) - readings.unknowns(terms)
     if dof <= 0 or range_sigma is None:
         return False
     return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))

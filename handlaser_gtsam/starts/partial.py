@@ -150,9 +150,8 @@ def _fill_unreached(start: PartialStart) -> None:
 
 def _straighten(start: PartialStart, readings: Readings) -> None:
     """Turn planes that a beam would graze towards their beams: no solver could start there."""
-    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, start.directions[readings.beam])
-    cosine = np.abs(np.einsum("ni,ni->n", v_world, start.normals[readings.plane]))
-    for plane in np.unique(readings.plane[cosine < LEAST_COSINE]):
+    v_world, cosine = _meeting(start, readings)
+    for plane in np.unique(readings.plane[np.abs(cosine) < LEAST_COSINE]):
         rows = np.flatnonzero(readings.plane == plane)
         part = readings.subset(rows)
         spots = _spots(start, part)
@@ -169,9 +168,13 @@ def _spots(start: PartialStart, readings: Readings) -> FloatArray:
 
 def _face_the_sensor(start: PartialStart, readings: Readings) -> None:
     """Turn normals away from the sensor: n_H . v > 0 over most readings."""
-    v = start.directions[readings.beam]
-    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, v)
-    cosine = np.einsum("ni,ni->n", v_world, start.normals[readings.plane])
+    _, cosine = _meeting(start, readings)
     sign = np.where(np.bincount(readings.plane, cosine, readings.planes) < 0.0, -1.0, 1.0)
     start.normals = model.normalized(start.normals) * sign[:, None]
     start.offsets = start.offsets * sign
+
+
+def _meeting(start: PartialStart, readings: Readings) -> tuple[FloatArray, FloatArray]:
+    """Return the directions (N, 3) of the beams in the world, and their cosines to the normals (N,)."""
+    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, start.directions[readings.beam])
+    return v_world, np.einsum("ni,ni->n", v_world, start.normals[readings.plane])

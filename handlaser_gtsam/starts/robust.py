@@ -78,8 +78,7 @@ def _rounds(
     readings: Readings, others: Sequence[Parameters], terms: int, rng: np.random.Generator
 ) -> Iterator[Round]:
     """Yield starts on subsets, sweeps of all readings and random starts."""
-    total = len(readings)
-    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
+    total, unknowns = len(readings), readings.unknowns(terms)
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     near = _without_far_readings(readings)

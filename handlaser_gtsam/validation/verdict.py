@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from ..data.recording import Recording
 from ..results.limits import Limits, rms_checked
-from ..results.lines import some
 from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
+from ..text import some
 from .leave_out import Validation
 
 SHOWN = 4
@@ -48,4 +48,4 @@ def verdict_of_validation(
 def _planes(names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return f"plane {names[0]} contradicts"
-    return f"planes {some(list(names), SHOWN)} contradict"
+    return f"planes {some(names, SHOWN)} contradict"
