@@ -172,24 +172,29 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"hand poses: {fit.poses}"
     yield noise_words(result)
     yield range_error_words(result)
-    for pair in result.correlations[:SHOWN_CORRELATIONS]:
-        yield (
-            f"strongly correlated: {pair.first} and {pair.second} ({pair.coefficient:+.3f}): "
-            f"{pair.advice}"
-        )
-    if len(result.correlations) > SHOWN_CORRELATIONS:
-        more = len(result.correlations) - SHOWN_CORRELATIONS
-        yield f"strongly correlated: {more} more; --json has all"
+    pairs = [
+        f"strongly correlated: {one.first} and {one.second} ({one.coefficient:+.3f}): {one.advice}"
+        for one in result.correlations
+    ]
+    yield from _first(pairs, SHOWN_CORRELATIONS, "strongly correlated: {} more; --json has all")
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
         if result.observability.weakest:
             yield f"known worst: {result.observability.weakest}"
-    for one in fit.rejected[:SHOWN_REJECTED]:
-        residual = "" if one.residual is None else f", residual {one.residual * MM:.3g} mm"
-        yield f"rejected: station {one.station}, beam {one.beam}: {one.reason}{residual}"
-    if len(fit.rejected) > SHOWN_REJECTED:
-        yield f"rejected: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
+    rejected = [
+        f"rejected: station {one.station}, beam {one.beam}: {one.reason}"
+        + ("" if one.residual is None else f", residual {one.residual * MM:.3g} mm")
+        for one in fit.rejected
+    ]
+    yield from _first(rejected, SHOWN_REJECTED, "rejected: {} more; --out or --json has all")
+
+
+def _first(lines: list[str], most: int, more: str) -> Iterator[str]:
+    """Yield the first lines, and how many more there are."""
+    yield from lines[:most]
+    if len(lines) > most:
+        yield more.format(len(lines) - most)
 
 
 def _pair(value: float, sigma: float, spec: str) -> tuple[str, str]:

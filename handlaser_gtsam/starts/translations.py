@@ -22,6 +22,7 @@ Planes and beams that satisfy no lemma are left out here and grown afterwards.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
@@ -177,13 +178,11 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     np.add.at(rows_mean, (part.plane, part.beam), n_hand)
     rows_mean /= count[:, None, None]
     # Normal equations of r after every offset is eliminated: rows less their mean over the plane.
-    H, g = np.zeros((part.beams, 3, part.beams, 3)), np.zeros((part.beams, 3))
-    blocks = np.zeros((part.beams, 3, 3))
+    blocks, g = np.zeros((part.beams, 3, 3)), np.zeros((part.beams, 3))
     np.add.at(blocks, part.beam, n_hand[:, :, None] * n_hand[:, None, :])
     np.add.at(g, part.beam, n_hand * rhs[:, None])
-    H[np.arange(part.beams), :, np.arange(part.beams), :] = blocks
     flat = rows_mean.reshape(part.planes, -1)
-    matrix = H.reshape(flat.shape[1], -1) - (flat * count[:, None]).T @ flat
+    matrix = block_diag(*blocks) - (flat * count[:, None]).T @ flat
     vector = g.ravel() - flat.T @ (count * rhs_mean)
     r = (np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ vector).reshape(-1, 3)
     start.locations[beams] = r[beams]

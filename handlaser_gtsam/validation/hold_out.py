@@ -179,7 +179,6 @@ class _Quadratic:
     rank : int
     dof : int
         Degrees of freedom of the noise, the beams free.
-    readings : int
     known : bool
         Whether the range sigma was given.
     """
@@ -192,7 +191,6 @@ class _Quadratic:
     beam: IntArray
     rank: int
     dof: int
-    readings: int
     known: bool
 
     @classmethod
@@ -231,7 +229,6 @@ class _Quadratic:
             np.repeat(np.arange(readings.beams), 7)[active],
             int(keep.sum()),
             free - int(keep.sum()),
-            len(readings),
             known,
         )
 
@@ -273,7 +270,7 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         p_value = of.p_value(statistic, min(int(mine.sum()), of.rank))
         beams.append(BeamDrift(name, statistic, p_value, dx[:3], float(np.linalg.norm(dx[3:5]))))
     return HoldOut(
-        of.readings,
+        len(e),
         float(np.sqrt(np.mean(e**2))),
         float(np.abs(e).max()),
         chi2,
