@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from .files.calibration_json import write_calibration as write_calibration
     from .files.calibration_reading import CalibrationFile as CalibrationFile
     from .files.calibration_reading import read_calibration as read_calibration
-    from .files.mounts_json import read_mounts as read_mounts
+    from .files.calibration_reading import read_mounts as read_mounts
     from .files.recording_csv import read_recording as read_recording
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
@@ -131,8 +131,7 @@ _NAMES = {
     "estimation.options": "CalibrationOptions",
     "estimation.scales": "Scale Scales",
     "files.calibration_json": "write_calibration",
-    "files.calibration_reading": "CalibrationFile read_calibration",
-    "files.mounts_json": "read_mounts",
+    "files.calibration_reading": "CalibrationFile read_calibration read_mounts",
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",

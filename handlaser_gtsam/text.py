@@ -6,6 +6,8 @@ call printable is shown as an escape: control and format characters, surrogates,
 and every separator but the plain space.
 """
 
+from collections.abc import Sequence
+
 LONGEST_NAME = 200
 """Characters of the name of a beam, plane, station or column; longer ones are a fault of the file."""
 SHOWN = 80
@@ -47,3 +49,9 @@ def name_fault(name: object) -> str:
 
 A_NAME = f"printable text of 1 to {LONGEST_NAME} characters without blanks at its ends"
 """What `name_fault` expects."""
+
+
+def some(names: Sequence[str], most: int) -> str:
+    """Return at most so many names, and how many more there are."""
+    shown = ", ".join(names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")

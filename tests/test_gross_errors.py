@@ -11,10 +11,9 @@ from handlaser_gtsam import model
 from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.outliers.snooping import beyond_chance
 from handlaser_gtsam.solvers.refine import Scale, refine_many
-from handlaser_gtsam.starts.directions import direction_starts
-from handlaser_gtsam.starts.mending import mended
+from handlaser_gtsam.starts.directions import direction_starts, subset_starts
 from handlaser_gtsam.starts.partial import grow
-from handlaser_gtsam.starts.subsets import subset_starts
+from handlaser_gtsam.starts.robust import mended
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.observability import mirror
+from handlaser_gtsam.observability import other_solutions as mirror
 from handlaser_gtsam.simulation.scenes import Layout, arm, paper, unplanned
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.refine import refine

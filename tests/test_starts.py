@@ -17,11 +17,11 @@ from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.directions import direction_starts, random_starts
+from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
 from handlaser_gtsam.starts.lifted import lifted_starts
 from handlaser_gtsam.starts.part import part_of
 from handlaser_gtsam.starts.partial import PartialStart, grow
-from handlaser_gtsam.starts.sweep import half_sphere, sweep_starts
+from handlaser_gtsam.starts.sweep import sweep_starts
 from handlaser_gtsam.starts.translations import (
     translation_start,
     translation_start_with_range_errors,
@@ -132,7 +132,7 @@ def test_sweep_from_any_motion(seed):
 
 
 def test_half_sphere_is_even():
-    n = half_sphere(300)
+    n = sphere(600)[:300]
     assert np.allclose(np.linalg.norm(n, axis=1), 1.0)
     assert (n[:, 2] > 0.0).all()
     nearest = np.sort(np.arccos(np.clip(n @ n.T, -1, 1)), axis=1)[:, 1]
@@ -172,7 +172,7 @@ def test_misleading_translations_lose_against_the_sweep():
 def test_growing_fills_what_nothing_reaches():
     recording = recording_of(bench(1), *motion("free", 4), [0] * 4, 0.0)
     readings = recording.readings()
-    found = grow(PartialStart.empty(readings), readings)
+    found = grow(PartialStart.of(readings), readings)
     assert found.finite()
     assert np.allclose(np.linalg.norm(found.normals, axis=1), 1.0)
 
@@ -213,7 +213,7 @@ def test_planes_known_the_wrong_way_round_are_turned():
     """(-n, -b) is the same plane: the grown start has its normal away from the sensor."""
     truth = bench(2)
     readings = recording_of(truth, *motion("free", 20), [0] * 10 + [1] * 10, 0.0).readings()
-    start = PartialStart.empty(readings)
+    start = PartialStart.of(readings)
     start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
     assert_exact(grow(start, readings), truth)
 

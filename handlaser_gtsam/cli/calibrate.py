@@ -25,20 +25,10 @@ DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
 
 
-class OutliersChoice(StrEnum):
-    """Values of --outliers."""
-
-    reject = "reject"
-    keep = "keep"
-
-
-class LossChoice(StrEnum):
-    """Values of --loss."""
-
-    gaussian = "gaussian"
-    huber = "huber"
-    cauchy = "cauchy"
-    tukey = "tukey"
+OutliersChoice = StrEnum("OutliersChoice", {"reject": "reject", "keep": "keep"})
+LossChoice = StrEnum(
+    "LossChoice", {"gaussian": "gaussian", "huber": "huber", "cauchy": "cauchy", "tukey": "tukey"}
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,13 +29,8 @@ def _checked(path: Path) -> Answer:
     lines += lemma_words(found, recording.beam_names)
     failure = None
     if found.undetermined:
-        failure = (
-            UNDETERMINED,
-            (
-                f"the motion leaves open {'; '.join(found.undetermined)}. "
-                f"To determine it: {'; '.join(found.advice)}"
-            ),
-        )
+        words = f"the motion leaves open {'; '.join(found.undetermined)}. "
+        failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
     else:
         lines.append("the motion determines everything, for beams and planes in general position")
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]

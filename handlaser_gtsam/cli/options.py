@@ -5,9 +5,8 @@ A verb takes a group as one argument; `expanded` gives the command line one opti
 
 import functools
 import inspect
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,31 +14,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ..data.noise import Noise
     from ..estimation.options import CalibrationOptions
     from ..files.rig_toml import Rig
 
-MM, DEG = 1e-3, math.pi / 180.0
 
-
-class RangeErrorChoice(StrEnum):
-    """Values of --range-error."""
-
-    auto = "auto"
-    none = "none"
-    k1 = "k1"
-    k1k2 = "k1k2"
-
-
-class PosesChoice(StrEnum):
-    """Values of --poses."""
-
-    auto = "auto"
-    exact = "exact"
-    marginalised = "marginalised"
-    estimated = "estimated"
-
-
+RangeErrorChoice = StrEnum(
+    "RangeErrorChoice", {"auto": "auto", "none": "none", "k1": "k1", "k1k2": "k1k2"}
+)
+PosesChoice = StrEnum(
+    "PosesChoice",
+    {"auto": "auto", "exact": "exact", "marginalised": "marginalised", "estimated": "estimated"},
+)
 RecordingArgument = Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
@@ -80,29 +65,9 @@ class Given:
 
     def read(self) -> "Rig":
         """Return the rig file with what the command line says instead."""
-        from ..files.rig_toml import Rig, read_rig
+        from ..files.rig_toml import known_rig
 
-        known = Rig() if self.rig is None else read_rig(self.rig)
-        sensor = known.sensor
-        if self.range_mm is not None:
-            least, most = self.range_mm
-            sensor = replace(sensor, range_min=least * MM, range_max=most * MM)
-        if self.max_incidence_deg is not None:
-            sensor = replace(sensor, max_incidence=math.radians(self.max_incidence_deg))
-        return replace(known, noise=self._noise(known.noise), sensor=sensor)
-
-    def _noise(self, known: "Noise") -> "Noise":
-        from ..files.rig_toml import scaled
-
-        shift, turn = self.pose_translation_sigma_mm, self.pose_rotation_sigma_deg
-        return replace(
-            known,
-            range_sigma=scaled(self.range_sigma_mm, MM, known.range_sigma),
-            pose_translation_sigma=scaled(shift, MM, known.pose_translation_sigma),
-            pose_rotation_sigma=scaled(turn, DEG, known.pose_rotation_sigma),
-            incidence_sigma=scaled(self.incidence_sigma_mm, MM, known.incidence_sigma),
-            pose_covariance=known.pose_covariance if shift is None and turn is None else None,
-        )
+        return known_rig(self.rig, asdict(self))
 
 
 @dataclass(frozen=True, slots=True)

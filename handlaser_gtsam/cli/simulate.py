@@ -1,5 +1,6 @@
 """handlaser simulate: a recording whose truth is known."""
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -7,32 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import DEG, MM
 from .working import Working
 
 if TYPE_CHECKING:
     from ..simulation import simulate as simulation
 
+MM, DEG = 1e-3, math.pi / 180.0
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
 
-class SceneName(StrEnum):
-    """Values of --scene."""
-
-    paper = "paper"
-    unplanned = "unplanned"
-    arm = "arm"
-
-
-class PoseAxes(StrEnum):
-    """Values of --pose-axes."""
-
-    x = "x"
-    y = "y"
-    z = "z"
-    xyz = "xyz"
-
-
+SceneName = StrEnum("SceneName", {"paper": "paper", "unplanned": "unplanned", "arm": "arm"})
+PoseAxes = StrEnum("PoseAxes", {"x": "x", "y": "y", "z": "z", "xyz": "xyz"})
 SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 

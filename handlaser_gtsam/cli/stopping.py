@@ -9,7 +9,7 @@ import atexit
 import os
 import signal
 import threading
-from types import FrameType, TracebackType
+from types import FrameType
 
 WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
@@ -40,12 +40,7 @@ class Stopping:
             signal.signal(signal.SIGINT, self._stop)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         if self._mine:
             # Run first of all that is run at the end of the process: its exit code stands by now.
             atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)

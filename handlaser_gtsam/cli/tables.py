@@ -15,7 +15,7 @@ from ..results.calibration import Beam, Calibration, Plane
 from ..results.lines import MM, UNDETERMINED
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.screen import sizes
-from ..results.spots import MeasuredPlane, spot, typical_plane
+from ..results.spots import spot, typical_plane
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
 
@@ -56,7 +56,12 @@ def calibration_tables(
         yield from _spot_lines(result, verdict.reading)
         found = typical_plane(result, recording)
         if found is not None:
-            yield _plane_line(*found)
+            station, plane = found
+            yield (
+                f"a plane measured by all beams at once, as at station {station}: "
+                f"+- {plane.distance_sigma * MM:.3g} mm in distance, "
+                f"+- {math.degrees(plane.angle_sigma):.3g} deg in angle"
+            )
     yield from _fit_lines(result)
     for check in verdict.limits:
         state = "held" if check.held else "exceeded"
@@ -112,13 +117,9 @@ def _beam_table(beam: Beam, result: Calibration) -> Table:
     turn = math.inf if beam.direction_sigma is None else math.degrees(beam.direction_sigma)
     table.add_row("direction, largest", "", _pair(0.0, turn, ".4f")[1], "", "", "deg")
     if beam.terms:
-        listed = ", ".join(
-            f"{name}: zero {'excluded' if excluded else 'not excluded'}"
-            for name, excluded in zip(
-                ("k1", "k2")[: beam.terms], zero_excluded(result, beam.name), strict=False
-            )
-        )
-        table.caption = listed
+        found = zip(("k1", "k2")[: beam.terms], zero_excluded(result, beam.name), strict=False)
+        listed = (f"{name}: zero {'excluded' if out else 'not excluded'}" for name, out in found)
+        table.caption = ", ".join(listed)
         table.caption_justify = "left"
     return table
 
@@ -171,39 +172,33 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
         yield f"hand poses: {fit.poses}"
     yield noise_words(result)
     yield range_error_words(result)
-    for pair in result.correlations[:SHOWN_CORRELATIONS]:
-        yield (
-            f"strongly correlated: {pair.first} and {pair.second} ({pair.coefficient:+.3f}): "
-            f"{pair.advice}"
-        )
-    if len(result.correlations) > SHOWN_CORRELATIONS:
-        more = len(result.correlations) - SHOWN_CORRELATIONS
-        yield f"strongly correlated: {more} more; --json has all"
+    pairs = [
+        f"strongly correlated: {one.first} and {one.second} ({one.coefficient:+.3f}): {one.advice}"
+        for one in result.correlations
+    ]
+    yield from _first(pairs, SHOWN_CORRELATIONS, "strongly correlated: {} more; --json has all")
     condition = result.observability.condition
     if condition is not None:
         yield f"condition number: {condition:.1f} (usually demanded: below 100; more motion lowers it)"
         if result.observability.weakest:
             yield f"known worst: {result.observability.weakest}"
-    for one in fit.rejected[:SHOWN_REJECTED]:
-        residual = "" if one.residual is None else f", residual {one.residual * MM:.3g} mm"
-        yield f"rejected: station {one.station}, beam {one.beam}: {one.reason}{residual}"
-    if len(fit.rejected) > SHOWN_REJECTED:
-        yield f"rejected: {len(fit.rejected) - SHOWN_REJECTED} more; --out or --json has all"
+    rejected = [
+        f"rejected: station {one.station}, beam {one.beam}: {one.reason}"
+        + ("" if one.residual is None else f", residual {one.residual * MM:.3g} mm")
+        for one in fit.rejected
+    ]
+    yield from _first(rejected, SHOWN_REJECTED, "rejected: {} more; --out or --json has all")
 
 
-def _plane_line(station: str, plane: MeasuredPlane) -> str:
-    """Return how well all beams together measure a plane, the noise of their readings included."""
-    return (
-        f"a plane measured by all beams at once, as at station {station}: "
-        f"+- {plane.distance_sigma * MM:.3g} mm in distance, "
-        f"+- {math.degrees(plane.angle_sigma):.3g} deg in angle"
-    )
+def _first(lines: list[str], most: int, more: str) -> Iterator[str]:
+    """Yield the first lines, and how many more there are."""
+    yield from lines[:most]
+    if len(lines) > most:
+        yield more.format(len(lines) - most)
 
 
 def _pair(value: float, sigma: float, spec: str) -> tuple[str, str]:
     """Return a value and its standard deviation; no value where it is undetermined."""
-    return (
-        (format(value, spec), format(sigma, spec))
-        if math.isfinite(sigma)
-        else (UNDETERMINED, UNDETERMINED)
-    )
+    if not math.isfinite(sigma):
+        return UNDETERMINED, UNDETERMINED
+    return format(value, spec), format(sigma, spec)

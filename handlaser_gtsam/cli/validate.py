@@ -100,7 +100,7 @@ def _tested(
     recording: "Recording", rig: "Rig", options: "CalibrationOptions", against: Against
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
-    from ..files.mounts_json import read_mounts
+    from ..files.calibration_reading import read_mounts
     from ..files.recording_csv import read_recording
     from ..files.validation_json import hold_out_text
     from ..model.sensor import within
@@ -122,13 +122,11 @@ def _tested(
     failure = None
     if found.p_value < SINGLE_LEVEL:
         moved = [beam.name for beam in found.beams if beam.p_value < SINGLE_LEVEL]
-        failure = (
-            NOT_USABLE,
-            (
-                f"the calibration does not hold (p {found.p_value:.1e}); moved alone would "
-                f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
-            ),
+        words = (
+            f"the calibration does not hold (p {found.p_value:.1e}); moved alone would "
+            f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
         )
+        failure = NOT_USABLE, words
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     show = partial(print_wrapped, hold_out_lines(found))
     return Answer(hold_out_text(found), show, warnings, failure)

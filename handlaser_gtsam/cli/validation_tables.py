@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 from ..results.lines import MM
+from ..results.reports import Fit
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
@@ -15,18 +16,15 @@ def validation_lines(result: Validation, verdict: Verdict) -> Iterator[str]:
     """Yield the lines of a validation, the verdict first."""
     yield verdict.sentence
     fit = result.calibration.fit
-    yield (
-        f"residuals of the calibration itself: rms {fit.rms * MM:.4g} mm, "
-        f"largest {fit.max_residual * MM:.4g} mm"
-    )
+    yield f"residuals of the calibration itself: {_size(fit)}"
     yield from _left_out_lines(result)
     if result.splits:
         yield from _splits(result.splits)
     if result.reconstruction is not None and result.without_range_error is not None:
         yield (
             "plane from all beams at one station, ranges at the others: "
-            f"{_errors(result.reconstruction)}; without range error "
-            f"{_errors(result.without_range_error)}"
+            f"{_size(result.reconstruction)} of {result.reconstruction.tests}; without range error "
+            f"{_size(result.without_range_error)} of {result.without_range_error.tests}"
         )
     else:
         yield "no station has three beams that span a plane: nothing to reconstruct"
@@ -46,8 +44,8 @@ def _left_out_lines(result: Validation) -> Iterator[str]:
             continue
         held = one.result
         yield (
-            f"without plane {one.plane}: its readings fit within rms {held.rms * MM:.4g} mm, largest "
-            f"{held.max_residual * MM:.4g} mm; {_agreement(one.plane, held, against)}"
+            f"without plane {one.plane}: its readings fit within {_size(held)}; "
+            f"{_agreement(one.plane, held, against)}"
         )
 
 
@@ -69,10 +67,7 @@ def _agreement(plane: str, held: HoldOut, against: tuple[str, ...]) -> str:
 def hold_out_lines(found: HoldOut) -> Iterator[str]:
     """Yield the lines of a hold-out test, its verdict first."""
     yield hold_out_sentence(found)
-    yield (
-        f"{found.readings} readings, planes fitted, beams as calibrated: rms {found.rms * MM:.4g} mm, "
-        f"largest {found.max_residual * MM:.4g} mm"
-    )
+    yield f"{found.readings} readings, planes fitted, beams as calibrated: {_size(found)}"
     noise = "" if math.isnan(found.noise_p_value) else f", p = {found.noise_p_value:.2g}"
     yield f"noise and model with free beams: chi2/dof {found.chi2:.1f}/{found.dof}{noise}"
     if found.noise_p_value < SINGLE_LEVEL:
@@ -84,7 +79,7 @@ def hold_out_lines(found: HoldOut) -> Iterator[str]:
         return
     yield f"movement of the beams: chi2 {found.drift:.1f} of {found.drift_dof} degrees of freedom"
     for beam in found.beams:
-        shift = math.dist((0.0, 0.0, 0.0), tuple(beam.shift))
+        shift = math.hypot(*beam.shift)
         yield (
             f"beam {beam.name} alone moved: p = {beam.p_value:.2g}; it would have moved by "
             f"{shift * MM:.3g} mm and turned by {math.degrees(beam.turn):.3g} deg"
@@ -120,5 +115,5 @@ def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
     )
 
 
-def _errors(one: Prediction) -> str:
-    return f"rms {one.rms * MM:.4g} mm, largest {one.max_residual * MM:.4g} mm of {one.tests}"
+def _size(errors: Fit | HoldOut | Prediction) -> str:
+    return f"rms {errors.rms * MM:.4g} mm, largest {errors.max_residual * MM:.4g} mm"

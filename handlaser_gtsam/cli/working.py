@@ -4,7 +4,6 @@ import shutil
 import sys
 import threading
 import time
-from types import TracebackType
 
 from ..solvers.progress import Progress, told_to
 from .stopping import CLEAR, Stopping
@@ -42,13 +41,8 @@ class Working:
             )
             self._thread.start()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._listening.__exit__(kind, error, trace)
+    def __exit__(self, *raised: object) -> None:
+        self._listening.__exit__(None, None, None)
         self._over.set()
         if self._thread is not None:
             self._thread.join()

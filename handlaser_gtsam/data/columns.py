@@ -85,12 +85,8 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
         both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
         if len(both) < LEAST_STATIONS:
             continue
-        look = both[:: max(len(both) // FIRST_LOOK, 1)]
-        a, b = d[look, i], d[look, j]
-        factor = float(_factors(a[:, None], b[:, None])[0])
-        if _agreeing(a, b, factor, sigma) < 0.5 * len(look):
-            continue
         a, b = d[both, i], d[both, j]
+        factor = float(_factors(a[:, None], b[:, None])[0])
         same = _agreeing(a, b, factor, sigma)
         if same >= NEARLY_ALL * len(both):
             names = recording.beam_names[i], recording.beam_names[j]

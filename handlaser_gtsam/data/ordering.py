@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import IntArray, frozen, frozen_indices
+from ..arrays import IntArray, frozen_indices
 from .recording import Readings, Recording
 from .value import Value
 
@@ -33,23 +33,5 @@ def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
     labels = recording.plane_of_station[stations]
     seen, first = np.unique(labels, return_index=True)
     planes = seen[np.argsort(first)]
-    number = np.empty(len(planes), dtype=np.intp)
-    number[planes] = np.arange(len(planes))
-    d = recording.ranges[stations][:, beams]
-    station, beam = np.nonzero(~np.isnan(d))
-    plane = number[labels[station]]
-    rows = np.lexsort((station, beam, plane))
-    station, beam, plane = station[rows], beam[rows], plane[rows]
-    source = stations[station]
-    readings = Readings(
-        frozen_indices(station),
-        frozen_indices(beam),
-        frozen_indices(plane),
-        frozen(d[station, beam]),
-        frozen(recording.world_R_hand[source]),
-        frozen(recording.world_t_hand[source]),
-        len(beams),
-        len(planes),
-        None if recording.samples is None else frozen(recording.samples[source, beams[beam]]),
-    )
-    return readings, Order(frozen_indices(stations), frozen_indices(beams), frozen_indices(planes))
+    order = Order(frozen_indices(stations), frozen_indices(beams), frozen_indices(planes))
+    return recording.readings_in(order.stations, order.beams, order.planes), order

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..checks import number_array
@@ -88,6 +89,12 @@ class Parameters(Value):
     def beams(self) -> Beams:
         """The beams without the planes."""
         return self.locations, self.directions, self.range_errors
+
+    def part(self, beams: ArrayLike, planes: ArrayLike) -> "Parameters":
+        """Return some beams and some planes, by their indices."""
+        i, p = np.asarray(beams), np.asarray(planes)
+        r, v, k = self.beams
+        return Parameters(r[i], v[i], k[i], self.normals[p], self.offsets[p])
 
     def seen_from(self, origins: FloatArray) -> "Parameters":
         """Return the parameters with every plane in a frame whose origin is at `origins` (P, 3)."""

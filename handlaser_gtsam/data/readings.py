@@ -43,6 +43,10 @@ class Readings(Value):
     def __len__(self) -> int:
         return len(self.distance)
 
+    def unknowns(self, terms: int) -> int:
+        """Return how many unknowns the beams, with so many range-error terms, and the planes have."""
+        return (5 + terms) * self.beams + 3 * self.planes
+
     def block_starts(self) -> IntArray:
         """Return the first row of each block of readings that share plane and beam."""
         change = (np.diff(self.plane) != 0) | (np.diff(self.beam) != 0)
@@ -73,17 +77,14 @@ class Readings(Value):
         """Return the readings `count` times, each time with beams and planes of their own."""
         if count == 1:
             return self
-        copy = np.repeat(np.arange(count), len(self))
-        return Readings(
-            np.tile(self.station, count),
-            np.tile(self.beam, count) + copy * self.beams,
-            np.tile(self.plane, count) + copy * self.planes,
-            np.tile(self.distance, count),
-            np.tile(self.world_R_hand, (count, 1, 1)),
-            np.tile(self.world_t_hand, (count, 1)),
-            self.beams * count,
-            self.planes * count,
-            None if self.samples is None else np.tile(self.samples, count),
+        every, copy = np.tile(np.arange(len(self)), count), np.repeat(np.arange(count), len(self))
+        tiled = self.subset(every)
+        return replace(
+            tiled,
+            beam=tiled.beam + copy * self.beams,
+            plane=tiled.plane + copy * self.planes,
+            beams=self.beams * count,
+            planes=self.planes * count,
         )
 
     def plane_means(self, values: FloatArray) -> FloatArray:

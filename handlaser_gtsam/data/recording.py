@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen_indices
+from ..arrays import FloatArray, IntArray, frozen, frozen_indices
 from ..checks import number_array, require_kind
 from ..errors import CalibrationWarning, InputError
 from ..text import shown
@@ -30,9 +30,9 @@ from .value import Value
 __all__ = ["LARGEST", "Readings", "Recording", "first_repeated", "join", "typical_range"]
 
 NAMES = {
-    "station_names": "the name of a station",
     "plane_labels": "the label of a plane",
     "beam_names": "the name of a beam",
+    "station_names": "the name of a station",
     "ignored_columns": "the name of a column",
 }
 """Fields that hold names."""
@@ -131,16 +131,14 @@ class Recording(Value):
             Poses that are no rigid transformations, or whatever `Recording` refuses.
         """
         T, d = pose_matrices(poses), range_table(ranges)
+        beams = numbered(d.shape[1]) if beam_names is None else beam_names
+        labels = [planes] * len(T) if isinstance(planes, str) else planes
         return cls(
             T[:, :3, :3],
             T[:, :3, 3],
             d,
-            names_of(
-                NAMES["plane_labels"], [planes] * len(T) if isinstance(planes, str) else planes
-            ),
-            names_of(
-                NAMES["beam_names"], numbered(d.shape[1]) if beam_names is None else beam_names
-            ),
+            names_of(NAMES["plane_labels"], labels),
+            names_of(NAMES["beam_names"], beams),
             names_of(NAMES["station_names"], station_names),
             samples=None if samples is None else number_array("samples", samples),
             range_min=range_min,
@@ -148,20 +146,26 @@ class Recording(Value):
 
     def readings(self) -> Readings:
         """Return all readings, sorted by plane, beam and station."""
-        station, beam = np.nonzero(~np.isnan(self.ranges))
-        plane = self.plane_of_station[station]
-        order = np.lexsort((station, beam, plane))
-        station, beam, plane = station[order], beam[order], plane[order]
+        return self.readings_in(*map(np.arange, (*self.ranges.shape, len(self.plane_names))))
+
+    def readings_in(self, stations: IntArray, beams: IntArray, planes: IntArray) -> Readings:
+        """Return all readings; stations, beams and planes are numbered in the order given."""
+        d = self.ranges[stations][:, beams]
+        station, beam = np.nonzero(~np.isnan(d))
+        plane = np.argsort(planes)[self.plane_of_station[stations[station]]]
+        rows = np.lexsort((station, beam, plane))
+        station, beam, plane = station[rows], beam[rows], plane[rows]
+        source = stations[station]
         return Readings(
-            station,
-            beam,
-            plane,
-            self.ranges[station, beam],
-            self.world_R_hand[station],
-            self.world_t_hand[station],
-            len(self.beam_names),
-            len(self.plane_names),
-            None if self.samples is None else self.samples[station, beam],
+            frozen_indices(station),
+            frozen_indices(beam),
+            frozen_indices(plane),
+            frozen(d[station, beam]),
+            frozen(self.world_R_hand[source]),
+            frozen(self.world_t_hand[source]),
+            len(beams),
+            len(planes),
+            None if self.samples is None else frozen(self.samples[source, beams[beam]]),
         )
 
     def plane(self, name: str) -> "Recording":
@@ -188,14 +192,10 @@ class Recording(Value):
         count = len(self.plane_labels)
         if rows.dtype == bool and rows.shape == (count,):
             rows = np.flatnonzero(rows)
-        if (
-            rows.ndim != 1
-            or rows.dtype.kind not in "iu"
-            or not ((rows >= 0) & (rows < count)).all()
-        ):
-            raise InputError(
-                f"stations {rows.tolist()}", f"indices from 0 to {count - 1}, or {count} bools"
-            )
+        indices = rows.ndim == 1 and rows.dtype.kind in "iu"
+        if not (indices and ((rows >= 0) & (rows < count)).all()):
+            expected = f"indices from 0 to {count - 1}, or {count} bools"
+            raise InputError(f"stations {rows.tolist()}", expected)
         rows = rows[~np.isnan(self.ranges[rows]).all(axis=1)]
         if not rows.size:
             raise InputError("no readings in this part", "at least one")
@@ -230,9 +230,8 @@ class Recording(Value):
 
     def renamed(self, old: str, new: str) -> "Recording":
         """Return the same with another name for a beam."""
-        return replace(
-            self, beam_names=tuple(new if name == old else name for name in self.beam_names)
-        )
+        names = tuple(new if name == old else name for name in self.beam_names)
+        return replace(self, beam_names=names)
 
 
 def join(recordings: Sequence[Recording]) -> Recording:
@@ -248,24 +247,21 @@ def join(recordings: Sequence[Recording]) -> Recording:
     for one in recordings:
         require_kind("one to join", one, Recording)
     beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
-    ranges, samples = [], []
+    shape = sum(len(one.ranges) for one in recordings), len(beams)
+    ranges, samples, first = np.full(shape, np.nan), np.ones(shape), 0
     for one in recordings:
+        own = slice(first, first := first + len(one.ranges))
         columns = [beams.index(name) for name in one.beam_names]
-        wide = np.full((len(one.ranges), len(beams)), np.nan)
-        wide[:, columns] = one.ranges
-        ranges.append(wide)
-        worth = np.ones(wide.shape)
-        if one.samples is not None:
-            worth[:, columns] = one.samples
-        samples.append(worth)
+        ranges[own, columns] = one.ranges
+        samples[own, columns] = 1.0 if one.samples is None else one.samples
     averaged = any(one.samples is not None for one in recordings)
     return Recording(
         np.concatenate([one.world_R_hand for one in recordings]),
         np.concatenate([one.world_t_hand for one in recordings]),
-        np.concatenate(ranges),
+        ranges,
         tuple(label for one in recordings for label in one.plane_labels),
         beams,
         tuple(name for one in recordings for name in one.station_names),
-        samples=np.concatenate(samples) if averaged else None,
+        samples=samples if averaged else None,
         range_min=min(one.range_min for one in recordings),
     )

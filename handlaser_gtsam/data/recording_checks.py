@@ -159,18 +159,15 @@ def _check_names(recording: "Recording") -> None:
         if twice is not None:
             raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
     seen = ~np.isnan(recording.ranges)
-    for beam in np.flatnonzero(~seen.any(axis=0)):
-        raise InputError(
-            f"beam {recording.beam_names[beam]} without any reading",
-            "at least one reading of every beam; leave the beam out",
-        )
-    measured = np.zeros(len(recording.plane_names), dtype=bool)
-    measured[recording.plane_of_station[seen.any(axis=1)]] = True
-    for plane in np.flatnonzero(~measured):
-        raise InputError(
-            f"plane {recording.plane_names[plane]} without any reading",
-            "at least one reading of every plane; leave its stations out",
-        )
+    planes = set(recording.plane_of_station[seen.any(axis=1)].tolist())
+    for kind, names, read, rest in (
+        ("beam", recording.beam_names, set(np.flatnonzero(seen.any(axis=0)).tolist()), "the beam"),
+        ("plane", recording.plane_names, planes, "its stations"),
+    ):
+        for index, name in enumerate(names):
+            if index not in read:
+                expected = f"at least one reading of every {kind}; leave {rest} out"
+                raise InputError(f"{kind} {name} without any reading", expected)
 
 
 def first_repeated(names: Sequence[str]) -> int | None:

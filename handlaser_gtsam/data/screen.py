@@ -1,12 +1,29 @@
-"""What is found in a recording before anything is solved, and what is left to be solved."""
+"""What is found in a recording before anything is solved, and what is left to be solved.
+
+Among that are codes: a sensor without an echo, or at its limit, says the same number each time.
+
+A number that stands several times, to the last digit, at one end of every column in which it occurs, is
+no distance where it lies far from all other readings, or stands far more often than any other: then it
+means "no reading", or "beyond my limit". Files say the same with words (`nan`, `overflow`) and with
+numbers that no range has (0, -1); those are found when a file is read.
+"""
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
 from ..errors import CalibrationWarning
-from .codes import without_codes
 from .columns import refuse_repeated_columns
 from .recording import Recording
 from .stations import merged_stations
+
+LEAST = 3
+"""A number that stands less often may be a distance, or an outlier, which is found by its residual."""
+MORE_OFTEN = 3
+"""Beside other readings a code stands so many times as often as any of them."""
+LEAST_OTHERS = 3
+"""A column with fewer other readings does not tell what is far from them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +65,67 @@ def screened(recording: Recording, sigma: float | None) -> Screened:
     refuse_repeated_columns(left, sigma)
     warnings = (*recording.warnings, *repeated, *codes)
     return Screened(replace(left, warnings=()) if left.warnings else left, warnings)
+
+
+def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
+    """Return the recording without readings that are codes, and a warning for each code."""
+    d = recording.ranges
+    found: list[CalibrationWarning] = []
+    while True:
+        code = next((value for value in _ends(d) if _is_code(d, value)), None)
+        if code is None:
+            break
+        where = d == code
+        beams = [recording.beam_names[i] for i in np.flatnonzero(where.any(axis=0))]
+        found.append(code_warning(f"{code:.10g} m", beams, int(where.sum())))
+        d = np.where(where, np.nan, d)
+    return (replace(recording, ranges=d) if found else recording), tuple(found)
+
+
+def code_warning(what: str, beams: list[str], count: int) -> CalibrationWarning:
+    """Return the warning that a value was taken for "no reading"."""
+    whose = f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
+    readings = f"{count} readings" if count > 1 else "one reading"
+    return CalibrationWarning(
+        "reading-code",
+        f"{readings} of {what} of {whose} counted as no reading: such a value stands for a missing "
+        "echo or the sensor's limit, not for a distance; leave such cells empty, or state the sensor's "
+        "range (range_mm)",
+        {"readings": count},
+    )
+
+
+def _ends(d: FloatArray) -> list[float]:
+    """Return the largest and smallest readings of all columns that stand several times."""
+    x = np.sort(d, axis=None)
+    often = x[LEAST - 1 :][x[LEAST - 1 :] == x[: 1 - LEAST]]
+    if not often.size:
+        return []
+    ends = np.concatenate((np.fmax.reduce(d), np.fmin.reduce(d)))
+    return [float(value) for value in np.intersect1d(often, ends)[::-1]]
+
+
+def _is_code(d: FloatArray, value: float) -> bool:
+    """Tell whether a number at the end of a column is no distance."""
+    where = d == value
+    columns = where.any(axis=0)
+    rest = np.where(where, np.nan, d)[:, columns]
+    if ((~np.isnan(rest)).sum(axis=0) < LEAST_OTHERS).any():
+        return False
+    least, most = np.nanmin(rest, axis=0), np.nanmax(rest, axis=0)
+    if not ((value > most) | (value < least)).all():
+        return False
+    gap = np.where(value > most, value - most, least - value)
+    if (gap > most - least).all():
+        return True
+    often = np.unique(rest[~np.isnan(rest)], return_counts=True)[1].max()
+    return bool(where.sum() >= MORE_OFTEN * often)
+
+
+def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:
+    """Return which impossible numbers (N,) of a table stand so often that they must be codes."""
+    found = np.zeros(d.shape, dtype=bool)
+    values, counts = np.unique(d[impossible], return_counts=True)
+    for value in values[counts >= LEAST]:
+        found |= impossible & (d == value)
+    return found

@@ -15,9 +15,10 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..model import sensor as limits
+from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
-from ..outliers.snooping import cut, enough, judge, residuals, test
+from ..outliers.snooping import cut, enough, judge, test
 from ..starts import Start, find_start
 from .options import CalibrationOptions
 from .solution import Solution

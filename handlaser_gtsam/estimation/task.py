@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening, whitening
-from ..observability.least_observed import least_observed
+from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
 from ..solvers.levenberg import LevenbergResult, levenberg_marquardt

@@ -1,7 +1,6 @@
 """Calibrations, and the truth of a simulation, as JSON; SI units, finite numbers only."""
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 
 from ..arrays import FloatArray
@@ -9,11 +8,23 @@ from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
-from ..results.calibration import Beam, Calibration, Determined, Fit, NoiseComponent, Plane
+from ..results.calibration import Beam, Calibration, Fit, NoiseComponent, Plane
 from ..results.spots import spot
-from ..results.systematic import SystematicError
-from .calibration_reading import CalibrationFile
-from .json_text import Record, json_text, named
+from .calibration_reading import (
+    CalibrationFile,
+    CorrelationRecord,
+    FitRecord,
+    IndicesRecord,
+    NoiseRecord,
+    ObservabilityRecord,
+    PlaneRecord,
+    RejectedRecord,
+    ScalesRecord,
+    SpotRecord,
+    SystematicRecord,
+    WarningRecord,
+)
+from .json_text import Record, json_text, record
 from .writing import path_of, write_text
 
 RANGE_ERRORS = ("k1", "k2_per_m")
@@ -25,29 +36,37 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
     Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
     `covariance` are null: the numbers beside them are one of many solutions.
     """
-    joint, start = calibration.covariance, calibration.start
-    scales = calibration.range_error_scales
-    record: Record = {
-        **named(calibration, "status message"),
-        "warnings": [named(one, "code message values") for one in calibration.warnings],
-        "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
-        "beam_covariance": None if joint is None else joint.matrix(planes=[]),
-        "planes": [_plane(plane) for plane in calibration.planes.values()],
-        "fit": _fit(calibration.fit, calibration.pose_covariance, calibration.noise_estimate),
-        "observability": _observability(calibration.observability),
-        "correlations": [
-            {"first": str(one.first), "second": str(one.second)} | named(one, "coefficient advice")
+    joint, scales = calibration.covariance, calibration.range_error_scales
+    start, seen = calibration.start, calibration.observability
+    indices = None if seen.indices is None else record(seen.indices, IndicesRecord)
+    whole = record(
+        calibration,
+        CalibrationFile,
+        format="handlaser-calibration",
+        version=1,
+        warnings=[record(one, WarningRecord) for one in calibration.warnings],
+        beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
+        beam_covariance=None if joint is None else joint.matrix(planes=[]),
+        planes=[_plane(plane) for plane in calibration.planes.values()],
+        fit=_fit(calibration.fit, calibration.pose_covariance, calibration.noise_estimate),
+        observability=record(
+            seen, ObservabilityRecord, weakest=seen.weakest or None, indices=indices
+        ),
+        correlations=[
+            record(one, CorrelationRecord, first=str(one.first), second=str(one.second))
             for one in calibration.correlations
         ],
-        "range_error_scales": None if scales is None else asdict(scales),
-        "systematic": [_systematic(one) for one in calibration.systematic],
-        "start": {
+        range_error_scales=None if scales is None else record(scales, ScalesRecord),
+        systematic=[
+            record(one, SystematicRecord, explained_by=one.explained_by or None)
+            for one in calibration.systematic
+        ],
+        start={
             "method": start.method,
             "tried": [{"method": method, "rms_m": rms} for method, rms in start.tried],
         },
-        "iterations": calibration.iterations,
-    }
-    return json_text("calibration", record)
+    )
+    return json_text("calibration", whole)
 
 
 def write_calibration(
@@ -75,25 +94,23 @@ def write_calibration(
 
 def check_text(check: MotionCheck) -> str:
     """Return the check of a motion as JSON text."""
-    planes = [
-        named(one, "name stations orientations translations translating axes readings")
-        for one in check.planes
-    ]
-    counts, findings = named(check, "readings unknowns"), named(check, "undetermined advice")
-    return json_text("check", {**counts, "planes": planes, **findings})
+    fields = "name stations orientations translations translating axes readings"
+    planes = [record(one, fields) for one in check.planes]
+    fields = "readings unknowns planes undetermined advice"
+    return json_text("check", record(check, fields, planes=planes))
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:
     """Write the true beams and planes behind a simulated recording."""
     mounts = zip(truth.locations, truth.directions, truth.range_errors, strict=True)
     planes = zip(recording.plane_names, truth.normals, truth.offsets, strict=True)
-    record: Record = {
+    content: Record = {
         "beams": [
             _mount(name, *mount) for name, mount in zip(recording.beam_names, mounts, strict=True)
         ],
         "planes": [{"name": name, "normal": n, "offset_m": b} for name, n, b in planes],
     }
-    write_text(path_of(path), json_text("truth", record))
+    write_text(path_of(path), json_text("truth", content))
 
 
 def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> Record:
@@ -132,60 +149,22 @@ def _spot(calibration: Calibration, name: str, reading: float | None) -> Record 
     if calibration.covariance is None or math.isnan(d):  # a graph that does not tell its readings
         return None
     found = spot(calibration, name, d)
-    return {
-        "reading_m": d,
-        "position_m": found.position,
-        "along_sigma_m": found.along,
-        "across_sigma_m": found.across,
-        "direction_sigma_rad": found.direction_sigma,
-        "reading_sigma_m": found.reading_sigma,
-    }
+    sigmas = {"along_sigma_m": found.along, "across_sigma_m": found.across}
+    return record(found, SpotRecord, reading_m=d, **sigmas)
 
 
 def _plane(plane: Plane) -> Record:
     sigma = {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma}
-    return {
-        "name": plane.name,
-        "normal": plane.normal,
-        "offset_m": plane.offset,
-        "sigma": None if plane.sigma is None else sigma,
-    }
+    return record(plane, PlaneRecord, sigma=None if plane.sigma is None else sigma)
 
 
 def _fit(fit: Fit, pose: FloatArray | None, noise: tuple[NoiseComponent, ...]) -> Record:
-    station, beam = fit.max_residual_at
-    return {
-        "readings": fit.readings,
-        "rms_m": fit.rms,
-        "max_m": fit.max_residual,
-        "max_at": {"station": station, "beam": beam},
-        **named(fit, "chi2 dof sigma0"),
-        "range_sigma_m": fit.range_sigma,
-        **named(fit, "range_sigma_given poses"),
-        "pose_covariance": pose,
-        "noise_estimate": [named(one, "name sigma error prior_carries") for one in noise],
-        "rejected": [
-            named(one, "station beam reason") | {"residual_m": one.residual} for one in fit.rejected
-        ],
-    }
-
-
-def _observability(found: Determined) -> Record:
-    return {
-        **named(found, "rank unknowns condition undetermined advice"),
-        "weakest": found.weakest or None,
-        "indices": None if found.indices is None else asdict(found.indices),
-    }
-
-
-def _systematic(one: SystematicError) -> Record:
-    return {
-        **named(one, "code subject unit size sigma p_value found"),
-        "explained_by": one.explained_by or None,
-        **named(one, "confounded detectable alike"),
-        "location_shift_m": one.location_shift,
-        "direction_shift_rad": one.direction_shift,
-        "location_error_m": one.location_error,
-        "direction_error_rad": one.direction_error,
-        **named(one, "message remedy"),
-    }
+    return record(
+        fit,
+        FitRecord,
+        max_m=fit.max_residual,
+        max_at=dict(zip(("station", "beam"), fit.max_residual_at, strict=True)),
+        pose_covariance=pose,
+        noise_estimate=[record(one, NoiseRecord) for one in noise],
+        rejected=[record(one, RejectedRecord) for one in fit.rejected],
+    )

@@ -8,9 +8,17 @@ residual of every reading, the covariance of planes, and what intervals were com
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+import numpy as np
+from pydantic import Field, Strict
 
-from .json_reading import read_json
+from ..arrays import FloatArray
+from ..errors import InputError
+from ..results.mounts import Mounts
+from ..text import shown
+from .reading import Record, json_value, read_checked
+from .writing import path_of
+
+EXPECTED = "a calibration of handlaser, JSON"
 
 Item = TypeVar("Item")
 Many = Annotated[tuple[Item, ...], Strict(False)]  # strictly, the lists of JSON are no tuples
@@ -19,13 +27,13 @@ Known = Many[float | None]
 """Numbers, None where the recording leaves one undetermined."""
 Vector = Annotated[Numbers, Field(min_length=3, max_length=3)]
 Pair = Annotated[Known, Field(min_length=2, max_length=2)]
+# Whole numbers are bounded ints rather than literals: to a literal 1, True and 1.0 are the same.
+Terms = Annotated[int, Field(ge=0, le=2)]
+Version = Annotated[int, Field(ge=1, le=1)]
+Format = Literal["handlaser-calibration"]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class WarningRecord(_Record):
+class WarningRecord(Record):
     """A warning of the calibration, with the numbers and names of its message."""
 
     code: str
@@ -33,14 +41,14 @@ class WarningRecord(_Record):
     values: dict[str, int | float | str]
 
 
-class RangeErrorRecord(_Record):
+class RangeErrorRecord(Record):
     """k1 [1] and k2 [1/m]."""
 
     k1: float
     k2_per_m: float
 
 
-class BeamSigmaRecord(_Record):
+class BeamSigmaRecord(Record):
     """Standard deviations of a beam; None where undetermined."""
 
     location_m: Annotated[Known, Field(min_length=3, max_length=3)]
@@ -49,7 +57,7 @@ class BeamSigmaRecord(_Record):
     k2_per_m: float | None
 
 
-class IntervalRecord(_Record):
+class IntervalRecord(Record):
     """95 % intervals of a beam."""
 
     location_m: Many[Pair]
@@ -58,7 +66,7 @@ class IntervalRecord(_Record):
     k2_per_m: Pair
 
 
-class SpotRecord(_Record):
+class SpotRecord(Record):
     """The laser spot of a beam at one reading."""
 
     reading_m: float
@@ -69,14 +77,14 @@ class SpotRecord(_Record):
     reading_sigma_m: float
 
 
-class BeamRecord(_Record):
+class BeamRecord(Record):
     """A beam, hand frame."""
 
     name: str
     location_m: Vector
     direction: Vector
     range_error: RangeErrorRecord
-    range_error_terms: Annotated[int, Field(ge=0, le=2)]
+    range_error_terms: Terms
     range_error_excludes_zero: dict[str, bool] | None
     sigma: BeamSigmaRecord | None
     interval_95: IntervalRecord | None
@@ -84,14 +92,14 @@ class BeamRecord(_Record):
     spot: SpotRecord | None
 
 
-class PlaneSigmaRecord(_Record):
+class PlaneSigmaRecord(Record):
     """Standard deviations of a plane; None where undetermined."""
 
     normal_rad: float | None
     offset_m: float | None
 
 
-class PlaneRecord(_Record):
+class PlaneRecord(Record):
     """A plane n . x + b = 0, world frame."""
 
     name: str
@@ -100,7 +108,7 @@ class PlaneRecord(_Record):
     sigma: PlaneSigmaRecord | None
 
 
-class ReadingRecord(_Record):
+class ReadingRecord(Record):
     """Where a reading stands: its station and its beam."""
 
     station: str
@@ -114,7 +122,7 @@ class RejectedRecord(ReadingRecord):
     residual_m: float | None
 
 
-class NoiseRecord(_Record):
+class NoiseRecord(Record):
     """An estimated sigma."""
 
     name: str
@@ -123,7 +131,7 @@ class NoiseRecord(_Record):
     prior_carries: bool
 
 
-class FitRecord(_Record):
+class FitRecord(Record):
     """How well the readings agree."""
 
     readings: int
@@ -141,7 +149,7 @@ class FitRecord(_Record):
     rejected: Many[RejectedRecord]
 
 
-class IndicesRecord(_Record):
+class IndicesRecord(Record):
     """Observability indices."""
 
     O1: float
@@ -150,7 +158,7 @@ class IndicesRecord(_Record):
     O4: float
 
 
-class ObservabilityRecord(_Record):
+class ObservabilityRecord(Record):
     """What the recording determines."""
 
     rank: int
@@ -162,7 +170,7 @@ class ObservabilityRecord(_Record):
     indices: IndicesRecord | None
 
 
-class CorrelationRecord(_Record):
+class CorrelationRecord(Record):
     """Two coordinates that the recording hardly tells apart."""
 
     first: str
@@ -171,7 +179,7 @@ class CorrelationRecord(_Record):
     advice: str
 
 
-class ScalesRecord(_Record):
+class ScalesRecord(Record):
     """Learned scales of the range errors."""
 
     k1: float
@@ -179,7 +187,7 @@ class ScalesRecord(_Record):
     linearity: float
 
 
-class SystematicRecord(_Record):
+class SystematicRecord(Record):
     """A systematic error that was tested."""
 
     code: str
@@ -201,29 +209,29 @@ class SystematicRecord(_Record):
     remedy: str
 
 
-class TriedRecord(_Record):
+class TriedRecord(Record):
     """A start that was tried, and the rms residual it led to; None if it led nowhere."""
 
     method: str
     rms_m: float | None
 
 
-class StartRecord(_Record):
+class StartRecord(Record):
     """The start that was used, and all that were tried."""
 
     method: str
     tried: Many[TriedRecord]
 
 
-class CalibrationFile(_Record):
+class CalibrationFile(Record):
     """What the JSON file of a calibration holds; see docs/files.md for its fields.
 
     It can be compared, copied and pickled, and `write_calibration` writes it as it was. Matrices are
     rows of numbers: `numpy.array(file.beam_covariance)`.
     """
 
-    format: Literal["handlaser-calibration"]
-    version: Annotated[int, Field(ge=1, le=1)]
+    format: Format
+    version: Version
     status: Literal["converged", "unobservable", "not_converged"]
     message: str
     warnings: Many[WarningRecord]
@@ -252,4 +260,71 @@ def read_calibration(path: Path | str) -> CalibrationFile:
     InputError
         No such file, or one that is no calibration of this version.
     """
-    return read_json(path, CalibrationFile)
+    return read_checked(path, CalibrationFile, json_value, EXPECTED)
+
+
+class _PartOf(Record, extra="ignore"):
+    """Some fields of a record."""
+
+
+class _Beam(_PartOf):
+    name: str
+    location_m: Vector
+    direction: Vector
+    range_error: RangeErrorRecord
+    range_error_terms: Terms
+
+
+class _Fit(_PartOf):
+    range_sigma_m: float
+    pose_covariance: Many[Numbers] | None = None
+
+
+class _Beams(_PartOf):
+    format: Format
+    version: Version
+    status: str
+    beams: Many[_Beam]
+    beam_covariance: Many[Numbers] | None
+    fit: _Fit
+
+
+def read_mounts(path: Path | str) -> Mounts:
+    """Read the beams of a calibration and their joint covariance; other fields do not matter.
+
+    Raises
+    ------
+    InputError
+        No such file, no calibration that converged, or numbers that cannot be.
+    """
+    path, file = path_of(path), read_checked(path, _Beams, json_value, EXPECTED)
+    if file.status != "converged" or file.beam_covariance is None:
+        found = f"a calibration that is {shown(file.status)[1:-1]}"
+        raise InputError(found, "a converged one, with its covariance", path)
+    try:
+        return _mounts(file, file.beam_covariance)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path) from error
+
+
+def _mounts(file: _Beams, rows: Many[Numbers]) -> Mounts:
+    beams, pose = file.beams, file.fit.pose_covariance
+    if not beams:
+        raise InputError("no beams", "one or more")
+    return Mounts(
+        tuple(beam.name for beam in beams),
+        np.array([beam.location_m for beam in beams]),
+        np.array([beam.direction for beam in beams]),
+        np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
+        tuple(beam.range_error_terms for beam in beams),
+        _matrix(rows, 8 * len(beams), f"{len(beams)} beams", "8 rows a beam, of as many numbers"),
+        file.fit.range_sigma_m,
+        None if pose is None else _matrix(pose, 6, "fit.pose_covariance", "6 rows of 6 numbers"),
+    )
+
+
+def _matrix(rows: Many[Numbers], size: int, owner: str, expected: str) -> FloatArray:
+    """Return rows as a square matrix of `size`; refuse any other shape."""
+    if [len(row) for row in rows] != [size] * size:
+        raise InputError(f"{owner} and {len(rows)} rows of covariance", expected)
+    return np.array(rows, dtype=np.float64)

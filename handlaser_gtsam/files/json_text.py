@@ -5,20 +5,31 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from pydantic import BaseModel
 
 Record = dict[str, object]
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
 
 
-def json_text(kind: str, record: Record) -> str:
+def json_text(kind: str, content: Record) -> str:
     """Return a record as JSON text of version 1 of the format `handlaser-KIND`."""
-    whole = {"format": f"handlaser-{kind}", "version": 1, **record}
+    whole = {"format": f"handlaser-{kind}", "version": 1, **content}
     return json.dumps(_plain(whole), indent=2, allow_nan=False) + "\n"
 
 
-def named(source: object, names: str) -> Record:
-    """Return the attributes of the given names, separated by blanks, in that order."""
-    return {name: getattr(source, name) for name in names.split()}
+def record(source: object, fields: type[BaseModel] | str, **others: object) -> Record:
+    """Return fields of a schema, or of names separated by blanks, in that order.
+
+    A field is one of the `others`, or the attribute of `source` that has its name, or its name but for
+    the unit at the end.
+    """
+    names = fields.split() if isinstance(fields, str) else fields.model_fields
+    return {
+        name: others[name]
+        if name in others
+        else getattr(source, name if hasattr(source, name) else name.rpartition("_")[0])
+        for name in names
+    }
 
 
 def _plain(value: object) -> Json:

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
-from ..data.codes import code_warning, coded_numbers
 from ..data.recording import LARGEST, Recording, first_repeated
+from ..data.screen import code_warning, coded_numbers
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
-from ..text import A_NAME, name_fault
+from ..text import A_NAME, name_fault, some
 from .table import Table as _Table
 from .table import read_table
 from .writing import path_of, write_text
@@ -84,15 +84,12 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
     quaternions = Rotation.from_matrix(recording.world_R_hand).as_quat(canonical=True)
-    columns: dict[str, pl.Series] = {
-        "plane": pl.Series(recording.plane_labels, dtype=pl.String),
-        "station": pl.Series(recording.station_names, dtype=pl.String),
-    }
     numbers = np.hstack((recording.world_t_hand, quaternions, recording.ranges))
-    names = (*POSE, *(PREFIX + beam for beam in recording.beam_names))
-    for index, name in enumerate(names):
-        columns[name] = pl.Series(numbers[:, index]).fill_nan(None)
-    write_text(path_of(path), pl.DataFrame(columns).write_csv())
+    names = [*POSE, *(PREFIX + beam for beam in recording.beam_names)]
+    labels = {"plane": recording.plane_labels, "station": recording.station_names}
+    text = pl.DataFrame(labels, schema=dict.fromkeys(labels, pl.String))
+    frame = text.hstack(pl.DataFrame(numbers, schema=names, orient="row").fill_nan(None))
+    write_text(path_of(path), frame.write_csv())
 
 
 def _check_header(table: _Table) -> list[str]:
@@ -249,5 +246,4 @@ def _refuse_unread(
 
 
 def _short(names: list[str]) -> str:
-    shown = ", ".join(name[:40] for name in names[:12])
-    return shown + (", ..." if len(names) > 12 else "")
+    return some([name[:40] for name in names], 12)

@@ -12,27 +12,24 @@ Every table and field is optional.
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import overload
+from typing import Annotated, overload
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Strict
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..results.limits import Limits
-from ..text import shown
+from .reading import Record, read_checked
 from .writing import path_of, write_text
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Noise(_Table):
+class _Noise(Record):
     range_sigma_mm: float | None = None
     incidence_sigma_mm: float | None = None
     pose_translation_sigma_mm: float | None = None
@@ -42,19 +39,19 @@ class _Noise(_Table):
     pose_rotation_prior_deg: float | None = None
 
 
-class _Sensor(_Table):
-    range_mm: list[float] | None = None
+class _Sensor(Record):
+    range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
     linearity_percent: float | None = None
 
 
-class _Limits(_Table):
+class _Limits(Record):
     rms_mm: float | None = None
     location_sigma_mm: float | None = None
     direction_sigma_deg: float | None = None
 
 
-class _Rig(_Table):
+class _Rig(Record):
     noise: _Noise = _Noise()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
@@ -77,32 +74,48 @@ def read_rig(path: Path | str) -> Rig:
     InputError
         No TOML, an unknown table or field, or a value that cannot be.
     """
-    path = path_of(path)
+    return _read(path_of(path))[1]
+
+
+def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
+    """Return a rig file, if there is one, with what is `given` instead, None where nothing is.
+
+    The names in `given` are fields of the file; others are passed over. A pose sigma replaces a
+    covariance.
+
+    Raises
+    ------
+    InputError
+        As `read_rig`, or a value given that cannot be.
+    """
+    rig = _Rig() if path is None else _read(path)[0]
+    stated = {name: value for name, value in given.items() if value is not None}
+    if {"pose_translation_sigma_mm", "pose_rotation_sigma_deg"} & stated.keys():
+        stated["pose_covariance"] = None
+    tables: dict[str, object] = {}
+    for name, table in (("noise", rig.noise), ("sensor", rig.sensor)):
+        own = {field: stated[field] for field in type(table).model_fields if field in stated}
+        tables[name] = table.model_copy(update=own)
+    return _to_si(rig.model_copy(update=tables))
+
+
+def _read(path: Path) -> tuple[_Rig, Rig]:
+    rig = read_checked(path, _Rig, _parsed, "a rig file, TOML")
     try:
-        text = path.read_bytes().decode("utf-8").removeprefix("\ufeff").replace("\r\n", "\n")
-        rig = _Rig.model_validate(tomllib.loads(text))
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", "a rig file", path) from error
-    except UnicodeDecodeError as error:
-        byte = error.object[error.start]
-        found = f"the byte 0x{byte:02x}, which is not UTF-8, at offset {error.start}"
-        raise InputError(found, "a rig file in TOML", path) from error
-    except ValidationError as error:
-        raise _first_fault(error, path) from error
-    except (ValueError, RecursionError) as error:  # ValueError: TOML, and endless integers
-        what = str(error).split(";")[0].splitlines()[0][:120]
-        raise InputError(f"no TOML ({what})", "a rig file in TOML", path) from error
-    try:
-        return _to_si(rig)
+        return rig, _to_si(rig)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
+
+
+def _parsed(text: str) -> object:
+    return tomllib.loads(text.removeprefix("\ufeff").replace("\r\n", "\n"))
 
 
 def _to_si(rig: _Rig) -> Rig:
     mm, deg = 1e-3, math.pi / 180.0
     span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
     if span is None:
-        span = [0.0, math.inf]
+        span = (0.0, math.inf)
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
     given = Noise(), Sensor()
@@ -169,14 +182,3 @@ def scaled(value: float | None, unit: float, otherwise: None = None) -> float | 
 def scaled(value: float | None, unit: float, otherwise: float | None = None) -> float | None:
     """Return a value in SI units, or what stands for one that is not given."""
     return otherwise if value is None else value * unit
-
-
-def _first_fault(error: ValidationError, path: Path) -> InputError:
-    fault = error.errors()[0]
-    field = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        tables: dict[str, type[_Table]] = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
-        table: type[_Table] = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
-        names = ", ".join(table.model_fields)
-        return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
-    return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)

@@ -18,6 +18,7 @@ from ..arrays import BoolArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import InputError
 from ..text import LONGEST_NAME, name_fault, shown
+from .reading import read_text
 
 SEPARATORS = ",;\t"
 BLANK = " \t"
@@ -63,9 +64,7 @@ class Table:
         rows = np.flatnonzero(wrong)
         if rows.size:
             row = int(rows[0])
-            if found is None:
-                cell = self.frame[column][row]
-                found = "an empty cell" if cell is None else shown(cell)
+            found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
     def fault(self, found: str, expected: str, column: str) -> InputError:
@@ -81,14 +80,14 @@ class Table:
         column = self.frame[name]
         if not self.open_ended or _whole(column[-1], column[:-1]):
             return
-        cell = "an empty cell" if column[-1] is None else shown(column[-1])
-        raise InputError(
-            f"a last line without a line end: {cell} may be what is left of a longer one",
-            "a line end; add one if the line is whole",
-            self.path,
-            int(self.lines[-1]),
-            name,
-        )
+        last = np.arange(len(column)) == len(column) - 1
+        cell = _cell(column[-1])
+        found = f"a last line without a line end: {cell} may be what is left of a longer one"
+        self.refuse(last, name, "a line end; add one if the line is whole", found)
+
+
+def _cell(text: str | None) -> str:
+    return "an empty cell" if text is None else shown(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,20 +134,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
 
 def _text(path: Path) -> str:
     """Return the text of a file, whose lines end with a line feed."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", "a recording", path) from error
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1)
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as fault:
-        line = data.count(b"\n", 0, fault.start) + 1
-        if b"\n" not in data:
-            line = data.count(b"\r", 0, fault.start) + 1
-        found = f"the byte 0x{data[fault.start]:02x}, which is not UTF-8, at offset {fault.start}"
-        raise InputError(found, "a file saved as UTF-8", path, line) from fault
+    text = read_text(path, "a recording")
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     if "\n" not in text:
         text = text.replace("\r", "\n")  # line ends of an old Mac

@@ -2,7 +2,7 @@
 
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import PlaneLeftOut, Prediction, Validation
-from .json_text import Record, json_text, named
+from .json_text import Record, json_text, record
 
 
 def validation_text(validation: Validation) -> str:
@@ -25,28 +25,19 @@ def hold_out_text(found: HoldOut) -> str:
 
 def _plane(one: PlaneLeftOut) -> Record:
     result = {} if one.result is None else _hold_out(one.result)
-    return {**named(one, "plane message"), **result}
+    return {**record(one, "plane message"), **result}
 
 
 def _hold_out(found: HoldOut) -> Record:
-    return {
-        "readings": found.readings,
-        "rms_m": found.rms,
-        "max_m": found.max_residual,
-        **named(found, "chi2 dof noise_p_value drift drift_dof p_value"),
-        "beams": [
-            named(beam, "name statistic p_value") | {"shift_m": beam.shift, "turn_rad": beam.turn}
-            for beam in found.beams
-        ],
-    }
+    return record(
+        found,
+        "readings rms_m max_m chi2 dof noise_p_value drift drift_dof p_value beams",
+        max_m=found.max_residual,
+        beams=[record(one, "name statistic p_value shift_m turn_rad") for one in found.beams],
+    )
 
 
 def _prediction(one: Prediction | None) -> Record | None:
     if one is None:
         return None
-    return {
-        "tests": one.tests,
-        "rms_m": one.rms,
-        "max_m": one.max_residual,
-        "standardized": one.standardized,
-    }
+    return record(one, "tests rms_m max_m standardized", max_m=one.max_residual)

@@ -80,7 +80,13 @@ def _target(path: Path) -> tuple[Path, int]:
         target = Path(os.path.realpath(path))
         mode = target.lstat().st_mode
     except FileNotFoundError:
-        return _new(path, target)
+        mask = os.umask(0)
+        os.umask(mask)
+        try:
+            target.parent.stat()
+        except OSError as error:
+            raise _refusal(path, error) from error
+        return target, NEW_MODE & ~mask
     except OSError as error:
         raise _refusal(path, error) from error
     if stat.S_ISLNK(mode):
@@ -92,22 +98,6 @@ def _target(path: Path) -> tuple[Path, int]:
     return target, stat.S_IMODE(mode)
 
 
-def _new(path: Path, target: Path) -> tuple[Path, int]:
-    """Return the target and mode of a new file, if its folder exists."""
-    try:
-        target.parent.stat()
-    except OSError as error:
-        raise _refusal(path, error) from error
-    return target, NEW_MODE & ~_umask()
-
-
 def _refusal(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"no way to write ({error.strerror})", "a writable file in a folder that exists", path
-    )
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    expected = "a writable file in a folder that exists"
+    return InputError(f"no way to write ({error.strerror})", expected, path)

@@ -18,6 +18,7 @@ from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
+from ..text import some
 from .rank import observability
 from .wording import MIRROR, MIRROR_ADVICE, Names, OpenPart, advice, open_parts, undetermined
 
@@ -93,7 +94,7 @@ def check_motion(recording: Recording) -> MotionCheck:
     )
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     parts = _open_in_general(readings, names)
-    unknowns = 5 * readings.beams + 3 * readings.planes
+    unknowns = readings.unknowns(0)
     words, help_ = undetermined(parts), advice(parts)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
@@ -171,25 +172,17 @@ def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:
     """Say of every plane which stations serve which unknown."""
     words = []
     for plane in check.planes:
+        first = (
+            f"no normal by itself (Lemma 1): translations at one orientation span "
+            f"{plane.translations} of 3 directions"
+        )
         if plane.translations == 3:
-            first = (
-                f"normal in closed form (Lemma 1) from the translations of stations "
-                f"{_listed(plane.translating)}"
-            )
-        else:
-            first = (
-                f"no normal by itself (Lemma 1): translations at one orientation span "
-                f"{plane.translations} of 3 directions"
-            )
+            stations = some(plane.translating, 8)
+            first = f"normal in closed form (Lemma 1) from the translations of stations {stations}"
+        second = f"no direction by itself (Lemma 2): turns about {plane.axes} of 2 axes"
         if plane.axes >= 2:
             second = f"directions (Lemma 2) from {plane.orientations} orientations"
-        else:
-            second = f"no direction by itself (Lemma 2): turns about {plane.axes} of 2 axes"
         few = [name for name, n in zip(beams, plane.readings, strict=True) if n == 0]
         unread = f"; not read by beam {', '.join(few)}" if few else ""
         words.append(f"plane {plane.name}, {plane.stations} stations: {first}; {second}{unread}")
     return tuple(words)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -10,6 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.value import Value
+from ..text import some
 from .rank import NullSpace, Observability
 
 SHARE = 0.02
@@ -182,10 +183,8 @@ def _part_words(part: OpenPart) -> str:
     if part.quantity == "direction" and count == 1:
         return f"direction towards {_vector(axes[:, 0])}"
     if part.quantity == "range error":
-        open_ = np.linalg.norm(axes, axis=1) > SHARE
-        return (
-            f"range error {' and '.join(n for n, o in zip(('k1', 'k2'), open_, strict=False) if o)}"
-        )
+        known = zip(("k1", "k2"), np.linalg.norm(axes, axis=1) <= SHARE, strict=False)
+        return f"range error {' and '.join(name for name, enough in known if not enough)}"
     return part.quantity
 
 
@@ -202,5 +201,4 @@ def _vector(axis: FloatArray) -> str:
 
 
 def _planes(names: list[str]) -> str:
-    shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-    return f"plane{'s' if len(names) > 1 else ''} {shown}"
+    return f"plane{'s' if len(names) > 1 else ''} {some(names, 6)}"

@@ -12,6 +12,7 @@ import numpy as np
 from ..arrays import BoolArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.equation import residuals_or_infinite as residuals
 from ..model.losses import Loss
 from ..solvers.refine import Refined, Scale, refine_many
 from ..starts import Start, find_start
@@ -19,7 +20,7 @@ from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
 from ..starts.part import Part, part_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import Candidate, Round, agreeing
-from .snooping import Screening, beyond_chance, quick_evidence, residuals, screen
+from .snooping import Screening, beyond_chance, quick_evidence, screen
 
 SUSPICIOUS = 0.35
 """Where most readings agree this much better than all of them do, there are outliers to look for;
@@ -92,7 +93,7 @@ class PlainJudge:
                 return True
         if not (agreed and self.fits_well(one, SURE_FIT)):
             return False
-        unknowns = (5 + self.terms) * good.beams + 3 * good.planes
+        unknowns = good.unknowns(self.terms)
         share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
         rule = Scale(least_scale(good, self.range_sigma), max(share, 0.5))
         most = refine_many([one.parameters], good, self.terms, STEPS, Loss("cauchy"), rule)[0]

@@ -9,10 +9,10 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import Names
 from .leverage import leverages
-from .snooping import residuals
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"
@@ -109,28 +109,34 @@ def _other_planes(
     other: dict[int, int] = {}
     if readings.planes == 1 or kept.all():
         return other
-    part = readings.subset(np.flatnonzero(kept))
-    found = observability(parameters, part, 0, 0.0)
-    predict = _Prediction(readings, kept, parameters, range_sigma, found)
+    span = float(np.ptp(readings.distance[kept]))
+    found = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
     out = np.bincount(readings.station[~kept], minlength=len(left))
     for one in np.flatnonzero((out > 0) & (out >= left)).tolist():
-        plane = _fitting_plane(readings, one, predict)
+        own = readings.subset(np.flatnonzero(readings.station == one))
+        plane = _fitting_plane(own, span, parameters, range_sigma, found)
         if plane is not None:
             other[one] = plane
     return other
 
 
-def _fitting_plane(readings: Readings, station: int, predict: "_Prediction") -> int | None:
-    """Return the plane that all readings of a station fit, if one does far better, and by no chance."""
-    rows = np.flatnonzero(readings.station == station)
-    own = int(readings.plane[rows[0]])
-    span = float(np.ptp(readings.distance[predict.kept]))
-    squares, fits = np.full(readings.planes, np.inf), np.zeros(readings.planes, dtype=bool)
-    for plane in range(readings.planes):
-        if plane == own:
+def _fitting_plane(
+    own: Readings, span: float, parameters: Parameters, range_sigma: float, found: Observability
+) -> int | None:
+    """Return the plane that all readings of a station fit, if one does far better, and by no chance.
+
+    All planes of `parameters` must be seen from one origin, that of the hand poses. A reading fits none
+    that is behind the sensor or parallel to its beam; `span` [m] is that of the good readings.
+    """
+    squares, fits = np.full(own.planes, np.inf), np.zeros(own.planes, dtype=bool)
+    for plane in set(range(own.planes)) - {int(own.plane[0])}:
+        moved = replace(own, plane=np.full(len(own), plane, dtype=np.intp))
+        e = residuals(parameters, moved)
+        k = parameters.range_errors[moved.beam]
+        if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
             continue
-        e, sigma = predict.residuals(rows, plane)
-        chance = readings.planes * np.minimum(2.0 * FITS_PLANE * sigma / span, 1.0).prod()
+        sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, found))
+        chance = own.planes * np.minimum(2.0 * FITS_PLANE * sigma / span, 1.0).prod()
         squares[plane] = float(((e / sigma) ** 2).sum())
         fits[plane] = bool((np.abs(e) <= FITS_PLANE * sigma).all()) and chance <= CHANCE
     best = int(np.argmin(squares))
@@ -154,34 +160,6 @@ def _swapped(
             if (np.abs(e) <= FITS * range_sigma).all():
                 found[a], found[b] = int(readings.beam[b]), int(readings.beam[a])
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Prediction:
-    """What a solution says of readings that were not used, before any plane.
-
-    All planes of `parameters` must be seen from one origin, that of the hand poses.
-    """
-
-    readings: Readings
-    kept: BoolArray
-    parameters: Parameters
-    range_sigma: float
-    found: Observability
-
-    def residuals(self, rows: IntArray, plane: int) -> tuple[FloatArray, FloatArray]:
-        """Return residuals of rows before another plane and their sigmas [m].
-
-        A residual is infinite behind the sensor, or where a beam is parallel to the plane.
-        """
-        moved = replace(self.readings.subset(rows), plane=np.full(len(rows), plane, dtype=np.intp))
-        e = residuals(self.parameters, moved)
-        k = self.parameters.range_errors[moved.beam]
-        ahead = e + model.corrected(moved.distance, k) > 0.0
-        if not (np.isfinite(e) & ahead).all():
-            return np.full(len(rows), np.inf), np.full(len(rows), self.range_sigma)
-        h = leverages(self.parameters, moved, self.found)
-        return e, self.range_sigma * np.sqrt(1.0 + h)
 
 
 def _repeated_poses(readings: Readings) -> BoolArray:

@@ -19,6 +19,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
+from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import observability
 from ..solvers.refine import refine
 from .leverage import leverages, negligible, standardized
@@ -140,7 +141,7 @@ def beyond_chance(
     """
     e = np.abs(residuals(parameters, readings))
     kept = e <= FIRST_CUT * scale
-    total, good, unknowns = len(e), int(kept.sum()), _unknowns(readings, terms)
+    total, good, unknowns = len(e), int(kept.sum()), readings.unknowns(terms)
     if good <= unknowns:
         return -np.inf
     sigma = _sigma_of(readings, e[kept], terms, range_sigma)
@@ -153,7 +154,7 @@ def _sigma_of(
     readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
 ) -> float:
     """Return the sigma [m] of the residuals of those that agree, not below the given one."""
-    free = max(len(residual) - _unknowns(readings, terms), 1)
+    free = max(len(residual) - readings.unknowns(terms), 1)
     estimated = float(np.sqrt((residual @ residual) / free))
     return max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
 
@@ -181,11 +182,7 @@ def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
 
 
 def test(
-    readings: Readings,
-    kept: BoolArray,
-    start: Parameters,
-    terms: int,
-    range_sigma: float | None,
+    readings: Readings, kept: BoolArray, start: Parameters, terms: int, range_sigma: float | None
 ) -> tuple[Parameters, float, FloatArray]:
     """Fit the `kept` readings from `start`; return parameters, sigma and residuals in their sigmas."""
     part = readings.subset(np.flatnonzero(kept))
@@ -221,7 +218,7 @@ def judge(
     """
     e = residuals(parameters, readings)
     unit = np.where(sigmas > 0.0, sigmas, 1.0)
-    free = max(int(kept.sum()) - _unknowns(readings, terms), 1)
+    free = max(int(kept.sum()) - readings.unknowns(terms), 1)
     z = e[kept] / unit[kept]
     estimated = float(np.sqrt((z @ z) / free))
     typical = float(np.median(unit[kept]))
@@ -244,13 +241,9 @@ def _vague(readings: Readings, kept: BoolArray, predicted: FloatArray) -> BoolAr
     return np.asarray(MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept])))
 
 
-def _unknowns(readings: Readings, terms: int) -> int:
-    return (5 + terms) * readings.beams + 3 * readings.planes
-
-
 def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
     """Tell whether the `kept` readings are a majority, and enough for every beam and plane."""
-    if kept.sum() < max(LEAST_SHARE * len(readings), _unknowns(readings, terms) + 1):
+    if kept.sum() < max(LEAST_SHARE * len(readings), readings.unknowns(terms) + 1):
         return False
     beams = np.bincount(readings.beam[kept], minlength=readings.beams)
     planes = np.bincount(readings.plane[kept], minlength=readings.planes)
@@ -267,8 +260,3 @@ def _evidence(
     outside = 2.0 * bad * price(readings.distance, range_sigma)
     shares = sum(m * np.log(m / total) for m in (good, bad) if m)
     return float(2.0 * total * np.log(range_sigma) + inside + outside - 2.0 * shares)
-
-
-def residuals(parameters: Parameters, readings: Readings) -> FloatArray:
-    """Return residuals (N,) [m]; infinite where a beam grazes its plane."""
-    return model.residuals_or_infinite(parameters, readings)

@@ -10,7 +10,7 @@ from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances, whitening
-from ..observability.mirror import mirror_image_fits
+from ..observability.other_solutions import mirror_image_fits
 from ..observability.rank import observability
 from ..observability.wording import (
     LEAK,

@@ -3,6 +3,8 @@
 import math
 import textwrap
 
+from ..text import some as some
+
 WIDTH = 100
 """Columns of the default screen, and of everything that is not printed to a terminal."""
 MM = 1e3
@@ -43,12 +45,6 @@ def with_sigma(value: float, sigma: float, digits: int) -> str:
     if not math.isfinite(sigma):
         return UNDETERMINED
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
-
-
-def some(names: list[str], most: int) -> str:
-    """Return at most so many names, and how many more there are."""
-    shown = ", ".join(names[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def count(number: int, noun: str) -> str:

@@ -103,19 +103,15 @@ def _scene(
     rng: np.random.Generator,
 ) -> tuple[Parameters, Stations]:
     r, v = _beams(layout.beams, reach, rng)
-    R, t, planes, normals, offsets = [], [], [], [], []
+    R, t, planes = [], [], []
     for p in range(layout.planes):
-        n, b = _plane(p, layout.planes, reach, rng)
-        hand_R = turns(layout.stations, reach.hand_tilt, rng)
-        hand_t = _positions(hand_R, n, b, (r, v), reach, rng)
-        R.append(hand_R)
-        t.append(hand_t)
-        planes.append(np.full(layout.stations, p))
-        normals.append(n)
-        offsets.append(b)
+        planes.append(_plane(p, layout.planes, reach, rng))
+        R.append(turns(layout.stations, reach.hand_tilt, rng))
+        t.append(_positions(R[p], *planes[p], (r, v), reach, rng))
+    n, b = (np.array(column) for column in zip(*planes, strict=True))
     k = np.tile([layout.k1, layout.k2], (layout.beams, 1))
-    truth = Parameters(r, v, k, np.array(normals), np.array(offsets))
-    return truth, Stations(np.concatenate(R), np.concatenate(t), np.concatenate(planes))
+    label = np.repeat(np.arange(layout.planes), layout.stations)
+    return Parameters(r, v, k, n, b), Stations(np.concatenate(R), np.concatenate(t), label)
 
 
 def _beams(count: int, reach: _Reach, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -20,7 +20,7 @@ from .lifted import lifted_starts
 from .part import Part, part_of
 from .partial import PartialStart, grow
 from .search import Candidate, Round, agreeing, rank, search
-from .sweep import SweepOptions, sweep_starts
+from .sweep import sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
 
 CLOSED_STEPS, FIRST_STEPS, LAST_STEPS = 4, 10, 40
@@ -120,7 +120,7 @@ def find_start(
     first = _first_rounds(some, terms) if earlier is None else ()
     found, believed = search(chain(first, rounds), loss, judge, before)
     if not found:
-        lost = grow(PartialStart.empty(readings), readings)
+        lost = grow(PartialStart.of(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
     best, fits = found[0].parameters, fits_sigma(found[0].criterion, some, range_sigma, terms)
     if not part.is_whole:
@@ -149,7 +149,7 @@ def _extended(part: Part, best: Parameters, readings: Readings, terms: int) -> P
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    spare = len(readings) - 5 * readings.beams - 3 * readings.planes - SPARE
+    spare = len(readings) - readings.unknowns(0) - SPARE
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
@@ -157,7 +157,7 @@ def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, te
     """Tell whether a sum of squares [m^2] agrees with the given range sigma [m]."""
     if squares <= len(readings) * (EXACT * readings.largest_range()) ** 2:
         return True
-    dof = len(readings) - (5 + terms) * readings.beams - 3 * readings.planes
+    dof = len(readings) - readings.unknowns(terms)
     if dof <= 0 or range_sigma is None:
         return False
     return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))
@@ -167,32 +167,33 @@ def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
     """Yield the cheap starts."""
     closed = translation_start(readings)
     if closed is not None:
-        yield _grown("translations", [closed], readings)
-    with_errors = translation_start_with_range_errors(readings) if terms else None
-    corrected = [] if with_errors is None else [with_errors]
-    rounds = (
-        _grown("translations with range error", corrected, readings),
-        _grown("lifted", lifted_starts(readings, 2), readings),
-        _grown("sweep", sweep_starts(readings), readings),
-        _grown("directions", direction_starts(readings, 6), readings),
+        yield Round(_grown("translations", [closed], readings))
+    corrected = translation_start_with_range_errors(readings) if terms else None
+    yield Round(
+        [
+            *_grown("translations with range error", [corrected] if corrected else [], readings),
+            *_grown("lifted", lifted_starts(readings, 2), readings),
+            *_grown("sweep", sweep_starts(readings), readings),
+            *_grown("directions", direction_starts(readings, 6), readings),
+        ]
     )
-    yield Round([start for one in rounds for start in one.starts])
 
 
 def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
     """Yield finer sweeps and random starts, as far as the effort goes."""
     if effort in ("glance", "quick"):
         return
-    yield _grown("directions", direction_starts(readings, 40, tried=600), readings)
-    options = SweepOptions(refined=16, seeds=8, kept=4)
-    yield _grown("sweep", sweep_starts(readings, options), readings)
+    yield Round(_grown("directions", direction_starts(readings, 40, tried=600), readings))
+    yield Round(_grown("sweep", sweep_starts(readings, refined=16, seeds=8, kept=4), readings))
     rng = np.random.default_rng(0)
     for _ in range(RANDOM_ROUNDS if effort == "thorough" else 0):
-        yield _grown("random", random_starts(readings, RANDOM_STARTS, rng), readings)
+        yield Round(_grown("random", random_starts(readings, RANDOM_STARTS, rng), readings))
 
 
-def _grown(method: str, starts: Sequence[PartialStart], readings: Readings) -> Round:
-    return Round([(method, grow(start, readings)) for start in starts])
+def _grown(
+    method: str, starts: Sequence[PartialStart], readings: Readings
+) -> list[tuple[str, Parameters]]:
+    return [(method, grow(start, readings)) for start in starts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,12 +212,8 @@ class _LeastSquares:
             if one is not None and not plausible_range_errors(one.parameters, readings):
                 one = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
             return [] if one is None else [(latest.starts[0][0], one)]
-        first = refine_many(starts, readings, 0, FIRST_STEPS)
-        usable = [
-            (method, one)
-            for (method, _), one in zip(latest.starts, first, strict=True)
-            if one is not None
-        ]
+        first = zip(latest.starts, refine_many(starts, readings, 0, FIRST_STEPS), strict=True)
+        usable = [(method, one) for (method, _), one in first if one is not None]
         best = sorted(usable, key=lambda pair: rank(pair[1].squares))
         best = best[: max(FINALISTS, len(starts) // 4)]
         parameters = [one.parameters for _, one in best]

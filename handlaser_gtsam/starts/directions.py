@@ -9,31 +9,85 @@ so that, from r = 0 on, planes follow from their spots by total least squares, a
 planes by linear least squares, in turns. The directions whose spots are flattest become starts; every
 beam gets its own location and direction when they are refined. Where beams sit far from the hand's
 origin and blocks are tiny, r = 0 is too far away: then r is drawn at random too.
+
+Among gross errors a plane that is fitted to all spots follows the wrong ones: those of a station whose
+label names another plane, or of a reading that is no range. So every direction may begin with stations
+of its own, drawn at random, so that many begin without the wrong ones; then all readings count, but the
+less the farther they are from their plane, in units of the nearer part of the readings of that plane.
+Such a direction is as good as the nearer part of all readings says.
 """
 
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..data.recording import Readings
 from .partial import PartialStart
 
-TURNS = 3
+TURNS, SUBSET_TURNS = 3, 4
 LEAST_COSINE = 0.1
+RIDGE = 1e-6
+LEAST_DRAWN, MOST_DRAWN = 0.4, 0.9
+"""Part of the stations that a direction begins with: few leave wrong ones out, many fit better."""
+NOT_DRAWN = 1e-3
+"""Weight of the other stations at first: a plane of which none is drawn keeps its readings."""
+NEARER = 0.6
+"""Part of the readings whose distances say how good a plane, or a direction, is."""
+WORK = 400_000
+"""Readings times directions worked on at once."""
 
 
 def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
-    r = np.zeros_like(v)
-    reach = reach_of(v, readings)
-    for _ in range(TURNS):
-        n, b = planes_through(reach + turned(r, readings), readings)
-        r = common_location(reach, n, b, readings)
-    spots = reach + turned(r, readings)
-    n, b = planes_through(spots, readings)
-    best = np.argsort(_misfit(spots, v, n, b, readings), kind="stable")[:count]
-    return as_starts(r[best], v[best], n[best], b[best], readings)
+    away, r, n, b = _swept(v, readings, TURNS)
+    best = np.argsort((away**2).sum(axis=1), kind="stable")[:count]
+    return _starts(r[best], v[best], n[best], b[best], readings)
+
+
+def subset_starts(
+    readings: Readings, count: int, tried: int, rng: np.random.Generator
+) -> list[PartialStart]:
+    """Return the `count` best starts of `tried` directions over the sphere; every plane has readings.
+
+    Parameters
+    ----------
+    readings : Readings
+    count, tried : int
+    rng : numpy.random.Generator
+        Draws the stations.
+    """
+    v = sphere(tried)
+    drawn_part = rng.uniform(LEAST_DRAWN, MOST_DRAWN, (tried, 1))
+    drawn = rng.random((tried, int(readings.station.max()) + 1)) < drawn_part
+    share = max(WORK // len(readings), 1)
+    parts = []
+    for i in range(0, tried, share):
+        away, *found = _swept(v[i : i + share], readings, SUBSET_TURNS, drawn[i : i + share])
+        parts.append((_nearer(away), *found))
+    misfit, r, n, b = (np.concatenate(column) for column in zip(*parts, strict=True))
+    best = np.argsort(misfit, kind="stable")[:count]
+    return _starts(r[best], v[best], n[best], b[best], readings)
+
+
+def _swept(
+    v: FloatArray, readings: Readings, turns: int, drawn: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Fit planes and the location in turns, for directions (C, 3) that begin with `drawn` stations.
+
+    Return distances along the beams (C, N), locations (C, 3), normals (C, P, 3) and offsets (C, P).
+    """
+    weights = None if drawn is None else np.where(drawn[:, readings.station], 1.0, NOT_DRAWN)
+    reach, r = _reach(v, readings), np.zeros_like(v)
+    for turn in range(turns):
+        spots = reach + _turned(r, readings)
+        n, b = _planes_through(spots, readings, weights)
+        if turn and drawn is not None:
+            weights = _weights(spots, n, b, readings)
+        r = _common_location(reach, n, b, readings, weights)
+    spots = reach + _turned(r, readings)
+    n, b = _planes_through(spots, readings, weights)
+    return _along_beams(spots, v, n, b, readings), r, n, b
 
 
 def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[PartialStart]:
@@ -41,32 +95,27 @@ def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> l
     v = model.normalized(rng.standard_normal((count, 3)))
     r = model.normalized(rng.standard_normal((count, 3)))
     r *= readings.typical_range() * 10.0 ** rng.uniform(-0.5, 1.3, (count, 1))
-    n, b = planes_through(reach_of(v, readings) + turned(r, readings), readings)
-    return as_starts(r, v, n, b, readings)
+    n, b = _planes_through(_reach(v, readings) + _turned(r, readings), readings)
+    return _starts(r, v, n, b, readings)
 
 
-def as_starts(
+def _starts(
     r: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
 ) -> list[PartialStart]:
     """Return starts of C locations and directions, which all beams share, and of C times P planes."""
-    starts = []
-    for c in range(len(v)):
-        start = PartialStart.empty(readings)
-        start.locations[:], start.directions[:] = r[c], v[c]
-        start.normals[:], start.offsets[:] = n[c], b[c]
-        starts.append(start)
-    return starts
+    rows = zip(r, v, n, b, strict=True)
+    return [PartialStart.of(readings, r=r, v=v, n=n, b=b) for r, v, n, b in rows]
 
 
-def reach_of(v: FloatArray, readings: Readings) -> FloatArray:
+def _reach(v: FloatArray, readings: Readings) -> FloatArray:
     """Return d R v + t (C, N, 3) for directions v (C, 3)."""
-    return turned(v, readings) * readings.distance[:, None] + readings.world_t_hand
+    return _turned(v, readings) * readings.distance[:, None] + readings.world_t_hand
 
 
-def turned(vectors: FloatArray, readings: Readings) -> FloatArray:
+def _turned(vectors: FloatArray, readings: Readings) -> FloatArray:
     """Return R u (C, N, 3) for vectors u (C, 3), hand frame."""
-    turned: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
-    return turned
+    found: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
+    return found
 
 
 def sphere(count: int) -> FloatArray:
@@ -78,7 +127,7 @@ def sphere(count: int) -> FloatArray:
     return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
 
 
-def planes_through(
+def _planes_through(
     spots: FloatArray, readings: Readings, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Fit every plane to its spots (C, N, 3), with weights (C, N); return (C, P, 3) and (C, P)."""
@@ -94,7 +143,7 @@ def planes_through(
     return normals, offsets
 
 
-def common_location(
+def _common_location(
     reach: FloatArray,
     n: FloatArray,
     b: FloatArray,
@@ -105,27 +154,47 @@ def common_location(
     each = n[:, readings.plane]
     A = np.einsum("nji,cnj->cni", readings.world_R_hand, each)
     rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
-    At = np.swapaxes(A if weights is None else A * weights[..., None], 1, 2)
-    H = At @ A
-    ridge = 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    solved: FloatArray = np.linalg.solve(H + ridge, At @ rhs[..., None])[..., 0]
-    return solved
+    return least_squares(A, rhs, RIDGE, weights)
 
 
-def _misfit(
-    spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
+def least_squares(
+    A: FloatArray, rhs: FloatArray, ridge: float, weights: FloatArray | None = None
 ) -> FloatArray:
-    """Return the sum of squared residuals along the beams (C,)."""
-    misfit: FloatArray = (along_beams(spots, v, n, b, readings) ** 2).sum(axis=1)
-    return misfit
+    """Return x (C, K) of least |A x - rhs| for every A (C, M, K), and a part of the trace as ridge."""
+    At = np.swapaxes(A if weights is None else A * weights[..., None], 1, 2)
+    H: FloatArray = At @ A
+    trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
+    solved: FloatArray = np.linalg.solve(
+        H + ridge * trace * np.eye(H.shape[1]), At @ rhs[..., None]
+    )
+    return solved[..., 0]
 
 
-def along_beams(
+def _along_beams(
     spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
 ) -> FloatArray:
     """Return how far along their beams the spots (C, N, 3) are from their planes (C, N) [m]."""
     each = n[:, readings.plane]
     away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
-    cosine = np.abs(np.einsum("cni,cni->cn", each, turned(v, readings)))
+    cosine = np.abs(np.einsum("cni,cni->cn", each, _turned(v, readings)))
     found: FloatArray = np.abs(away) / np.maximum(cosine, LEAST_COSINE)
+    return found
+
+
+def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings) -> FloatArray:
+    """Return the weights (C, N) of spots by their distances from their planes."""
+    away = np.abs(np.einsum("cni,cni->cn", n[:, readings.plane], spots) + b[:, readings.plane])
+    first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
+    weights: FloatArray = np.empty_like(away)
+    for own in np.split(np.arange(len(readings)), first[1:]):
+        unit = _nearer(away[:, own])[:, None] + 1e-300
+        with np.errstate(over="ignore"):  # spots exactly on a plane: what is off weighs nothing
+            weights[:, own] = 1.0 / (1.0 + (away[:, own] / unit) ** 2) ** 2
+    return weights
+
+
+def _nearer(away: FloatArray) -> FloatArray:
+    """Return the distance (C,) within which the nearer part of distances (C, N) are."""
+    rank = min(int(NEARER * away.shape[1]), away.shape[1] - 1)
+    found: FloatArray = np.partition(away, rank, axis=1)[:, rank]
     return found

@@ -60,9 +60,5 @@ def _solve(readings: Readings, rows: IntArray) -> PartialStart | None:
     v = nv.T @ n
     if not np.linalg.norm(v) > 0.0:
         return None
-    start = PartialStart.empty(readings)
-    start.directions[beam] = v / np.linalg.norm(v)
-    start.locations[beam] = nr.T @ n
-    start.normals[plane] = n
-    start.offsets[plane] = b - n @ centre
-    return start
+    v = v / np.linalg.norm(v)
+    return PartialStart.of(readings, beam, plane, nr.T @ n, v, n, b - n @ centre)

@@ -42,24 +42,15 @@ class Part:
 
     def restricted(self, parameters: Parameters) -> Parameters:
         """Return the parameters of the part."""
-        return Parameters(
-            parameters.locations[self.beams],
-            parameters.directions[self.beams],
-            parameters.range_errors[self.beams],
-            parameters.normals[self.planes],
-            parameters.offsets[self.planes],
-        )
+        return parameters.part(self.beams, self.planes)
 
     def extended(self, parameters: Parameters) -> Parameters:
         """Return the parameters of the whole: the others grow from the spots of the beams."""
         if self.is_whole:
             return parameters
-        start = PartialStart.empty(self.whole)
-        start.locations[self.beams] = parameters.locations
-        start.directions[self.beams] = parameters.directions
-        start.range_errors[self.beams] = parameters.range_errors
-        start.normals[self.planes] = parameters.normals
-        start.offsets[self.planes] = parameters.offsets
+        r, v, k = parameters.beams
+        n, b = parameters.normals, parameters.offsets
+        start = PartialStart.of(self.whole, self.beams, self.planes, r, v, n, b, k)
         return grow(start, self.whole)
 
 

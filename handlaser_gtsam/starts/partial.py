@@ -7,6 +7,7 @@ n_H . r + d n_H . v = -(b + n . t) in the six numbers (r, v).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -17,6 +18,9 @@ FLATNESS = 1e-3
 """A plane needs points whose second spread is at least this part of the first."""
 CONDITION = 1e-6
 """A beam needs a linear system whose singular values are within this ratio."""
+
+Index = int | IntArray | slice
+ALL = slice(None)
 
 LEAST_COSINE = 0.02
 """Beams that meet a plane of the start flatter than this (88.9 degrees) turn the plane."""
@@ -33,17 +37,29 @@ class PartialStart:
     range_errors: FloatArray
 
     @classmethod
-    def empty(cls, readings: Readings) -> "PartialStart":
-        """Return a start that knows nothing."""
-        beams, planes = readings.beams, readings.planes
-        nan = np.nan
-        return cls(
-            np.full((beams, 3), nan),
-            np.full((beams, 3), nan),
-            np.full((planes, 3), nan),
-            np.full(planes, nan),
-            np.zeros((beams, 2)),
+    def of(
+        cls,
+        readings: Readings,
+        beams: Index = ALL,
+        planes: Index = ALL,
+        r: ArrayLike = np.nan,
+        v: ArrayLike = np.nan,
+        n: ArrayLike = np.nan,
+        b: ArrayLike = np.nan,
+        k: ArrayLike = 0.0,
+    ) -> "PartialStart":
+        """Return a start that knows r, v and k of some beams, n and b of some planes, or nothing."""
+        of_beams, of_planes = (readings.beams, 3), (readings.planes, 3)
+        start = cls(
+            np.full(of_beams, np.nan),
+            np.full(of_beams, np.nan),
+            np.full(of_planes, np.nan),
+            np.full(readings.planes, np.nan),
+            np.zeros((readings.beams, 2)),
         )
+        start.locations[beams], start.directions[beams], start.range_errors[beams] = r, v, k
+        start.normals[planes], start.offsets[planes] = n, b
+        return start
 
     def known_beams(self) -> BoolArray:
         """Return a boolean (B,): location and direction are known."""
@@ -134,9 +150,8 @@ def _fill_unreached(start: PartialStart) -> None:
 
 def _straighten(start: PartialStart, readings: Readings) -> None:
     """Turn planes that a beam would graze towards their beams: no solver could start there."""
-    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, start.directions[readings.beam])
-    cosine = np.abs(np.einsum("ni,ni->n", v_world, start.normals[readings.plane]))
-    for plane in np.unique(readings.plane[cosine < LEAST_COSINE]):
+    v_world, cosine = _meeting(start, readings)
+    for plane in np.unique(readings.plane[np.abs(cosine) < LEAST_COSINE]):
         rows = np.flatnonzero(readings.plane == plane)
         part = readings.subset(rows)
         spots = _spots(start, part)
@@ -153,9 +168,13 @@ def _spots(start: PartialStart, readings: Readings) -> FloatArray:
 
 def _face_the_sensor(start: PartialStart, readings: Readings) -> None:
     """Turn normals away from the sensor: n_H . v > 0 over most readings."""
-    v = start.directions[readings.beam]
-    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, v)
-    cosine = np.einsum("ni,ni->n", v_world, start.normals[readings.plane])
+    _, cosine = _meeting(start, readings)
     sign = np.where(np.bincount(readings.plane, cosine, readings.planes) < 0.0, -1.0, 1.0)
     start.normals = model.normalized(start.normals) * sign[:, None]
     start.offsets = start.offsets * sign
+
+
+def _meeting(start: PartialStart, readings: Readings) -> tuple[FloatArray, FloatArray]:
+    """Return the directions (N, 3) of the beams in the world, and their cosines to the normals (N,)."""
+    v_world = np.einsum("nij,nj->ni", readings.world_R_hand, start.directions[readings.beam])
+    return v_world, np.einsum("ni,ni->n", v_world, start.normals[readings.plane])

@@ -4,22 +4,29 @@ A linear start follows its outliers. Here every candidate, linear or swept, is r
 loss, whose scale follows the residuals of those readings that must be good for the answer to mean
 anything, and so tightens by itself; a few steps with Tukey's loss let go of the rest. Gross errors
 agree with nothing: the candidates that reach the strongest evidence are those that found the consensus.
+
+A plane is in none but its own readings, so that a candidate may have its beams right and one plane
+wrong: where few stations see the plane, one of them with the label of another is enough. So candidates
+are mended. Given the beams a plane has three unknowns only, and any three spots determine it: many
+triples are drawn, and the plane that most readings agree with replaces the candidate's where it is
+better.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
+from .. import model
+from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..model.losses import Loss
+from ..model.losses import Loss, LossName
 from ..solvers.refine import Refined, Scale, refine_many
-from .directions import direction_starts, random_starts
-from .mending import mended
+from .directions import direction_starts, random_starts, subset_starts
 from .partial import PartialStart, grow
 from .search import Candidate, Judge, Round, search
-from .subsets import subset_starts
 
 METHOD = "consensus"
 FIRST_SWEPT, SWEPT, TRIED = 12, 32, 400
@@ -35,6 +42,12 @@ SAME_CRITERION = 0.5
 """Candidates whose criteria differ by less are one solution."""
 FIRST_MENDED, MENDING = 8, 3.0
 """So many of the best candidates are mended in each round, with so many times their scale."""
+TRIPLES = 60
+"""So many draws of three hold three good ones in all but 1e-4 of the cases where half the spots are."""
+WIDE = 4.0
+"""Readings so many scales off, or more, count alike."""
+LEAST_COSINE = 0.1
+"""Draws that a beam meets flatter than this make its readings count as far off."""
 KEPT = 6
 FAR = 5.0
 """Readings so many times beyond three quarters of them take no part in the starts."""
@@ -79,8 +92,7 @@ def _rounds(
     readings: Readings, others: Sequence[Parameters], terms: int, rng: np.random.Generator
 ) -> Iterator[Round]:
     """Yield starts on subsets, sweeps of all readings and random starts."""
-    total = len(readings)
-    unknowns = (5 + terms) * readings.beams + 3 * readings.planes
+    total, unknowns = len(readings), readings.unknowns(terms)
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     near = _without_far_readings(readings)
@@ -134,14 +146,60 @@ class _RobustLoss:
             mended(one.parameters, self.readings, MENDING * one.scale, self.rng)
             for one in best[:FIRST_MENDED]
         ]
-        steps = TUKEY_STEPS
-        return self._tight(
-            refine_many(new, self.readings, self.terms, steps, Loss("cauchy"), rule), rule
-        )
+        return self._tight(self._under("cauchy", new, rule), rule)
 
     def _tight(self, loose: list[Refined | None], rule: Scale) -> list[Refined | None]:
         usable = [one.parameters for one in loose if one is not None]
-        tight = iter(
-            refine_many(usable, self.readings, self.terms, TUKEY_STEPS, Loss("tukey"), rule)
-        )
+        tight = iter(self._under("tukey", usable, rule))
         return [None if one is None else next(tight) for one in loose]
+
+    def _under(self, loss: LossName, at: list[Parameters], rule: Scale) -> list[Refined | None]:
+        return refine_many(at, self.readings, self.terms, TUKEY_STEPS, Loss(loss), rule)
+
+
+def mended(
+    parameters: Parameters, readings: Readings, scale: float, rng: np.random.Generator
+) -> Parameters:
+    """Return `parameters` with planes that more readings agree with, within about `scale` [m]."""
+    normals, offsets = parameters.normals.copy(), parameters.offsets.copy()
+    x = model.scene(parameters, readings)
+    ahead = np.einsum("nij,nj->ni", x.R, x.v)
+    spots = model.spots(x.R, x.t, x.r, x.v, model.corrected(readings.distance, x.k))
+    starts = np.searchsorted(readings.plane, np.arange(readings.planes + 1))
+    for plane, (first, end) in enumerate(pairwise(starts.tolist())):
+        if end - first <= 3:
+            continue
+        own = slice(first, end)
+        n, b = _through_triples(spots[own], rng)
+        n = np.vstack((normals[plane], n))
+        b = np.append(offsets[plane], b)
+        best = int(np.argmin(_costs(n, b, spots[own], ahead[own], scale)))
+        if best:
+            normals[plane], offsets[plane] = _facing(n[best], b[best], ahead[own])
+    return replace(parameters, normals=normals, offsets=offsets)
+
+
+def _through_triples(spots: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return planes (C, 3), (C,) through triples of spots; those in a line are not among them."""
+    a, b, c = spots[np.argsort(rng.random((TRIPLES, len(spots))), axis=1)[:, :3]].swapaxes(0, 1)
+    n = np.cross(b - a, c - a)
+    length = np.linalg.norm(n, axis=1)
+    usable = length > 1e-9 * np.ptp(spots, axis=0).max() ** 2
+    n = n[usable] / length[usable, None]
+    return n, -np.einsum("ci,ci->c", n, a[usable])
+
+
+def _costs(
+    n: FloatArray, b: FloatArray, spots: FloatArray, ahead: FloatArray, scale: float
+) -> FloatArray:
+    """Return the limited sums of squares (C,) of residuals of spots before planes, in scales."""
+    away, cosine = np.abs(n @ spots.T + b[:, None]), np.abs(n @ ahead.T)
+    z = np.where(cosine > LEAST_COSINE, away / np.maximum(cosine, LEAST_COSINE) / scale, np.inf)
+    cost: FloatArray = (np.minimum(z, WIDE) ** 2).sum(axis=1)
+    return cost
+
+
+def _facing(n: FloatArray, b: float, ahead: FloatArray) -> tuple[FloatArray, float]:
+    """Return the plane with its normal away from most sensors."""
+    sign = -1.0 if np.median(ahead @ n) < 0.0 else 1.0
+    return sign * n, sign * b

@@ -9,70 +9,50 @@ are refined by Gauss-Newton on the range residual, and the lowest cost wins. (n,
 one plane, so half the sphere is enough.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..solvers.refine import refine_many
+from .directions import least_squares, sphere
 from .partial import PartialStart
 
 _NONE = np.zeros((1, 2))
 SAME_DIRECTION = 0.02
 """Directions closer than this [rad] count as one solution."""
+NORMALS = 300
+"""Normals tried: they lie about 8 degrees apart."""
+ITERATIONS = 12
+RIDGE = 1e-10
 
 
-@dataclass(frozen=True, slots=True)
-class SweepOptions:
-    """Controls of the sweep.
+def sweep_starts(
+    readings: Readings, refined: int = 8, seeds: int = 2, kept: int = 2
+) -> list[PartialStart]:
+    """Return starts that know one beam and one plane each.
 
-    Attributes
+    Parameters
     ----------
-    normals : int
-        Normals tried; 300 lie about 8 degrees apart.
+    readings : Readings
     refined : int
-        The best ones that are refined.
-    iterations : int
-        Most steps of each refinement.
+        The best normals, whose solutions are refined.
     seeds : int
         Pairs of beam and plane that are swept, those with the richest motion first.
     kept : int
         Different solutions that each pair gives.
     """
-
-    normals: int = 300
-    refined: int = 8
-    iterations: int = 12
-    seeds: int = 2
-    kept: int = 2
-
-
-def sweep_starts(readings: Readings, options: SweepOptions | None = None) -> list[PartialStart]:
-    """Return one start a swept pair: its beam and its plane, the rest not known."""
-    options = options or SweepOptions()
     starts = []
-    for rows in _richest_blocks(readings)[: options.seeds]:
+    for rows in _richest_blocks(readings)[:seeds]:
         part = readings.subset(rows)
-        for found in _sweep_block(_alone(part), options):
-            start = PartialStart.empty(readings)
-            beam, plane = part.beam[0], part.plane[0]
-            start.locations[beam] = found.locations[0]
-            start.directions[beam] = found.directions[0]
-            start.normals[plane] = found.normals[0]
-            start.offsets[plane] = found.offsets[0]
-            starts.append(start)
+        beam, plane, zero = part.beam[0], part.plane[0], np.zeros(len(part), dtype=np.intp)
+        alone = replace(part, beam=zero, plane=zero, beams=1, planes=1, samples=None)
+        for p in _sweep_block(alone, refined, kept):
+            r, v, n, b = p.locations[0], p.directions[0], p.normals[0], p.offsets[0]
+            starts.append(PartialStart.of(readings, beam, plane, r, v, n, b))
     return starts
-
-
-def half_sphere(count: int) -> FloatArray:
-    """Return `count` unit vectors (count, 3) spread evenly over z > 0 (Fibonacci lattice)."""
-    index = np.arange(count) + 0.5
-    z = 1.0 - index / count
-    angle = index * np.pi * (3.0 - np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack((radius * np.cos(angle), radius * np.sin(angle), z), axis=1)
 
 
 def _richest_blocks(readings: Readings) -> list[IntArray]:
@@ -92,62 +72,41 @@ def _richest_blocks(readings: Readings) -> list[IntArray]:
     return [np.arange(starts[i], starts[i] + count[i], dtype=np.intp) for i in best]
 
 
-def _alone(part: Readings) -> Readings:
-    """Return the readings of one beam and plane as a recording of their own."""
-    zero = np.zeros(len(part), dtype=np.intp)
-    return Readings(
-        part.station, zero, zero, part.distance, part.world_R_hand, part.world_t_hand, 1, 1
-    )
-
-
-def _sweep_block(readings: Readings, options: SweepOptions) -> list[Parameters]:
+def _sweep_block(readings: Readings, refined: int, kept: int) -> list[Parameters]:
     """Return the best different solutions, the lowest cost first."""
-    starts = _linear_solutions(readings, options)
-    refined = refine_many(starts, readings, terms=0, iterations=options.iterations)
-    found = sorted((f for f in refined if f is not None), key=lambda f: f.squares)
-    kept: list[Parameters] = []
-    for candidate in found:
-        if len(kept) == options.kept:
-            break
-        v = candidate.parameters.directions[0]
-        if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in kept):
-            kept.append(candidate.parameters)
-    return kept
+    tried = refine_many(_linear_solutions(readings, refined), readings, 0, ITERATIONS)
+    best: list[Parameters] = []
+    for found in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
+        v = found.parameters.directions[0]
+        if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
+            best.append(found.parameters)
+    return best[:kept]
 
 
-def _linear_solutions(readings: Readings, options: SweepOptions) -> list[Parameters]:
-    """Solve for (r, v, b) at every normal; return the best.
+def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
+    """Solve for (r, v, b) at every normal; return the `count` best.
 
     The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again,
     so that few stations, which fit almost any normal with some length of v, are told apart too.
     """
-    n = half_sphere(options.normals)
+    n = sphere(2 * NORMALS)[:NORMALS]
     centre = readings.world_t_hand.mean(axis=0)
     n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
     ones = np.ones((*n_hand.shape[:2], 1))
     scale = np.abs(readings.distance).mean()
     reach = n_hand * (readings.distance / scale)[:, None]
     rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
-    v = _least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs)[:, 3:6]
+    v = least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs, RIDGE)[:, 3:6]
     v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
     cosine = np.einsum("cmi,ci->cm", n_hand, v)
     A, rest = np.concatenate((n_hand, ones), axis=2), rhs - readings.distance * cosine
-    x = _least_squares(A, rest)
+    x = least_squares(A, rest, RIDGE)
     error = (A @ x[:, :, None])[..., 0] - rest
     slope = np.einsum("cm,cm->c", cosine, cosine) + 1e-300
     order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
     found = []
-    for c in order[: options.refined]:
+    for c in order[:count]:
         one = slice(c, c + 1)
         b = np.array([x[c, 3] - n[c] @ centre])
         found.append(Parameters(x[one, :3], v[one], _NONE, n[one], b))
     return found
-
-
-def _least_squares(A: FloatArray, rhs: FloatArray) -> FloatArray:
-    """Return x (C, K) of least |A x - rhs| for every A (C, M, K), with a trace of a ridge."""
-    At = np.swapaxes(A, 1, 2)
-    H = At @ A
-    ridge = 1e-10 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(H.shape[1])
-    solved: FloatArray = np.linalg.solve(H + ridge, At @ rhs[..., None])[..., 0]
-    return solved

@@ -22,6 +22,7 @@ Planes and beams that satisfy no lemma are left out here and grown afterwards.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
@@ -40,17 +41,15 @@ LEAST_SHARE = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Second moments of translations t, readings d, squares q about their means, a row a series."""
+    """Plane, beam and rotation of S series, and the second moments of what varies in each.
+
+    `moments` (S, 5, 5) are of translations t (3), readings d and their squares q, about their means.
+    """
 
     plane: IntArray
     beam: IntArray
     rotation: FloatArray
-    tt: FloatArray
-    td: FloatArray
-    dd: FloatArray
-    tq: FloatArray
-    dq: FloatArray
-    qq: FloatArray
+    moments: FloatArray
 
 
 def translation_start(readings: Readings) -> PartialStart | None:
@@ -82,7 +81,7 @@ def _normals_and_directions(readings: Readings) -> PartialStart | None:
     series = _series(readings)
     if series is None:
         return None
-    start = PartialStart.empty(readings)
+    start = PartialStart.of(readings)
     _solve_normals(start, series)
     _solve_directions(start, series)
     if np.isnan(start.normals).all() or np.isnan(start.directions).all():
@@ -92,12 +91,13 @@ def _normals_and_directions(readings: Readings) -> PartialStart | None:
 
 def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
     """Return kappa (B,) [1/m], zero where a beam's series do not determine it; None if all are zero."""
-    inverse = np.linalg.pinv(series.tt, rcond=1e-10, hermitian=True)
-    along = np.einsum("si,sij->sj", series.tq, inverse)
-    free = series.qq - np.einsum("si,si->s", along, series.tq)
-    rest = series.dq - np.einsum("si,si->s", along, series.td)
+    tt, td, tq = series.moments[:, :3, :3], series.moments[:, :3, 3], series.moments[:, :3, 4]
+    dq, qq = series.moments[:, 3, 4], series.moments[:, 4, 4]
+    along = np.einsum("si,sij->sj", tq, np.linalg.pinv(tt, rcond=1e-10, hermitian=True))
+    free = qq - np.einsum("si,si->s", along, tq)
+    rest = dq - np.einsum("si,si->s", along, td)
     beams = readings.beams
-    total = np.bincount(series.beam, series.qq, beams)
+    total = np.bincount(series.beam, qq, beams)
     left, right = np.bincount(series.beam, free, beams), np.bincount(series.beam, rest, beams)
     usable = left > LEAST_SHARE * total
     kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
@@ -113,13 +113,10 @@ def _series(readings: Readings) -> _Series | None:
     _, first, index = np.unique(labels, axis=0, return_index=True, return_inverse=True)
     index = index.ravel()
     count = np.bincount(index)
-    t, d = readings.world_t_hand, readings.distance
-    t_mean = np.stack([np.bincount(index, t[:, i]) for i in range(3)], axis=1) / count[:, None]
-    dt = t - t_mean[index]
-    dd = d - (np.bincount(index, d) / count)[index]
-    q = d * d
-    dq = q - (np.bincount(index, q) / count)[index]
-    columns = np.column_stack((dt, dd, dq))
+    d = readings.distance
+    columns = np.column_stack((readings.world_t_hand, d, d * d))
+    means = np.stack([np.bincount(index, column) for column in columns.T], axis=1) / count[:, None]
+    columns -= means[index]
     moments = np.zeros((len(count), 5, 5))
     np.add.at(moments, index, columns[:, :, None] * columns[:, None, :])
     moving = np.flatnonzero(np.trace(moments[:, :3, :3], axis1=1, axis2=2) > 1e-18)
@@ -127,24 +124,16 @@ def _series(readings: Readings) -> _Series | None:
         return None
     rows = first[moving]
     return _Series(
-        readings.plane[rows],
-        readings.beam[rows],
-        readings.world_R_hand[rows],
-        moments[moving, :3, :3],
-        moments[moving, :3, 3],
-        moments[moving, 3, 3],
-        moments[moving, :3, 4],
-        moments[moving, 3, 4],
-        moments[moving, 4, 4],
+        readings.plane[rows], readings.beam[rows], readings.world_R_hand[rows], moments[moving]
     )
 
 
 def _solve_normals(start: PartialStart, series: _Series) -> None:
     """Step 1: the normal of every plane whose translations span space."""
-    travel = np.trace(series.tt, axis1=1, axis2=2)
-    responds = series.dd > 1e-12 * travel
-    share = np.where(responds, 1.0 / np.where(responds, series.dd, 1.0), 0.0)
-    free = series.tt - series.td[:, :, None] * series.td[:, None, :] * share[:, None, None]
+    tt, td, dd = series.moments[:, :3, :3], series.moments[:, :3, 3], series.moments[:, 3, 3]
+    responds = dd > 1e-12 * np.trace(tt, axis1=1, axis2=2)
+    share = np.where(responds, 1.0 / np.where(responds, dd, 1.0), 0.0)
+    free = tt - td[:, :, None] * td[:, None, :] * share[:, None, None]
     matrix = np.zeros((len(start.offsets), 3, 3))
     np.add.at(matrix, series.plane, free)
     spread, axes = np.linalg.eigh(matrix)
@@ -155,15 +144,14 @@ def _solve_normals(start: PartialStart, series: _Series) -> None:
 
 def _solve_directions(start: PartialStart, series: _Series) -> None:
     """Step 2: the direction of every beam that sees three independent normals from the hand."""
-    use = np.flatnonzero(~np.isnan(start.normals[series.plane, 0]) & (series.dd > 0.0))
+    td, dd = series.moments[:, :3, 3], series.moments[:, 3, 3]
+    use = np.flatnonzero(~np.isnan(start.normals[series.plane, 0]) & (dd > 0.0))
     n = start.normals[series.plane[use]]
     n_hand = np.einsum("sji,sj->si", series.rotation[use], n)
-    weighted_p = -np.einsum(
-        "si,si->s", series.td[use], n
-    )  # dd p: a row weighs as its readings move
+    weighted_p = -np.einsum("si,si->s", td[use], n)  # dd p: a row weighs as its readings move
     beams = len(start.directions)
     matrix, rhs = np.zeros((beams, 3, 3)), np.zeros((beams, 3))
-    weighted = series.dd[use, None, None] * n_hand[:, :, None] * n_hand[:, None, :]
+    weighted = dd[use, None, None] * n_hand[:, :, None] * n_hand[:, None, :]
     np.add.at(matrix, series.beam[use], weighted)
     np.add.at(rhs, series.beam[use], weighted_p[:, None] * n_hand)
     spread = np.linalg.eigvalsh(matrix)
@@ -190,13 +178,11 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     np.add.at(rows_mean, (part.plane, part.beam), n_hand)
     rows_mean /= count[:, None, None]
     # Normal equations of r after every offset is eliminated: rows less their mean over the plane.
-    H, g = np.zeros((part.beams, 3, part.beams, 3)), np.zeros((part.beams, 3))
-    blocks = np.zeros((part.beams, 3, 3))
+    blocks, g = np.zeros((part.beams, 3, 3)), np.zeros((part.beams, 3))
     np.add.at(blocks, part.beam, n_hand[:, :, None] * n_hand[:, None, :])
     np.add.at(g, part.beam, n_hand * rhs[:, None])
-    H[np.arange(part.beams), :, np.arange(part.beams), :] = blocks
     flat = rows_mean.reshape(part.planes, -1)
-    matrix = H.reshape(flat.shape[1], -1) - (flat * count[:, None]).T @ flat
+    matrix = block_diag(*blocks) - (flat * count[:, None]).T @ flat
     vector = g.ravel() - flat.T @ (count * rhs_mean)
     r = (np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ vector).reshape(-1, 3)
     start.locations[beams] = r[beams]

@@ -88,36 +88,25 @@ def _rows(
 ) -> Iterator[tuple[str, float, float]]:
     """Yield the rows of `_compare` of every beam and plane; `variance` is that of a reading."""
     found = reference.parameters
-    difference = np.hstack(
-        (
-            own.locations - found.locations,
-            own.directions - found.directions,
-            own.range_errors - found.range_errors,
-        )
-    )
+    off = [ours - other for ours, other in zip(own.beams, found.beams, strict=True)]
+    names = [f"beam {name}" for name in calibration.beams]
     theirs = variance * reference.beam_covariances
-    for i, (beam, mine) in enumerate(
-        zip(calibration.beams.values(), joint.all_beams(), strict=True)
-    ):
-        for label, part in (
-            ("location", slice(0, 3)),
-            ("direction", slice(3, 6)),
-            ("range error", slice(6, 6 + beam.terms)),
-        ):
-            yield from _compare(f"beam {beam.name} {label}", difference[i], mine, theirs[i], part)
+    terms = [beam.terms for beam in calibration.beams.values()]
+    rows = zip(names, np.hstack(off), joint.all_beams(), theirs, terms, strict=True)
+    for name, e, mine, other, count in rows:
+        yield from _compare(f"{name} location", e, mine, other, slice(0, 3))
+        yield from _compare(f"{name} direction", e, mine, other, slice(3, 6))
+        yield from _compare(f"{name} range error", e, mine, other, slice(6, 6 + count))
     difference = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
+    names = [f"plane {name}" for name in calibration.planes]
     theirs = variance * reference.plane_covariances
-    for p, (name, mine) in enumerate(zip(calibration.planes, joint.all_planes(), strict=True)):
-        for label, part in (("normal", slice(0, 3)), ("offset", slice(3, 4))):
-            yield from _compare(f"plane {name} {label}", difference[p], mine, theirs[p], part)
+    for name, e, mine, other in zip(names, difference, joint.all_planes(), theirs, strict=True):
+        yield from _compare(f"{name} normal", e, mine, other, slice(0, 3))
+        yield from _compare(f"{name} offset", e, mine, other, slice(3, 4))
 
 
 def _compare(
-    name: str,
-    difference: FloatArray,
-    mine: FloatArray,
-    other: FloatArray,
-    part: slice,
+    name: str, difference: FloatArray, mine: FloatArray, other: FloatArray, part: slice
 ) -> list[tuple[str, float, float]]:
     """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.
 

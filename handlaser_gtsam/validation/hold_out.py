@@ -146,9 +146,8 @@ def fit_planes(
     beams: Beams, readings: Readings, variances: Variances
 ) -> tuple[Parameters, Whitening]:
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
-    start = PartialStart.empty(readings)
-    start.locations[:], start.directions[:], start.range_errors[:] = beams
-    at = grow(start, readings)
+    r, v, k = beams
+    at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
     unit = np.array([1.0, 1.0, readings.typical_range()])
     still = np.zeros((readings.beams, 7))
     for _ in range(STEPS):
@@ -177,12 +176,9 @@ class _Quadratic:
         Natural units.
     beam : (n,)
         Index of the beam of each unknown.
-    bases : (B, 3, 2)
-        Of the directions.
     rank : int
     dof : int
         Degrees of freedom of the noise, the beams free.
-    readings : int
     known : bool
         Whether the range sigma was given.
     """
@@ -193,10 +189,8 @@ class _Quadratic:
     root: FloatArray
     unit: FloatArray
     beam: IntArray
-    bases: FloatArray
     rank: int
     dof: int
-    readings: int
     known: bool
 
     @classmethod
@@ -226,18 +220,15 @@ class _Quadratic:
         bases = model.tangent_basis(mounts.directions)
         lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]
         P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
-        variances, sides = np.linalg.eigh(0.5 * (P + P.T))
         return cls(
             cost / scale,
             axes @ along,
             (axes * values) @ axes.T,
-            sides * np.sqrt(np.maximum(variances, 0.0)),
+            _root(P),
             unit,
             np.repeat(np.arange(readings.beams), 7)[active],
-            bases,
             int(keep.sum()),
             free - int(keep.sum()),
-            len(readings),
             known,
         )
 
@@ -253,6 +244,14 @@ class _Quadratic:
         z = -np.linalg.pinv(Q, rcond=RANK, hermitian=True) @ b
         return float(-b @ z), A @ z
 
+    def p_value(self, statistic: float, dof: int) -> float:
+        """Return the probability of a larger statistic; NaN without degrees of freedom."""
+        if dof == 0:
+            return float("nan")
+        if self.known:
+            return float(chi2_distribution.sf(statistic, dof))
+        return float(f_distribution.sf(statistic / dof, dof, max(self.dof, 1)))
+
 
 def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
     n = len(of.unit)
@@ -267,19 +266,11 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         root = np.zeros((n, others.shape[1]))
         root[~mine] = others
         fall, x = of.least(root, np.eye(n)[:, mine])
-        statistic = max(fall - held, 0.0)
-        dx = (x * of.unit)[mine]
-        beams.append(
-            BeamDrift(
-                name,
-                statistic,
-                _p_value(statistic, min(int(mine.sum()), of.rank), of),
-                dx[:3],
-                float(np.linalg.norm(dx[3:5])),
-            )
-        )
+        statistic, dx = max(fall - held, 0.0), (x * of.unit)[mine]
+        p_value = of.p_value(statistic, min(int(mine.sum()), of.rank))
+        beams.append(BeamDrift(name, statistic, p_value, dx[:3], float(np.linalg.norm(dx[3:5]))))
     return HoldOut(
-        of.readings,
+        len(e),
         float(np.sqrt(np.mean(e**2))),
         float(np.abs(e).max()),
         chi2,
@@ -287,17 +278,9 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         float(chi2_distribution.sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
         drift,
         of.rank,
-        _p_value(drift, of.rank, of),
+        of.p_value(drift, of.rank),
         tuple(beams),
     )
-
-
-def _p_value(statistic: float, dof: int, of: _Quadratic) -> float:
-    if dof == 0:
-        return float("nan")
-    if of.known:
-        return float(chi2_distribution.sf(statistic, dof))
-    return float(f_distribution.sf(statistic / dof, dof, max(of.dof, 1)))
 
 
 def _root(P: FloatArray) -> FloatArray:

@@ -13,7 +13,6 @@ from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
-from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError, SolverError
@@ -226,27 +225,17 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     readings = recording.readings()
-    whole = calibration.parameters()
     beams = [list(calibration.beams).index(name) for name in recording.beam_names]
     planes = [list(calibration.planes).index(name) for name in recording.plane_names]
-    at = Parameters(
-        whole.locations[beams],
-        whole.directions[beams],
-        whole.range_errors[beams],
-        whole.normals[planes],
-        whole.offsets[planes],
-    )
+    at = calibration.parameters().part(beams, planes)
     x = model.scene(at, readings)
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
     S = joint.matrix(recording.beam_names, recording.plane_names)
     first = 8 * len(beams)
-    columns = np.hstack(
-        (
-            8 * readings.beam[:, None] + np.arange(8),
-            first + 4 * readings.plane[:, None] + np.arange(4),
-        )
-    )
+    of_beam = 8 * readings.beam[:, None] + np.arange(8)
+    of_plane = first + 4 * readings.plane[:, None] + np.arange(4)
+    columns = np.hstack((of_beam, of_plane))
     own = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, own, J)
     ranges = np.full(len(beams), calibration.fit.range_sigma)
@@ -262,11 +251,8 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
 
 def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
     """Predict all stations of a plane from the plane that the beams span at each one of them."""
-    errors = [
-        one
-        for p in range(len(recording.plane_names))
-        for one in _of_plane(calibration, recording, p)
-    ]
+    planes = range(len(recording.plane_names))
+    errors = [one for p in planes for one in _of_plane(calibration, recording, p)]
     if not errors:
         return None
     e = np.concatenate(errors)
@@ -286,9 +272,7 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
     read = ~np.isnan(d)
     for station in range(len(rows)):
         X = spots[station, read[station]]
-        if len(X) < 3:
-            continue
-        found = plane_of(X)
+        found = plane_of(X) if len(X) >= 3 else None
         if found is None:
             continue
         (_, _, n), middle = found

@@ -6,6 +6,7 @@ from ..data.recording import Recording
 from ..results.limits import Limits, rms_checked
 from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
+from ..text import some
 from .leave_out import Validation
 
 SHOWN = 4
@@ -47,5 +48,4 @@ def verdict_of_validation(
 def _planes(names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return f"plane {names[0]} contradicts"
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return f"planes {', '.join(names[:SHOWN])}{more} contradict"
+    return f"planes {some(names, SHOWN)} contradict"

@@ -1,4 +1,4 @@
-r"""Whether the mirror image of a solution fits as well.
+r"""Other solutions that fit as well: the mirror image, and those that leave more open.
 
 Where the hand does not move between the stations of a plane but only turns, the point reflection of
 every beam and plane through the hand's position predicts the same readings:
@@ -10,18 +10,28 @@ No local analysis of rank can see that: both solutions are determined, and one o
 A hand that moves gives the image residuals of 2 n . (t - mean t) / (n_H . v). What the unknowns take of
 these in one linear step is all that they can take, but for what is of second order in the step. So an
 image is ruled out without a search where much is left of its residuals, and far more than the noise.
+
+Where readings leave something open there is not one solution but a whole set. At a single member, an
+error of the estimate can look like information: a normal that is a little off makes turns about it seem
+to change the incidence. What is determined is so everywhere on the set; so other members are looked
+for, from starts all around, and the one that leaves most open is taken.
 """
 
 import numpy as np
 
-from ..data.parameters import Parameters
+from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..solvers.reduction import normal_equations
-from ..solvers.refine import refine
+from ..solvers.refine import refine, refine_many
+from ..starts import part
+from ..starts.directions import direction_starts, random_starts
+from ..starts.partial import grow
+from .rank import Observability, ObservabilityOptions, observability
 
 CHI2_MARGIN = 25.0
-"""An image within this of the solution's chi2 (five standard deviations) cannot be ruled out."""
+"""A solution, or an image, within this of the best chi2 (five standard deviations) fits as well."""
+RANDOM, SWEPT, STEPS = 16, 8, 60
 LEFT = 0.02
 """Where a linear step leaves less of the squares of the image's residuals, what is of second order
 in it may decide: the image is searched for."""
@@ -53,10 +63,10 @@ def mirror_image_fits(
 
 def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     """Tell from one linear step that no image near `image` has a sum of squares below `limit` [m^2]."""
-    kept = np.flatnonzero(readings.plane < _planes_of(readings))
-    part = readings.subset(kept)
+    last = readings.plane[min(len(readings), ENOUGH) - 1]
+    some = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
-        normal = normal_equations(image, part, 0)
+        normal = normal_equations(image, some, 0)
     except GrazingBeamError:
         return False
     length = readings.typical_range()
@@ -65,13 +75,6 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     before = normal.squares[0]
     left = before - float(step[2])
     return bool(left > LEFT * before and left > FAR * limit)
-
-
-def _planes_of(readings: Readings) -> int:
-    """Return how many planes have `ENOUGH` readings; all where there are fewer."""
-    if len(readings) <= ENOUGH:
-        return readings.planes
-    return int(readings.plane[ENOUGH - 1]) + 1
 
 
 def _image(solution: Parameters, readings: Readings) -> Parameters:
@@ -84,3 +87,48 @@ def _image(solution: Parameters, readings: Readings) -> Parameters:
         -solution.normals,
         solution.offsets + 2.0 * np.einsum("pi,pi->p", solution.normals, middle),
     )
+
+
+def least_observed(
+    found: Observability,
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    range_sigma: float,
+    options: ObservabilityOptions,
+    prior: RangeErrorPrior | None = None,
+) -> tuple[Parameters, Observability]:
+    """Return the solution, among some that fit as well as `parameters`, that leaves most open.
+
+    Parameters
+    ----------
+    found : Observability
+        At `parameters`, of short rank.
+    parameters, terms, range_sigma, options
+        Of the diagnosis.
+    readings : Readings
+        Long recordings are not searched: errors of their estimates are small.
+    prior : RangeErrorPrior, optional
+        Other solutions are sought without range errors where these have a prior.
+    """
+    if len(readings) > part.ENOUGH:
+        return parameters, found
+    partial = random_starts(readings, RANDOM, np.random.default_rng(0))
+    partial += direction_starts(readings, SWEPT)
+    starts = [parameters, *(grow(start, readings) for start in partial)]
+    tried = refine_many(starts, readings, 0 if prior else terms, STEPS)
+    refined = [one for one in tried if one is not None]
+    if not refined:
+        return parameters, found
+    limit = min(one.squares for one in refined) + CHI2_MARGIN * range_sigma**2
+    here, least = parameters, found
+    for one in refined:
+        if one.squares > limit:
+            continue
+        try:
+            seen = observability(one.parameters, readings, terms, range_sigma, options, prior=prior)
+        except GrazingBeamError:
+            continue
+        if seen.rank < least.rank:
+            here, least = one.parameters, seen
+    return here, least

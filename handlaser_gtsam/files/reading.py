@@ -1,0 +1,103 @@
+"""Text files read, and checked against a schema: the first fault is refused in one line."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ..data.recording import first_repeated
+from ..errors import InputError
+from ..text import shown
+from .writing import path_of
+
+Schema = TypeVar("Schema", bound=BaseModel)
+
+
+class Record(BaseModel):
+    """Fields of a file: no others, of no other type, and finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    InputError
+        No such file, or bytes that are not UTF-8.
+    """
+    try:
+        return path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise InputError(f"no readable file ({error.strerror})", expected, path) from error
+    except UnicodeDecodeError as error:
+        data, at = error.object, error.start
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1) from error
+        line = data.count(b"\n" if b"\n" in data else b"\r", 0, at) + 1
+        found = f"the byte 0x{data[at]:02x}, which is not UTF-8, at offset {at}"
+        raise InputError(found, "a file saved as UTF-8", path, line) from error
+
+
+def read_checked(
+    path: Path | str, schema: type[Schema], parse: Callable[[str], object], expected: str
+) -> Schema:
+    """Return the content of a file.
+
+    Parameters
+    ----------
+    path : Path or str
+    schema : subclass of BaseModel
+    parse : callable
+        Makes a mapping of the text; a ValueError says that the text is none.
+    expected : str
+        What kind of file it is, and its language: "a rig file, TOML".
+
+    Raises
+    ------
+    InputError
+        No such file, no UTF-8, what `parse` refuses, or what `schema` does not take.
+    """
+    path = path_of(path)
+    text = read_text(path, expected)
+    try:
+        return schema.model_validate(parse(text))
+    except ValidationError as error:
+        raise _first_fault(error, schema, expected, path) from error
+    except (InputError, ValueError, RecursionError) as error:  # ValueError: endless integers, too
+        what = str(error).split(";")[0].splitlines()[0][:120]
+        found = f"no {expected.split()[-1]} ({what})"
+        raise InputError(
+            error.found if isinstance(error, InputError) else found, expected, path
+        ) from error
+
+
+def _first_fault(
+    error: ValidationError, schema: type[BaseModel], expected: str, path: Path
+) -> InputError:
+    fault = error.errors()[0]
+    place = [str(part) for part in fault["loc"]]
+    if not place:
+        return InputError(f"the file = {shown(fault['input'])}", expected, path)
+    field = ".".join(place)
+    if fault["type"] == "extra_forbidden" and len(place) <= 2:
+        table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
+        names = ", ".join(getattr(table, "model_fields", ()))
+        return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
+    return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
+
+
+def json_value(text: str) -> object:
+    """Return the content of a JSON text; raises a ValueError, or InputError for a field twice."""
+    return json.loads(text, object_pairs_hook=_once_each)
+
+
+def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return the fields of an object; refuse one that stands twice: only the last would count."""
+    twice = first_repeated([name for name, _ in pairs])
+    if twice is not None:
+        raise InputError(f"the field {shown(pairs[twice][0])} twice", "every field once")
+    return dict(pairs)
