@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
     from .files.study_folder import StudyFolder as StudyFolder
+    from .files.study_picture import write_study_picture as write_study_picture
+    from .files.study_toml import DeclaredStudy as DeclaredStudy
+    from .files.study_toml import read_study as read_study
     from .keys import BeamKeys as BeamKeys
     from .model.joint import JointCovariance as JointCovariance
     from .model.losses import Loss as Loss
@@ -135,6 +138,8 @@ _NAMES = {
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",
+    "files.study_picture": "write_study_picture",
+    "files.study_toml": "DeclaredStudy read_study",
     "keys": "BeamKeys",
     "model.joint": "JointCovariance",
     "model.losses": "Loss",

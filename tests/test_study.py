@@ -1,9 +1,13 @@
 """Studies: the same rows whoever works on them, none lost or counted twice, and what they add up to."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +21,15 @@ from handlaser_gtsam.simulation.simulate import Errors
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = Simulated("paper", Layout(2, 3, 11), Errors(3e-5))
+
+
+HAS_DASK, HAS_MATPLOTLIB = find_spec("distributed") is not None, find_spec("matplotlib") is not None
+
+
+def run_cli(*arguments):
+    """Run the command in a process of its own, with workers of its own."""
+    command = [sys.executable, "-m", "handlaser_gtsam.cli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 def reduced(name="paper", scene=PAPER):
@@ -121,3 +134,110 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
     pl.DataFrame({"a": [1]}).write_parquet(tmp_path / "mine.parquet")
     with pytest.raises(hl.InputError, match="something else"):
         study([reduced()], 20, 0, ThreadPoolExecutor(1), hl.StudyFolder(tmp_path))
+
+
+STUDY = """
+runs = 20
+seed = 5
+[scenes.small]
+scene = "paper"
+beams = 2
+planes = 3
+k1 = 0.01
+k1_sigma = 0.002
+pose_translation_sigma_mm = 0.0
+pose_rotation_sigma_deg = 0.0
+[treatments.together]
+solve = "reduction"
+noise = "scene"
+range_error = "k1"
+[treatments.exact]
+solve = "reduction"
+range_error = "k1k2"
+noise = { range_sigma_mm = 0.03, pose_translation_sigma_mm = 0.0, pose_rotation_sigma_deg = 0.0 }
+[treatments.default]
+outliers = "keep"
+"""
+
+
+def declared(tmp_path, text):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_study_is_declared_in_a_file(tmp_path):
+    found = hl.read_study(declared(tmp_path, STUDY))
+    assert (found.runs, found.seed) == (20, 5)
+    assert [case.treatment for case in found.cases] == ["together", "exact", "default"]
+    scene = found.cases[0].draw
+    assert scene.layout == Layout(2, 3, 11, 0.01)
+    assert scene.range_error_sigmas == (0.002, 0.0)
+    assert found.cases[0].solve == Reduced(hl.Noise(3e-5, 0.0, 0.0), 1)
+    assert found.cases[2].solve.noise is None
+    assert found.cases[2].solve.options.outliers == "keep"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("runs = 20", "run = 20", "unknown field run"),
+        ('scene = "paper"', "", "neither scene nor function"),
+        ('scene = "paper"', 'scene = "mine"', "scenes.small.scene"),
+        ('scene = "paper"', 'function = "a:b"', "alone"),
+        ('range_error = "k1"\n', "", "reduction"),
+        ('outliers = "keep"', 'outliers = "none"', "outliers"),
+        ("beams = 2", "beams = 0", "beams"),
+        ("[scenes.small]", "[scene.small]", "unknown field scene"),
+    ],
+)
+def test_a_declaration_is_checked(tmp_path, old, new, words):
+    with pytest.raises(hl.InputError, match=words):
+        hl.read_study(declared(tmp_path, STUDY.replace(old, new)))
+
+
+def test_the_command_prints_a_line_for_every_case(tmp_path):
+    path = declared(tmp_path, STUDY[: STUDY.index("[treatments.default]")])
+    out, picture = tmp_path / "rows", tmp_path / "study.svg"
+    arguments = ["study", str(path), "--out", str(out), "--jobs", "1", "--runs", "10"]
+    if HAS_MATPLOTLIB:
+        arguments += ["--picture", str(picture)]
+    found = run_cli(*arguments)
+    assert found.returncode == 0, found.stderr
+    assert "together" in found.stdout
+    assert len(list(out.glob("*.parquet"))) == 2
+    assert picture.exists() == HAS_MATPLOTLIB
+    again = run_cli(*arguments, "--json")
+    summary = json.loads(again.stdout)["summary"]
+    assert [one["runs"] for one in summary] == [10, 10]
+    other = run_cli(*arguments, "--seed", "6")
+    assert other.returncode == 2
+    assert "another study" in other.stderr
+
+
+@pytest.mark.skipif(not HAS_DASK, reason="needs dask.distributed")
+def test_a_dask_cluster_gives_the_same_rows_though_a_worker_dies(tmp_path):
+    from distributed import Client, LocalCluster
+
+    mark = str(tmp_path / "killed")
+    draw = Drawn(f"{__name__}:once_killed", {"mark": mark})
+    case = Case("paper", "reduction", draw, Reduced(EXACT))
+    told = []
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        executor = client.get_executor(pure=False)
+        found = study([case], 100, 3, executor, None, lambda done, _: told.append(done))
+    assert Path(mark).exists()
+    assert told[-1] == 100
+    assert found.rows.equals(study([reduced()], 100, 3, ThreadPoolExecutor(1)).rows)
+
+
+@pytest.mark.skipif(not HAS_DASK, reason="needs dask.distributed")
+def test_no_scheduler_is_said_in_one_line(tmp_path):
+    path = declared(tmp_path, STUDY)
+    found = run_cli("study", str(path), "--scheduler", "tcp://127.0.0.1:1")
+    assert found.returncode == 2
+    assert "no scheduler" in found.stderr
+    assert "Traceback" not in found.stderr

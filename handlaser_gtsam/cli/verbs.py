@@ -7,6 +7,7 @@ from .calibrate import calibrate
 from .check import check
 from .options import expanded
 from .simulate import simulate
+from .study import study
 from .validate import validate
 
 app = typer.Typer(
@@ -18,7 +19,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, simulate, validate):
+for verb in (calibrate, check, simulate, study, validate):
     app.command()(expanded(verb))
 
 

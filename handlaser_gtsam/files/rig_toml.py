@@ -29,7 +29,9 @@ from .reading import Record, read_checked
 from .writing import path_of, write_text
 
 
-class _Noise(Record):
+class NoiseTable(Record):
+    """The table [noise] of a rig file."""
+
     range_sigma_mm: float | None = None
     incidence_sigma_mm: float | None = None
     pose_translation_sigma_mm: float | None = None
@@ -52,7 +54,7 @@ class _Limits(Record):
 
 
 class _Rig(Record):
-    noise: _Noise = _Noise()
+    noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
 
@@ -100,14 +102,15 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
-    rig = read_checked(path, _Rig, _parsed, "a rig file, TOML")
+    rig = read_checked(path, _Rig, toml_value, "a rig file, TOML")
     try:
         return rig, _to_si(rig)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
 
-def _parsed(text: str) -> object:
+def toml_value(text: str) -> object:
+    """Return the content of a TOML text; raises a ValueError."""
     return tomllib.loads(text.removeprefix("\ufeff").replace("\r\n", "\n"))
 
 
@@ -118,29 +121,34 @@ def _to_si(rig: _Rig) -> Rig:
         span = (0.0, math.inf)
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
-    given = Noise(), Sensor()
     linearity = rig.sensor.linearity_percent
     return Rig(
-        Noise(
-            scaled(rig.noise.range_sigma_mm, mm),
-            scaled(rig.noise.pose_translation_sigma_mm, mm),
-            scaled(rig.noise.pose_rotation_sigma_deg, deg),
-            scaled(rig.noise.incidence_sigma_mm, mm, given[0].incidence_sigma),
-            _matrix(rig.noise.pose_covariance),
-            scaled(rig.noise.pose_translation_prior_mm, mm, given[0].pose_translation_prior),
-            scaled(rig.noise.pose_rotation_prior_deg, deg, given[0].pose_rotation_prior),
-        ),
+        noise_of(rig.noise),
         Sensor(
             span[0] * mm,
             span[1] * mm,
             math.radians(90.0 if incidence is None else incidence),
-            given[1].linearity if linearity is None else 0.01 * linearity,
+            Sensor().linearity if linearity is None else 0.01 * linearity,
         ),
         Limits(
             scaled(rig.limits.rms_mm, mm),
             scaled(rig.limits.location_sigma_mm, mm),
             scaled(rig.limits.direction_sigma_deg, deg),
         ),
+    )
+
+
+def noise_of(table: NoiseTable) -> Noise:
+    """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
+    mm, deg, given = 1e-3, math.pi / 180.0, Noise()
+    return Noise(
+        scaled(table.range_sigma_mm, mm),
+        scaled(table.pose_translation_sigma_mm, mm),
+        scaled(table.pose_rotation_sigma_deg, deg),
+        scaled(table.incidence_sigma_mm, mm, given.incidence_sigma),
+        _matrix(table.pose_covariance),
+        scaled(table.pose_translation_prior_mm, mm, given.pose_translation_prior),
+        scaled(table.pose_rotation_prior_deg, deg, given.pose_rotation_prior),
     )
 
 
