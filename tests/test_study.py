@@ -188,7 +188,7 @@ def test_a_study_is_declared_in_a_file(tmp_path):
         ('range_error = "k1"\n', "", "reduction"),
         ('outliers = "keep"', 'outliers = "none"', "outliers"),
         ("beams = 2", "beams = 0", "beams"),
-        ("[scenes.small]", "[scene.small]", "unknown field scene"),
+        ("[scenes.small]", "[scene.small]", "Field required"),
     ],
 )
 def test_a_declaration_is_checked(tmp_path, old, new, words):
