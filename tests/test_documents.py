@@ -9,13 +9,23 @@ import pytest
 from helpers import ROOT
 
 README = (ROOT / "README.md").read_text()
-BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+STUDIES = (ROOT / "docs" / "studies.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README + STUDIES, flags=re.DOTALL)
 
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_python_of_the_readme(block, monkeypatch):
     monkeypatch.chdir(ROOT)
     exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+
+
+def test_the_study_in_the_documents_is_one(tmp_path):
+    from handlaser_gtsam import read_study
+
+    (text,) = re.findall(r"```toml\n(.*?)```", STUDIES, flags=re.DOTALL)
+    (tmp_path / "study.toml").write_text(text)
+    assert len(read_study(tmp_path / "study.toml").cases) == 2
+    assert read_study(ROOT / "examples" / "study" / "study.toml").runs > 0
 
 
 def test_the_recording_in_the_readme_reads(tmp_path):

@@ -7,13 +7,16 @@ import pytest
 from helpers import bench, motion, recording_of
 
 import handlaser_gtsam as hl
+from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.simulation.scenes import SCENES, Layout
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
+from handlaser_gtsam.solvers.grid import Grid
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
+from handlaser_gtsam.solvers.reduction import jacobian_columns
 from handlaser_gtsam.solvers.together import solve_together
 
 SIGMA = 3e-5
@@ -140,3 +143,19 @@ def test_what_is_not_of_one_shape_is_refused():
         hl.solve_many([], given)
     with pytest.raises(hl.InputError, match="range-error terms"):
         hl.solve_many([one], given, 3)
+
+
+def test_rows_on_the_grid_are_those_of_the_model():
+    """The grid writes the measurement equation in another way; order and gaps do not matter."""
+    recording, truth = scene(2, True)
+    readings, at = local(recording, truth)
+    columns, centres = jacobian_columns(at, readings, 2)
+    grid = Grid([readings])
+    rows = grid.rows(at, 2)
+    assert np.abs(rows.centres[0] - centres).max() < 1e-12
+    mine = np.array([grid.gathered(column)[0] for column in rows.columns])
+    assert np.abs(mine - columns).max() < 1e-13
+    residual, cosine = grid.residuals(at)
+    assert np.array_equal(grid.gathered(residual)[0], mine[-1])
+    x = model.scene(at, readings)
+    assert np.abs(grid.gathered(cosine)[0] - model.cosines(x)).max() < 1e-15

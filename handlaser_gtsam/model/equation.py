@@ -87,9 +87,14 @@ def scene(parameters: Parameters, readings: Readings) -> Scene:
 
 
 def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
-    """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (N,) and range errors k (N, 2)."""
-    true: FloatArray = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (...) and range errors k (..., 2)."""
+    true: FloatArray = d * (1.0 + k[..., 0] + k[..., 1] * d)
     return true
+
+
+def range_error_derivatives(d: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return de/dk1 and de/dk2 at readings d (...)."""
+    return -d, -d * d
 
 
 def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
@@ -156,7 +161,7 @@ def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearizat
         direction=s[:, None] * location,
         normal=c[:, None] * spot_world,
         offset=c,
-        range_error=-np.stack((d, d * d), axis=1),
+        range_error=np.stack(range_error_derivatives(d), axis=1),
         pose=pose,
     )
 

@@ -7,7 +7,7 @@ basis of v. With the range s the spot lies at R'u_i . (r + s v) + u_i . t along 
 
 Several problems of one shape are worked on together. The arrays are (problem, beam, cell): cells are
 the slots of chunks of stations of one plane, all chunks of one size, so that the normal equations are
-stacked products of the rows of a beam in a chunk.
+stacked products of the rows of a beam in a chunk. A test compares the rows with `model.linearize`.
 """
 
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ class Grid:
         if len(one) < self.beams * self.cells:
             self.read = self.spread(np.ones((1, len(one)))) > 0.0
         self.distance = self.spread(np.array([p.distance for p in problems]))
-        self._powers = -np.array([self.distance, self.distance**2])
+        self._by_k = np.array(model.range_error_derivatives(self.distance))
         self.R = np.zeros((len(problems), 3, 3, self.cells))
         self.t = np.zeros((len(problems), 3, self.cells))
         self.R[..., place] = np.array([p.world_R_hand[rows] for p in problems]).transpose(
@@ -101,7 +101,7 @@ class Grid:
         """Return the grid of some of the problems."""
         new = copy(self)
         new.distance, new.R, new.t = (a[problems] for a in (self.distance, self.R, self.t))
-        new._powers = self._powers[:, problems]
+        new._by_k = self._by_k[:, problems]
         return new
 
     def spread(self, values: FloatArray) -> FloatArray:
@@ -145,7 +145,7 @@ class Grid:
         v_along = v_basis.transpose(0, 1, 3, 2).reshape(copies, -1, 3) @ turned[:, 0]
         across = v_along.reshape(copies, self.beams, 2, -1).transpose(2, 0, 1, 3)
         np.multiply(s * c, across, out=columns[3:5])
-        columns[5:width] = self._powers[:terms]
+        columns[5:width] = self._by_k[:terms]
         spot = s[:, None] * along[:, 1:, self.beams :]
         spot += along[:, 1:, : self.beams]
         spot += seen.off[:, 1:, None]
@@ -184,10 +184,8 @@ class Grid:
         return np.asarray(total / np.maximum(size, 1))
 
     def _residual(self, seen: _Seen, at: Parameters) -> FloatArray:
-        k = at.range_errors.reshape(len(seen.c), self.beams, 2)
-        d = self.distance
-        e: FloatArray = seen.s - d * (1.0 + k[..., :1] + k[..., 1:] * d)
-        return e
+        k = at.range_errors.reshape(len(seen.c), self.beams, 1, 2)
+        return seen.s - model.corrected(self.distance, k)
 
     def _seen(self, at: Parameters, axes: FloatArray, counted: BoolArray | None) -> _Seen:
         """Return what readings have in common for axes (K P, 3, q) of the planes, the normal first."""
