@@ -20,7 +20,7 @@ from ..model.weighting import Whitening, whitening
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
-from ..solvers.reduction import NormalEquations, normal_equations
+from ..solvers.reduction import NormalEquations, jacobian_columns, normal_equations
 from .config import SessionConfig
 from .drift import Information, Reference, plane_information
 
@@ -144,25 +144,15 @@ class FittedPlane:
     def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
         config, at, readings = self.config, self.at, self.readings
-        lin = model.linearize(model.scene(at, readings), readings.distance)
-        v_basis = model.tangent_basis(at.directions)
-        own = np.hstack(
-            (
-                lin.location,
-                np.einsum("ni,nij->nj", lin.direction, v_basis[readings.beam]),
-                lin.range_error,
-            )
-        )
+        columns, _ = jacobian_columns(at, readings, 2)
         active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
         J = np.zeros((len(readings), len(config.names), 7))
-        J[np.arange(len(J)), readings.beam] = own
-        lift = beams_lift(v_basis, config.terms)
+        J[np.arange(len(J)), readings.beam] = columns[:7].T
+        lift = beams_lift(model.tangent_basis(at.directions), config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
         prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
-        n_basis = model.tangent_basis(at.normals)[0]
-        rows = (J.reshape(len(J), -1)[:, active], lin.normal @ n_basis, lin.offset[:, None])
-        return np.hstack(rows), prior
+        return np.hstack((J.reshape(len(J), -1)[:, active], columns[7:10].T)), prior
 
     def factors(
         self, number: int, stations: Mapping[str, int], recording: Recording
