@@ -141,12 +141,11 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             at, columns = self.evaluate(values)
-            share = Share(at, slice(None), columns)
+            share = Share(at.white, at.rows(self.whitening), columns)
         if jacobians is not None:
-            rows = share.of.rows[share.rows]
             for slot, of_key in enumerate(share.columns):
-                jacobians[slot] = rows[:, of_key]  # type: ignore[index]
-        return share.of.white[share.rows]
+                jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]
+        return share.white
 
     def evaluate(self, values: gtsam.Values) -> tuple[Evaluation, tuple[slice, ...]]:
         """Return the block's rows at `values`, and the columns of each of its keys.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import IntArray, frozen, frozen_indices
+from ..arrays import IntArray, frozen, frozen_indices, gathered
 from .recording import Readings, Recording
 from .value import Value
 
@@ -46,8 +46,8 @@ def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
         frozen_indices(beam),
         frozen_indices(plane),
         frozen(d[station, beam]),
-        frozen(recording.world_R_hand[source]),
-        frozen(recording.world_t_hand[source]),
+        gathered(recording.world_R_hand, source),
+        gathered(recording.world_t_hand, source),
         len(beams),
         len(planes),
         None if recording.samples is None else frozen(recording.samples[source, beams[beam]]),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen_indices
+from ..arrays import FloatArray, IntArray, frozen_indices, gathered
 from ..checks import number_array, require_kind
 from ..errors import CalibrationWarning, InputError
 from ..text import shown
@@ -157,8 +157,8 @@ class Recording(Value):
             beam,
             plane,
             self.ranges[station, beam],
-            self.world_R_hand[station],
-            self.world_t_hand[station],
+            gathered(self.world_R_hand, station),
+            gathered(self.world_t_hand, station),
             len(self.beam_names),
             len(self.plane_names),
             None if self.samples is None else self.samples[station, beam],

@@ -45,6 +45,7 @@ class CalibrationGraph:
         Row of the readings for each row of the blocks.
     whitening : Whitening or None
         In the order of the blocks' rows.
+    readings : Readings
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -59,6 +60,7 @@ class CalibrationGraph:
     loss: Loss
     rows: IntArray
     whitening: Whitening | None
+    readings: Readings
     prior_rows: int = 0
     """Rows of the priors."""
 
@@ -103,10 +105,21 @@ def build_graph(
         rows_of_priors += 6 * len(poses)
     coupled = whitening is not None and whitening.is_coupled
     whitening = None if whitening is None else whitening.reordered(rows)
-    ordering = _ordering(poses, planes, beams, coupled)
-    keys = beams, planes, poses
     return CalibrationGraph(
-        graph, values, blocks, sigma, ordering, *keys, counts, loss, rows, whitening, rows_of_priors
+        graph,
+        values,
+        blocks,
+        sigma,
+        _ordering(poses, planes, beams, coupled),
+        beams,
+        planes,
+        poses,
+        counts,
+        loss,
+        rows,
+        whitening,
+        readings,
+        rows_of_priors,
     )
 
 

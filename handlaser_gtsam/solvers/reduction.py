@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, gathered
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.weighting import Whitening
@@ -93,19 +93,30 @@ class NormalEquations:
     ) -> "NormalEquations":
         """Return the only copy with a prior of the range errors (B, 2), beside residuals of a sigma."""
         beams, width = self.blocks.shape[1:3]
-        terms = width - 5
-        pull = (sigma / prior.sigma[:, :terms]) ** 2
-        mean = 0.0 if prior.mean is None else prior.mean[:, :terms]
-        blocks, gradient = self.blocks.copy(), self.beam_gradient.copy()
-        rows = np.arange(5, width)
-        blocks[0][:, rows, rows] += pull
-        gradient.reshape(beams, width)[:, 5:] += pull * (range_errors[:, :terms] - mean)
+        pull, mean = (sigma / prior.sigma[:, : width - 5]) ** 2, prior.mean
+        known, gradient = np.zeros((beams, width)), np.zeros((beams, width))
+        known[:, 5:] = pull
+        gradient[:, 5:] = pull * (range_errors - (0.0 if mean is None else mean))[:, : width - 5]
+        return self.plus(known[..., None] * np.eye(width), gradient.ravel())
+
+    def plus(
+        self,
+        beams: FloatArray,
+        beam_gradient: FloatArray | float = 0.0,
+        planes: FloatArray | float = 0.0,
+    ) -> "NormalEquations":
+        """Return the only copy with more information of single beams (B, w, w) and planes (P, 3, 3)."""
         coupled = self.coupled
         if coupled is not None:
-            coupled = coupled.copy()
-            at = (np.arange(beams)[:, None] * width + rows).ravel()
-            coupled[0][at, at] += pull.ravel()
-        return replace(self, blocks=blocks, beam_gradient=gradient, coupled=coupled)
+            coupled, each = coupled.copy(), np.arange(len(beams))
+            coupled.reshape(beams.shape[:2] * 2)[each, :, each, :] += beams
+        return replace(
+            self,
+            blocks=self.blocks + beams,
+            beam_gradient=self.beam_gradient + beam_gradient,
+            plane=self.plane + planes,
+            coupled=coupled,
+        )
 
     def reduced(
         self,
@@ -169,10 +180,25 @@ def normal_equations(
     counted = None if weights is None else weights > 0.0
     many = readings.copies(copies)
     columns, centres = jacobian_columns(parameters, many, terms, counted=counted)
-    heavy, width = columns, 5 + terms
+    return summed_equations(columns, centres, readings, copies, weights, whitening)
+
+
+def summed_equations(
+    columns: FloatArray,
+    centres: FloatArray,
+    readings: Readings,
+    copies: int = 1,
+    weights: FloatArray | None = None,
+    whitening: Whitening | None = None,
+) -> NormalEquations:
+    """Return the normal equations of rows (5 + terms + 4, K N) as from `jacobian_columns`.
+
+    Weights count beside a whitening that does not correlate readings.
+    """
+    heavy, width = columns, len(columns) - 4
     coupled = whitening is not None and whitening.is_coupled
     if whitening is not None:
-        weights = whitening.squares()
+        weights = whitening.squares() * (1.0 if weights is None else weights)
     if coupled and whitening is not None:
         heavy = columns.copy()
         heavy[width:] = whitening.weighed(columns[width:].T).T
@@ -198,30 +224,43 @@ def _summed(
     beams, planes, size = readings.beams, readings.planes, len(columns)
     width, blocks = size - 4, readings.block_starts()
     starts = (np.arange(copies)[:, None] * len(readings) + blocks).ravel()
-    products = np.zeros((len(starts), size, size))
-    for i in range(size):
-        products[:, i, i:] = np.add.reduceat(columns[i] * heavy[i:], starts, axis=1).T
+    products = _products(columns, heavy, starts)
+    grid = np.zeros((copies, planes, beams, size, size))
     copy = np.repeat(np.arange(copies), len(blocks))
-    beam_of = np.tile(readings.beam[blocks], copies)
-    plane_of = np.tile(readings.plane[blocks], copies)
-    own = np.zeros((copies, beams, width, width + 1))
-    np.add.at(own, (copy, beam_of), products[:, :width, [*range(width), size - 1]])
-    rest = np.zeros((copies, planes, 3, 4))
-    np.add.at(rest, (copy, plane_of), products[:, width : width + 3, width:])
-    for blocks_of in (own, rest):  # the lower triangles were not summed
-        for i in range(1, blocks_of.shape[2]):
-            blocks_of[:, :, i, :i] = blocks_of[:, :, :i, i]
-    border = np.zeros((copies, planes, beams, width, 3))
-    border[copy, plane_of, beam_of] = products[:, :width, width : width + 3]
+    grid[copy, np.tile(readings.plane[blocks], copies), np.tile(readings.beam[blocks], copies)] = (
+        products
+    )
+    own = grid[..., :width, :].sum(axis=1)
+    rest = grid[..., width : width + 3, width:].sum(axis=2)
     return NormalEquations(
         own[..., :width],
-        border.reshape(copies, planes, beams * width, 3),
+        grid[..., :width, width : width + 3].reshape(copies, planes, beams * width, 3),
         rest[..., :3],
-        own[..., width].reshape(copies, -1),
+        own[..., -1].reshape(copies, -1),
         rest[..., 3],
         centres.reshape(copies, planes, 3),
         products[:, -1, -1].reshape(copies, -1).sum(axis=1),
     )
+
+
+def _products(left: FloatArray, right: FloatArray, starts: IntArray) -> FloatArray:
+    """Return the products (blocks, m, m) of rows (m, N), summed over the blocks that begin at `starts`.
+
+    Blocks are cut into pieces of about their mean length, which are multiplied as one stack.
+    """
+    sizes = np.diff(starts, append=left.shape[1])
+    length = -(-left.shape[1] // len(starts))
+    pieces = -(-sizes // length)
+    first = np.cumsum(pieces) - pieces
+    place = length * (np.arange(pieces.sum()) - first.repeat(pieces))[:, None] + np.arange(length)
+    beyond = place >= sizes.repeat(pieces)[:, None]
+    rows = np.where(beyond, 0, starts.repeat(pieces)[:, None] + place)
+    stack = np.ascontiguousarray(left.T).take(rows, axis=0)
+    stack[beyond] = 0.0
+    products: FloatArray = np.swapaxes(stack, 1, 2) @ np.ascontiguousarray(right.T).take(
+        rows, axis=0
+    )
+    return products if len(products) == len(starts) else np.add.reduceat(products, first)
 
 
 def _coupled(columns: FloatArray, readings: Readings, how: Whitening) -> FloatArray:
@@ -256,9 +295,9 @@ def jacobian_columns(
     at = model.linearize(x, readings.distance)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])
-    v_basis = model.tangent_basis(parameters.directions)[readings.beam]
-    n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-    local = at.normal - at.offset[:, None] * centres[readings.plane]
+    v_basis = gathered(model.tangent_basis(parameters.directions), readings.beam)
+    n_basis = gathered(model.tangent_basis(parameters.normals), readings.plane)
+    local = at.normal - at.offset[:, None] * gathered(centres, readings.plane)
     columns = np.empty((5 + terms + 4, len(readings)))
     columns[:3] = at.location.T
     np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])
