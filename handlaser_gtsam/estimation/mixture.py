@@ -250,8 +250,9 @@ def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
     scaled = matrix * scale[:, :, None] * scale[:, None, :]
     if scaled.shape[1] > LARGE:
-        both = [inverse_and_log_det(one) for one in scaled]
-        inverse, size = np.array([one for one, _ in both]), np.array([own for _, own in both])
+        inverse, size = scaled, np.empty(len(scaled))
+        for one in range(len(scaled)):
+            inverse[one], size[one] = inverse_and_log_det(scaled[one])
     else:
         inverse, size = np.linalg.inv(scaled), np.linalg.slogdet(scaled)[1]
     found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]
