@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpotri
 from scipy.sparse.linalg import LinearOperator, eigsh
@@ -133,7 +134,7 @@ def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
     return inverse, log_det
 
 
-def _inverse_of_root(root: FloatArray) -> FloatArray:
+def _inverse_of_root(root: NDArray[np.floating]) -> FloatArray:
     """Return the inverse (n, n) of root root', for a lower root; its transpose is LAPACK's order."""
     inverse, failed = dpotri(root.T, lower=0)
     if failed:

@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import gtsam
 import numpy as np
 
-from ..arrays import IntArray
+from ..arrays import IntArray, frozen_indices
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..factors import RangeBlock, range_error_prior, range_factor
+from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
 from ..keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening, stations_from_zero
@@ -130,8 +131,9 @@ def _graph(
     priors: Sequence[gtsam.NonlinearFactor],
 ) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
+    model = cache(_noise_model)
     for block in blocks:
-        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+        graph.push_back(range_factor(block, model(len(block.distance), sigma, loss)))
     for factor in priors:
         graph.push_back(factor)
     return graph
@@ -260,17 +262,14 @@ def _blocks_by_beam(
         alone = np.arange(e - a)
         return Whitening(weights[a:e], alone, np.zeros_like(alone), whitening.sigma)
 
-    return tuple(
-        RangeBlock(
-            beams[readings.beam[a]],
-            planes[readings.plane[a]],
-            readings.distance[a:e],
-            readings.world_R_hand[a:e],
-            readings.world_t_hand[a:e],
-            whitening=own(a, e),
-        )
-        for a, e in zip(starts.tolist(), ends.tolist(), strict=True)
-    )
+    d, R, t = readings.distance, readings.world_R_hand, readings.world_t_hand
+    require_rows(d, R, t)
+    first, blocks = frozen_indices(np.zeros(len(d))), []
+    of = (readings.beam[starts].tolist(), readings.plane[starts].tolist())
+    for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
+        rows = d[a:e], R[a:e], t[a:e], first[a:e]
+        blocks.append(RangeBlock.of_checked(beams[beam], planes[plane], rows, own(a, e)))
+    return tuple(blocks)
 
 
 def station_blocks(
