@@ -97,30 +97,19 @@ def build_graph(
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
     blocks, rows, whitening = _blocks(readings, whitening, beams, planes, priors)
     graph = _graph(blocks, sigma, loss, range_error_priors(beams, counts, range_errors))
-    rows_of_priors = 0 if range_errors is None else range_errors.rows(max(counts))
+    prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
     if priors is not None:
         poses = tuple(pose_key(j) for j in priors.stations.tolist())
         priors.join(graph, values, poses)
-        rows_of_priors += 6 * len(poses)
+        prior_rows += 6 * len(poses)
     coupled = whitening is not None and whitening.is_coupled
     whitening = None if whitening is None else whitening.reordered(rows)
+    ordering, keys = _ordering(poses, planes, beams, coupled), (beams, planes, poses)
+    what = graph, values, blocks, sigma, ordering
     return CalibrationGraph(
-        graph,
-        values,
-        blocks,
-        sigma,
-        _ordering(poses, planes, beams, coupled),
-        beams,
-        planes,
-        poses,
-        counts,
-        loss,
-        rows,
-        whitening,
-        readings,
-        rows_of_priors,
+        *what, *keys, counts, loss, rows, whitening, readings, prior_rows=prior_rows
     )
 
 
