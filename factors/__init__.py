@@ -3,7 +3,7 @@
 from handlaser_gtsam.keys import BeamKeys
 
 from .beam_drift import beam_drift
-from .block import RangeBlock, range_factor
+from .block import RangeBlock, range_factor, require_rows
 from .evaluation import Evaluation
 from .gathering import gathered
 from .range_error_prior import range_error_prior
@@ -22,4 +22,5 @@ __all__ = [
     "range_factor",
     "range_to_plane",
     "range_to_plane_from_pose",
+    "require_rows",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handlaser_gtsam import model
-from handlaser_gtsam.arrays import FloatArray, frozen, frozen_indices
+from handlaser_gtsam.arrays import FloatArray, IntArray, frozen, frozen_indices
 from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.data.recording import LARGEST
@@ -103,24 +103,28 @@ class RangeBlock:
         self.world_t_hand = numbers(world_t_hand, "positions of the hand")
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
-        rows = len(self.distance) if self.distance.ndim == 1 else 0
-        if rows == 0 or not (np.abs(self.distance) <= LARGEST).all():
-            raise InputError(
-                f"readings {np.array2string(self.distance, threshold=5)}",
-                f"one or more finite ranges in metres, at most {LARGEST:.0f}",
-            )
-        if self.world_R_hand.shape != (rows, 3, 3) or self.world_t_hand.shape != (rows, 3):
-            raise InputError(
-                f"{len(self.world_t_hand)} hand poses", f"one for each of {rows} readings"
-            )
-        if not (
-            np.abs(self.world_t_hand).max() <= LARGEST and np.abs(self.world_R_hand).max() < 2.0
-        ):
-            expected = f"rotation matrices, and positions in metres of at most {LARGEST:.0f}"
-            raise InputError("a hand pose that is none", expected)
-        self.beam_of = frozen_indices(np.zeros(rows) if beam_of is None else beam_of)
+        require_rows(self.distance, self.world_R_hand, self.world_t_hand)
+        self.beam_of = frozen_indices(np.zeros(len(self.distance)) if beam_of is None else beam_of)
         if len(self.beams) > 1 and whitening is None:
             raise ValueError("several beams without a whitening; expected one")
+
+    @classmethod
+    def of_checked(
+        cls,
+        beam: BeamKeys,
+        plane: int,
+        rows: tuple[FloatArray, FloatArray, FloatArray, IntArray],
+        whitening: Whitening | None,
+    ) -> "RangeBlock":
+        """Return the block of one beam, for read-only rows that `require_rows` has passed.
+
+        The rows are the readings, rotations and positions of the hand, and zeros as `beam_of`.
+        """
+        block = cls.__new__(cls)
+        block.beams, block.plane, block.pose, block.whitening = (beam,), plane, None, whitening
+        block.distance, block.world_R_hand, block.world_t_hand, block.beam_of = rows
+        block.prepared = block.gathering = None
+        return block
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
@@ -141,12 +145,11 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             at, columns = self.evaluate(values)
-            share = Share(at, slice(None), columns)
+            share = Share(at.white, at.rows(self.whitening), columns)
         if jacobians is not None:
-            rows = share.of.rows[share.rows]
             for slot, of_key in enumerate(share.columns):
-                jacobians[slot] = rows[:, of_key]  # type: ignore[index]
-        return share.of.white[share.rows]
+                jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]
+        return share.white
 
     def evaluate(self, values: gtsam.Values) -> tuple[Evaluation, tuple[slice, ...]]:
         """Return the block's rows at `values`, and the columns of each of its keys.
@@ -199,6 +202,26 @@ def numbers(values: ArrayLike, what: str) -> FloatArray:
         return frozen(values)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{what} that are no array of numbers ({error})", "numbers") from error
+
+
+def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
+    """Refuse readings (N,) that are no ranges [m], and hand poses (N, 3, 3), (N, 3) that are none.
+
+    Raises
+    ------
+    InputError
+    """
+    rows = len(distance) if distance.ndim == 1 else 0
+    if rows == 0 or not (np.abs(distance) <= LARGEST).all():
+        raise InputError(
+            f"readings {np.array2string(distance, threshold=5)}",
+            f"one or more finite ranges in metres, at most {LARGEST:.0f}",
+        )
+    if R.shape != (rows, 3, 3) or t.shape != (rows, 3):
+        raise InputError(f"{len(t)} hand poses", f"one for each of {rows} readings")
+    if not (np.abs(t).max() <= LARGEST and np.abs(R).max() < 2.0):
+        expected = f"rotation matrices, and positions in metres of at most {LARGEST:.0f}"
+        raise InputError("a hand pose that is none", expected)
 
 
 def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:

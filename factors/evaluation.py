@@ -26,35 +26,37 @@ class Evaluation:
         variables, pose (6), in GTSAM's tangent bases. One array: a block's rows lie together.
     white : (N,)
         Whitened residuals [m]; `residual` itself where all readings weigh the same.
-    rows : (N, 7 K + 3) or (N, 7 K + 9)
-        Whitened derivatives: the beam columns of each of K beams, then plane and pose; `jacobian`
-        itself, with K = 1, where all readings weigh the same.
     """
 
     residual: FloatArray
     jacobian: FloatArray
     white: FloatArray
-    rows: FloatArray
+
+    def rows(self, how: Whitening | None) -> FloatArray:
+        """Return whitened derivatives (N, 7 K + 3 or 9): of each of K beams, then plane and pose.
+
+        They are the Jacobian itself, with K = 1, where all readings weigh the same.
+        """
+        if how is None:
+            return self.jacobian
+        take, near = how.coefficients(), how.gathered(self.jacobian)
+        beams = take[:, :, None] * near[:, :, :BEAM]
+        others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM:])
+        return np.hstack((beams.reshape(len(take), -1), others))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Share:
-    """What one factor hands out of an evaluation: its rows, and the columns of each of its keys."""
+    """What one factor hands out: whitened residuals and derivatives, and the columns of its keys."""
 
-    of: Evaluation
-    rows: slice
+    white: FloatArray
+    rows: FloatArray
     columns: tuple[slice, ...]
 
 
 def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None) -> Evaluation:
     """Return the evaluation of rows (N,) and (N, 10 or 16), whitened where asked for."""
-    if how is None:
-        return Evaluation(residual, jacobian, residual, jacobian)
-    take, near = how.coefficients(), how.gathered(jacobian)
-    beams = take[:, :, None] * near[:, :, :BEAM]
-    others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM:])
-    rows = np.hstack((beams.reshape(len(residual), -1), others))
-    return Evaluation(residual, jacobian, how.apply(residual), rows)
+    return Evaluation(residual, jacobian, residual if how is None else how.apply(residual))
 
 
 def beam_columns(beam: int, terms: int) -> list[slice]:

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from handlaser_gtsam import model
-from handlaser_gtsam.arrays import FloatArray, IntArray
+from handlaser_gtsam.arrays import FloatArray, IntArray, gathered
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.model.weighting import Whitening
 
@@ -72,8 +72,8 @@ class SharedEvaluation:
         ends = np.cumsum(sizes)
         self.slices = [slice(int(a), int(e)) for a, e in zip(ends - sizes, ends, strict=True)]
         self.distance = np.concatenate([block.distance for block in blocks])
-        self._R = np.concatenate([block.world_R_hand for block in blocks])
-        self._t = np.concatenate([block.world_t_hand for block in blocks])
+        self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
+        self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
         beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
         first = np.cumsum([0, *(len(block.beams) for block in blocks)])
         own = zip(first[:-1], blocks, strict=True)
@@ -96,7 +96,7 @@ class SharedEvaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
         now = self._variables(values)
         rows = len(self.distance)
-        jacobian = np.empty((rows, POSE.stop if self._posed.size else PLANE.stop))
+        jacobian = np.empty((POSE.stop if self._posed.size else PLANE.stop, rows)).T
         residual = np.empty(rows)
         for first in range(0, rows, SLAB):
             self._fill(residual, jacobian, slice(first, min(first + SLAB, rows)), now)
@@ -129,19 +129,19 @@ class SharedEvaluation:
         x = model.Scene(
             now.R[rows],
             now.t[rows],
-            now.r[self.location_of[rows]],
-            now.v[direction],
-            now.n[plane],
-            now.b[plane],
-            now.k[self.range_error_of[rows]],
+            gathered(now.r, self.location_of[rows]),
+            gathered(now.v, direction),
+            gathered(now.n, plane),
+            now.b.take(plane),
+            gathered(now.k, self.range_error_of[rows]),
         )
         at = model.linearize(x, self.distance[rows], with_pose=bool(self._posed.size))
         residual[rows] = at.residual
         J = jacobian[rows]
         J[:, LOCATION] = at.location
-        np.einsum("ni,nij->nj", at.direction, now.v_basis[direction], out=J[:, DIRECTION])
+        np.einsum("ni,nij->nj", at.direction, gathered(now.v_basis, direction), out=J[:, DIRECTION])
         J[:, RANGE_ERROR] = at.range_error
-        np.einsum("ni,nij->nj", at.normal, now.n_basis[plane], out=J[:, NORMAL])
+        np.einsum("ni,nij->nj", at.normal, gathered(now.n_basis, plane), out=J[:, NORMAL])
         J[:, OFFSET] = at.offset
         if len(at.pose):
             J[:, POSE] = at.pose
@@ -167,8 +167,9 @@ class SharedEvaluation:
                 self._columns_of(block, rows)
                 for block, rows in zip(self.blocks, self.slices, strict=True)
             ]
+        white, derivatives = at.white, at.rows(self.whitening)
         for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
-            block.prepared = Share(at, rows, columns)
+            block.prepared = Share(white[rows], derivatives[rows], columns)
 
     def squared_columns(self, at: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""

@@ -257,8 +257,12 @@ def test_random_starts_reach_what_the_sweeps_do_not_need():
     readings = recording.readings()
     starts = [grow(s, readings) for s in random_starts(readings, 40, np.random.default_rng(0))]
     refined = [one for one in refine_many(starts, readings, 0, 60) if one is not None]
-    best = min(refined, key=lambda one: one.squares)
-    assert_exact(best.parameters, truth, 1e-6)
+    best = min(refined, key=lambda one: one.squares).parameters
+    # Rounding decides which of the exact ones is the lowest; a random start does not say which way a
+    # plane faces.
+    face = np.sign((best.normals * truth.normals).sum(axis=1))
+    best = replace(best, normals=best.normals * face[:, None], offsets=best.offsets * face)
+    assert_exact(best, truth, 1e-6)
 
 
 def test_half_the_planes_satisfying_no_lemma_spoil_nothing():

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, gathered
 from .value import Value
 
 QUARTILES = 1.349
@@ -58,7 +58,7 @@ class Readings(Value):
         A plane appears in its own readings only, and beams live in the hand frame: so every plane may
         have a frame of its own, amid its stations, where no digits are lost. Axes stay the world's.
         """
-        return replace(self, world_t_hand=self.world_t_hand - origins[self.plane])
+        return replace(self, world_t_hand=self.world_t_hand - gathered(origins, self.plane))
 
     def typical_range(self) -> float:
         """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
@@ -101,8 +101,8 @@ class Readings(Value):
             self.beam[rows],
             self.plane[rows],
             self.distance[rows],
-            self.world_R_hand[rows],
-            self.world_t_hand[rows],
+            gathered(self.world_R_hand, rows),
+            gathered(self.world_t_hand, rows),
             self.beams,
             self.planes,
             None if self.samples is None else self.samples[rows],

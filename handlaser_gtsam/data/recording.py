@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen, frozen_indices
+from ..arrays import FloatArray, IntArray, frozen, frozen_indices, gathered
 from ..checks import number_array, require_kind
 from ..errors import CalibrationWarning, InputError
 from ..text import shown
@@ -161,8 +161,8 @@ class Recording(Value):
             frozen_indices(beam),
             frozen_indices(plane),
             frozen(d[station, beam]),
-            frozen(self.world_R_hand[source]),
-            frozen(self.world_t_hand[source]),
+            gathered(self.world_R_hand, source),
+            gathered(self.world_t_hand, source),
             len(beams),
             len(planes),
             None if self.samples is None else frozen(self.samples[source, beams[beam]]),

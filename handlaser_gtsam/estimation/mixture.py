@@ -227,14 +227,16 @@ class BeamPosterior:
         """
         Z, Zk = self.narrowed(own, sets)
         U, S = self.U, self.covariance
-        means = self.mean[sets] - np.einsum("cnk,ck->cn", U[sets], Zk)
         seen, first = np.unique(sets, return_index=True)
         Zbar = np.add.reduceat(weight[:, None, None] * Z, first)
         within = np.einsum("j,jab->ab", np.add.reduceat(weight, first), S[seen])
         within -= np.einsum("jak,jkl,jbl->ab", U[seen], Zbar, U[seen], optimize=True)
         along = coordinates @ U
         wide = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
-        less = np.einsum("cmk,ckl,cml->cm", along[sets], Z, along[sets], optimize=True)
+        means, less = self.mean[sets], np.empty((len(sets), len(coordinates)))
+        for j, a, e in zip(seen, first, np.append(first[1:], len(sets)), strict=True):
+            means[a:e] -= Zk[a:e] @ U[j].T
+            less[a:e] = np.einsum("cmk,mk->cm", along[j] @ Z[a:e], along[j])
         return means, np.sqrt(np.maximum(wide[sets] - less, 0.0)), within
 
 
@@ -250,8 +252,9 @@ def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
     scaled = matrix * scale[:, :, None] * scale[:, None, :]
     if scaled.shape[1] > LARGE:
-        both = [inverse_and_log_det(one) for one in scaled]
-        inverse, size = np.array([one for one, _ in both]), np.array([own for _, own in both])
+        inverse, size = scaled, np.empty(len(scaled))
+        for one in range(len(scaled)):
+            inverse[one], size[one] = inverse_and_log_det(scaled[one])
     else:
         inverse, size = np.linalg.inv(scaled), np.linalg.slogdet(scaled)[1]
     found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, gathered
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
@@ -78,11 +78,11 @@ def scene(parameters: Parameters, readings: Readings) -> Scene:
     return Scene(
         readings.world_R_hand,
         readings.world_t_hand,
-        parameters.locations[beam],
-        parameters.directions[beam],
-        parameters.normals[plane],
-        parameters.offsets[plane],
-        parameters.range_errors[beam],
+        gathered(parameters.locations, beam),
+        gathered(parameters.directions, beam),
+        gathered(parameters.normals, plane),
+        parameters.offsets.take(plane),
+        gathered(parameters.range_errors, beam),
     )
 
 
@@ -114,7 +114,7 @@ def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArr
 
 def cosines(x: Scene) -> FloatArray:
     """Return n_H . v, the cosine between plane normal and beam, shape (N,)."""
-    return _dot(np.matmul(x.n[:, None, :], x.R)[:, 0], x.v)
+    return _dot(np.einsum("ni,nij->nj", x.n, x.R), x.v)
 
 
 def predicted_ranges(x: Scene) -> FloatArray:
@@ -152,7 +152,7 @@ def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearizat
     c = -1.0 / cosine
     s = (_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) * c
     spot = x.r + s[:, None] * x.v
-    spot_world = np.matmul(x.R, spot[:, :, None])[:, :, 0] + x.t
+    spot_world = np.einsum("nij,nj->ni", x.R, spot) + x.t
     location = c[:, None] * n_hand
     pose = np.hstack((np.cross(spot, location), location)) if with_pose else np.empty((0, 6))
     return Linearization(
@@ -167,7 +167,7 @@ def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearizat
 
 
 def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
-    n_hand = np.matmul(x.n[:, None, :], x.R)[:, 0]
+    n_hand: FloatArray = np.einsum("ni,nij->nj", x.n, x.R)
     cosine = _dot(n_hand, x.v)
     if cosine.size:
         worst = cosine[np.argmin(np.abs(cosine))]
@@ -177,5 +177,5 @@ def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    product: FloatArray = np.einsum("ni,ni->n", a, b)
     return product

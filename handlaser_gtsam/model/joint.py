@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
@@ -116,8 +115,9 @@ class JointCovariance(Value):
         p = _indices(self.plane_names, planes, "plane")
         columns = np.concatenate([np.empty(0, dtype=np.intp), *(self._columns(k) for k in i)])
         follow = -self.response[p].reshape(-1, len(self.beams))
-        along = np.vstack((np.eye(len(self.beams))[columns], follow))
-        joint: FloatArray = along @ self.beams @ along.T
+        across = follow @ self.beams
+        own = self.beams[np.ix_(columns, columns)]
+        joint = np.block([[own, across[:, columns].T], [across[:, columns], across @ follow.T]])
         first = len(columns)
         for number, index in enumerate(p):
             own = slice(first + 3 * number, first + 3 * number + 3)
@@ -127,9 +127,7 @@ class JointCovariance(Value):
         if not ambient:
             return joint
         lifts = [self.beam_lift(k) for k in i] + [self.plane_lift(k) for k in p]
-        lift = block_diag(*lifts)
-        lifted: FloatArray = lift @ joint @ lift.T
-        return lifted
+        return _lifted(_lifted(joint, lifts).T, lifts).T
 
     def labels(
         self, beams: Sequence[str] | None = None, planes: Sequence[str] | None = None
@@ -166,6 +164,13 @@ class JointCovariance(Value):
     def _columns(self, index: int) -> IntArray:
         first = sum(5 + terms for terms in self.terms[:index])
         return np.arange(first, first + 5 + self.terms[index])
+
+
+def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
+    """Return the product of a block-diagonal matrix, given by its blocks, with rows (n, m)."""
+    ends = np.cumsum([lift.shape[1] for lift in lifts])[:-1]
+    parts = zip(lifts, np.split(rows, ends), strict=True)
+    return np.concatenate([lift @ part for lift, part in parts])
 
 
 def beam_lift(basis: FloatArray, terms: int) -> FloatArray:

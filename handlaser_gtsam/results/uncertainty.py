@@ -42,7 +42,9 @@ def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovar
     if loss != GAUSSIAN:
         standardized = solution.result.white / graph.range_sigma
         sigma *= np.sqrt(loss.variance_factor(standardized, solution.observability.rank))
-    if loss == GAUSSIAN and solution.observability.full:
+    # Weights settle on the readings alone: their information stands in the diagnosis already.
+    settled = solution.whitening is not None and not graph.poses
+    if loss == GAUSSIAN and solution.observability.full and not settled:
         try:
             found = covariance(graph, solution.result.values, origins)
         except (RuntimeError, np.linalg.LinAlgError):

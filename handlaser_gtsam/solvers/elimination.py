@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpotri
 from scipy.sparse.linalg import LinearOperator, eigsh
@@ -57,7 +58,7 @@ class ReducedInformation:
         try:
             root = np.linalg.cholesky(self.matrix)
             if np.diagonal(root).min() ** 2 > CERTAIN * floor:
-                return inverse_of(self.matrix)
+                return _inverse_of_root(root)
         except np.linalg.LinAlgError:
             pass
         values, axes = np.linalg.eigh(self.matrix)
@@ -127,13 +128,20 @@ def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
     if not (np.isfinite(scale).all() and scale.all()):
         raise np.linalg.LinAlgError("the information is singular")
     root = np.linalg.cholesky(matrix / scale[:, None] / scale)
-    inverse, failed = dpotri(root, lower=1)
+    log_det = 2.0 * float(np.log(np.diagonal(root) * scale).sum())
+    inverse = _inverse_of_root(root)
+    inverse /= scale[:, None] * scale
+    return inverse, log_det
+
+
+def _inverse_of_root(root: NDArray[np.floating]) -> FloatArray:
+    """Return the inverse (n, n) of root root', for a lower root; its transpose is LAPACK's order."""
+    inverse, failed = dpotri(root.T, lower=0)
     if failed:
         raise np.linalg.LinAlgError("the information is singular")
-    inverse = np.tril(inverse)
-    inverse += np.tril(inverse, -1).T
-    inverse /= scale[:, None] * scale
-    return inverse, 2.0 * float(np.log(np.diagonal(root) * scale).sum())
+    whole: FloatArray = inverse + inverse.T  # the other triangle is zero, as in the root
+    whole[np.diag_indices(len(whole))] = np.diagonal(inverse)
+    return whole
 
 
 def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
@@ -156,7 +164,7 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float
         except np.linalg.LinAlgError:
             root = None
         if root is not None:
-            factor = (root, True)
+            factor = (root.T, False)  # LAPACK's order: nothing is copied
 
             def inverse(x: FloatArray) -> FloatArray:
                 found: FloatArray = cho_solve(factor, x, check_finite=False)

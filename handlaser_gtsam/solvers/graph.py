@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import gtsam
 import numpy as np
 
-from ..arrays import IntArray
+from ..arrays import IntArray, frozen_indices
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..factors import RangeBlock, range_error_prior, range_factor
+from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
 from ..keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening, stations_from_zero
@@ -45,6 +46,7 @@ class CalibrationGraph:
         Row of the readings for each row of the blocks.
     whitening : Whitening or None
         In the order of the blocks' rows.
+    readings : Readings
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -59,6 +61,7 @@ class CalibrationGraph:
     loss: Loss
     rows: IntArray
     whitening: Whitening | None
+    readings: Readings
     prior_rows: int = 0
     """Rows of the priors."""
 
@@ -94,19 +97,19 @@ def build_graph(
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
     blocks, rows, whitening = _blocks(readings, whitening, beams, planes, priors)
     graph = _graph(blocks, sigma, loss, range_error_priors(beams, counts, range_errors))
-    rows_of_priors = 0 if range_errors is None else range_errors.rows(max(counts))
+    prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
     if priors is not None:
         poses = tuple(pose_key(j) for j in priors.stations.tolist())
         priors.join(graph, values, poses)
-        rows_of_priors += 6 * len(poses)
+        prior_rows += 6 * len(poses)
     coupled = whitening is not None and whitening.is_coupled
     whitening = None if whitening is None else whitening.reordered(rows)
-    ordering = _ordering(poses, planes, beams, coupled)
-    keys = beams, planes, poses
+    ordering, keys = _ordering(poses, planes, beams, coupled), (beams, planes, poses)
+    what = graph, values, blocks, sigma, ordering
     return CalibrationGraph(
-        graph, values, blocks, sigma, ordering, *keys, counts, loss, rows, whitening, rows_of_priors
+        *what, *keys, counts, loss, rows, whitening, readings, prior_rows=prior_rows
     )
 
 
@@ -117,8 +120,9 @@ def _graph(
     priors: Sequence[gtsam.NonlinearFactor],
 ) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
+    model = cache(_noise_model)
     for block in blocks:
-        graph.push_back(range_factor(block, _noise_model(len(block.distance), sigma, loss)))
+        graph.push_back(range_factor(block, model(len(block.distance), sigma, loss)))
     for factor in priors:
         graph.push_back(factor)
     return graph
@@ -247,17 +251,14 @@ def _blocks_by_beam(
         alone = np.arange(e - a)
         return Whitening(weights[a:e], alone, np.zeros_like(alone), whitening.sigma)
 
-    return tuple(
-        RangeBlock(
-            beams[readings.beam[a]],
-            planes[readings.plane[a]],
-            readings.distance[a:e],
-            readings.world_R_hand[a:e],
-            readings.world_t_hand[a:e],
-            whitening=own(a, e),
-        )
-        for a, e in zip(starts.tolist(), ends.tolist(), strict=True)
-    )
+    d, R, t = readings.distance, readings.world_R_hand, readings.world_t_hand
+    require_rows(d, R, t)
+    first, blocks = frozen_indices(np.zeros(len(d))), []
+    of = (readings.beam[starts].tolist(), readings.plane[starts].tolist())
+    for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
+        rows = d[a:e], R[a:e], t[a:e], first[a:e]
+        blocks.append(RangeBlock.of_checked(beams[beam], planes[plane], rows, own(a, e)))
+    return tuple(blocks)
 
 
 def station_blocks(

@@ -1,8 +1,8 @@
 r"""Levenberg-Marquardt on a factor graph whose Values belong to Python.
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
-the square of the problem. Here each step evaluates all readings at once, linearises through
-`graph.linearize(values)`, eliminates in GTSAM with planes first, and solves
+the square of the problem. Here each step evaluates all readings at once, sums their rows up into one
+linear factor a plane (`linear`), eliminates in GTSAM with planes first, and solves
 
     (H + lambda diag(H)) delta = -g.
 
@@ -23,6 +23,7 @@ from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from .graph import CalibrationGraph
+from .linear import Step
 from .progress import Trial
 from .values import require_values
 from .work import Alone, Point, Together, Work
@@ -96,13 +97,6 @@ class LevenbergResult:
     history: tuple[Trial, ...]
     residual: FloatArray
     white: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Step:
-    delta: gtsam.VectorValues
-    decrement: float
-    """-g . delta: twice the cost the step should save, in squared standard deviations."""
 
 
 def levenberg_marquardt(
@@ -238,7 +232,7 @@ class _Search:
     def run(self) -> tuple[Status, str]:
         linear = self.work.linearize(self.point)
         while len(self.history) < self.options.max_iterations:
-            step = self._solve(linear)
+            step = linear.solved(self.damping)
             trial = self._try(step)
             gain = self._gain(step, trial)
             accepted = gain > 0.0 and trial is not None
@@ -256,27 +250,7 @@ class _Search:
                 linear = self.work.linearize(self.point)
         return "max_iterations", f"not converged within {len(self.history)} trial steps"
 
-    def _solve(self, linear: gtsam.GaussianFactorGraph) -> _Step | None:
-        damped = linear
-        if self.damping > 0.0:
-            damped = gtsam.GaussianFactorGraph()
-            damped.push_back(linear)
-            self._push_damping(damped)
-        try:
-            delta = damped.optimize(self.work.ordering)
-        except RuntimeError:  # GTSAM's indeterminate linear system
-            return None
-        decrement = -linear.gradientAtZero().dot(delta)
-        return _Step(delta, decrement) if np.isfinite(decrement) and decrement >= 0.0 else None
-
-    def _push_damping(self, linear: gtsam.GaussianFactorGraph) -> None:
-        for key, squares in self.work.squared_columns(self.point, linear).items():
-            weight = np.sqrt(self.damping * np.maximum(squares, 1e-12 * squares.max()))
-            dim = len(squares)
-            unit = gtsam.noiseModel.Unit.Create(dim)
-            linear.add(key, np.diag(weight), np.zeros(dim), unit)
-
-    def _try(self, step: _Step | None) -> Point | None:
+    def _try(self, step: Step | None) -> Point | None:
         if step is None:
             return None
         try:
@@ -285,7 +259,7 @@ class _Search:
             return None
         return trial if np.isfinite(trial.cost) else None
 
-    def _gain(self, step: _Step | None, trial: Point | None) -> float:
+    def _gain(self, step: Step | None, trial: Point | None) -> float:
         """Return the share of the promised saving that the step achieved; -1 for a failed step.
 
         A change too small to show in the cost counts as half: accept, and leave the damping.
@@ -298,7 +272,7 @@ class _Search:
             return 0.5
         return saved / (0.5 * step.decrement)
 
-    def _record(self, step: _Step | None, trial: Point | None, accepted: bool) -> None:
+    def _record(self, step: Step | None, trial: Point | None, accepted: bool) -> None:
         cost = trial.cost if trial is not None else float("inf")
         length = float(np.sqrt(step.decrement)) if step is not None else float("inf")
         entry = Trial(len(self.history) + 1, cost, self.damping, length, accepted)

@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, gathered
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.weighting import Whitening
 from .elimination import ReducedInformation, eliminated
-from .grid import FREE, Grid, Rows
+from .grid import FREE, Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +118,25 @@ class NormalEquations:
             coupled[:, at, at] += pull.reshape(copies, -1)
         return replace(
             self, blocks=blocks, beam_gradient=gradient, squares=squares, coupled=coupled
+        )
+
+    def plus(
+        self,
+        beams: FloatArray,
+        beam_gradient: FloatArray | float = 0.0,
+        planes: FloatArray | float = 0.0,
+    ) -> "NormalEquations":
+        """Return the only copy with more information of single beams (B, w, w) and planes (P, 3, 3)."""
+        coupled = self.coupled
+        if coupled is not None:
+            coupled, each = coupled.copy(), np.arange(len(beams))
+            coupled.reshape(beams.shape[:2] * 2)[each, :, each, :] += beams
+        return replace(
+            self,
+            blocks=self.blocks + beams,
+            beam_gradient=self.beam_gradient + beam_gradient,
+            plane=self.plane + planes,
+            coupled=coupled,
         )
 
     def reduced(
@@ -232,13 +251,18 @@ def grid_normal_equations(
     grid: Grid, at: Parameters, terms: int, weighing: Weighing
 ) -> tuple[NormalEquations, FloatArray]:
     """Return the normal equations of K problems, and the cosine (K,) of the flattest incidence."""
-    root = weighing.root
-    rows = grid.rows(at, terms, None if root is None else root > 0.0)
+    rows = grid.rows(at, terms, None if weighing.root is None else weighing.root > 0.0)
+    return summed_equations(grid, rows.columns, rows.centres, weighing), rows.cosine
+
+
+def summed_equations(
+    grid: Grid, columns: FloatArray, centres: FloatArray, weighing: Weighing
+) -> NormalEquations:
+    """Return the normal equations of rows of K problems; see `grid.Rows`."""
     if weighing.matrix is not None:
-        return _coupled(rows, grid, weighing.matrix), rows.cosine
-    blocks = grid.by_block(rows.columns if root is None else rows.columns * root)
-    products = grid.by_plane(blocks @ np.swapaxes(blocks, -1, -2))
-    return _summed(products, rows.centres), rows.cosine
+        return _coupled(columns, centres, grid, weighing.matrix)
+    blocks = grid.by_block(columns if weighing.root is None else columns * weighing.root)
+    return _summed(grid.by_plane(blocks @ np.swapaxes(blocks, -1, -2)), centres)
 
 
 def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
@@ -257,9 +281,11 @@ def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
     )
 
 
-def _coupled(rows: Rows, grid: Grid, weight: FloatArray) -> NormalEquations:
+def _coupled(
+    columns: FloatArray, centres: FloatArray, grid: Grid, weight: FloatArray
+) -> NormalEquations:
     """Return the normal equations of readings that are correlated within their stations."""
-    columns, beams, copies = rows.columns, grid.beams, rows.columns.shape[1]
+    beams, copies = grid.beams, columns.shape[1]
     width = len(columns) - FREE
     by_cell = np.ascontiguousarray(columns.transpose(1, 3, 2, 0))
     heavy = (weight @ by_cell[..., width:]).transpose(3, 0, 2, 1)
@@ -278,7 +304,7 @@ def _coupled(rows: Rows, grid: Grid, weight: FloatArray) -> NormalEquations:
         rest[..., :3, :3],
         border[..., 3].sum(axis=1).reshape(copies, -1),
         rest[..., :3, 3],
-        rows.centres,
+        centres,
         rest[..., 3, 3].sum(axis=1),
         H.reshape(copies, beams * width, beams * width),
     )
@@ -303,9 +329,9 @@ def jacobian_columns(
     at = model.linearize(x, readings.distance)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])
-    v_basis = model.tangent_basis(parameters.directions)[readings.beam]
-    n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-    local = at.normal - at.offset[:, None] * centres[readings.plane]
+    v_basis = gathered(model.tangent_basis(parameters.directions), readings.beam)
+    n_basis = gathered(model.tangent_basis(parameters.normals), readings.plane)
+    local = at.normal - at.offset[:, None] * gathered(centres, readings.plane)
     columns = np.empty((5 + terms + 4, len(readings)))
     columns[:3] = at.location.T
     np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])

@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..factors import Evaluation, SharedEvaluation
 from .graph import CalibrationGraph
+from .linear import CalibrationSystem, LinearGraph, LinearSystem, Unknowns, squared_columns
 from .stopping import Stopping
 
 ROUNDING_SIGMAS = 1e-9
@@ -27,23 +28,15 @@ class Point:
 class Work(ABC):
     """A graph with a start, and how it is evaluated."""
 
-    graph: gtsam.NonlinearFactorGraph
     start: gtsam.Values
-    ordering: gtsam.Ordering
 
     @abstractmethod
     def evaluate(self, values: gtsam.Values) -> Point:
         """Return the cost at `values`."""
 
     @abstractmethod
-    def linearize(self, point: Point) -> gtsam.GaussianFactorGraph:
-        """Return the linear graph at a point."""
-
-    @abstractmethod
-    def squared_columns(
-        self, point: Point, linear: gtsam.GaussianFactorGraph
-    ) -> dict[int, FloatArray]:
-        """Return, for every key, the squared lengths of its whitened Jacobian columns."""
+    def linearize(self, point: Point) -> LinearSystem:
+        """Return the linear system at a point."""
 
     @abstractmethod
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
@@ -54,31 +47,32 @@ class Together(Work):
     """A calibration: all readings are evaluated together."""
 
     def __init__(self, problem: CalibrationGraph) -> None:
-        self.problem, self.graph, self.start = problem, problem.graph, problem.values
-        self.ordering = problem.ordering
+        self.problem, self.start = problem, problem.values
         self.shared = SharedEvaluation(problem.blocks, problem.whitening)
+        self.others = gtsam.NonlinearFactorGraph()
+        for index in range(len(problem.blocks), problem.graph.size()):
+            self.others.push_back(problem.graph.at(index))
+        self.unknowns = Unknowns.of(problem, self.others)
 
     def evaluate(self, values: gtsam.Values) -> Point:
         """Evaluate all readings at once."""
         at, problem = self.shared.evaluate(values), self.problem
-        if problem.graph.size() == len(problem.blocks):
-            loss = problem.loss.cost(at.white / problem.range_sigma)
-            return Point(values, at, float(loss.sum()))
+        cost = float(problem.loss.cost(at.white / problem.range_sigma).sum())
+        return Point(values, at, cost + self.others.error(values))
+
+    def linearize(self, point: Point) -> LinearSystem:
+        """Sum up the rows that were evaluated; factors that tie planes or poses need the graph."""
+        problem, at = self.problem, point.at
+
+        def squares() -> dict[int, FloatArray]:
+            columns = self.shared.squared_columns(at)
+            return {key: one / problem.range_sigma**2 for key, one in columns.items()}
+
+        if self.unknowns is not None:
+            others = self.others.linearize(point.values)
+            return CalibrationSystem(self.unknowns, at, others, squares)
         with self.shared.handed_out(at):
-            return Point(values, at, problem.graph.error(values))
-
-    def linearize(self, point: Point) -> gtsam.GaussianFactorGraph:
-        """Linearise with the rows that were evaluated."""
-        with self.shared.handed_out(point.at):
-            return self.graph.linearize(point.values)
-
-    def squared_columns(
-        self, point: Point, _linear: gtsam.GaussianFactorGraph
-    ) -> dict[int, FloatArray]:
-        """Sum over the rows that were evaluated."""
-        variance = self.problem.range_sigma**2
-        columns = self.shared.squared_columns(point.at)
-        return {key: squares / variance for key, squares in columns.items()}
+            return LinearGraph(problem.graph.linearize(point.values), problem.ordering, squares)
 
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
         """Take the rounding of positions and readings into account."""
@@ -94,29 +88,16 @@ class Alone(Work):
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.graph, self.start = graph, values
         self.ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-        self._none = Evaluation(*[np.empty(0)] * 4)
+        self._none = Evaluation(*[np.empty(0)] * 3)
 
     def evaluate(self, values: gtsam.Values) -> Point:
         """Ask the graph."""
         return Point(values, self._none, self.graph.error(values))
 
-    def linearize(self, point: Point) -> gtsam.GaussianFactorGraph:
+    def linearize(self, point: Point) -> LinearSystem:
         """Ask the graph."""
-        return self.graph.linearize(point.values)
-
-    def squared_columns(
-        self, _point: Point, linear: gtsam.GaussianFactorGraph
-    ) -> dict[int, FloatArray]:
-        """Sum over the linear factors."""
-        sizes = linear.gradientAtZero()
-        total: dict[int, FloatArray] = {}
-        for factor in (linear.at(i) for i in range(linear.size()) if linear.exists(i)):
-            first, squares = 0, (factor.jacobian()[0] ** 2).sum(axis=0)
-            for key in factor.keys():  # noqa: SIM118
-                dim = sizes.at(key).size
-                total[key] = total.get(key, np.zeros(dim)) + squares[first : first + dim]
-                first += dim
-        return total
+        linear = self.graph.linearize(point.values)
+        return LinearGraph(linear, self.ordering, lambda: squared_columns(linear))
 
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
         """Guess the rounding."""
