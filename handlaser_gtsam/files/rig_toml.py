@@ -17,19 +17,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, overload
 
-import numpy as np
 from pydantic import Strict
 
-from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..results.limits import Limits
-from .reading import Record, read_checked
+from .reading import FileRecord, read_checked, square_matrix
 from .writing import path_of, write_text
 
 
-class _Noise(Record):
+class _Noise(FileRecord):
     range_sigma_mm: float | None = None
     incidence_sigma_mm: float | None = None
     pose_translation_sigma_mm: float | None = None
@@ -39,19 +37,19 @@ class _Noise(Record):
     pose_rotation_prior_deg: float | None = None
 
 
-class _Sensor(Record):
+class _Sensor(FileRecord):
     range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
     linearity_percent: float | None = None
 
 
-class _Limits(Record):
+class _Limits(FileRecord):
     rms_mm: float | None = None
     location_sigma_mm: float | None = None
     direction_sigma_deg: float | None = None
 
 
-class _Rig(Record):
+class _Rig(FileRecord):
     noise: _Noise = _Noise()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
@@ -112,7 +110,7 @@ def _parsed(text: str) -> object:
 
 
 def _to_si(rig: _Rig) -> Rig:
-    mm, deg = 1e-3, math.pi / 180.0
+    mm, deg, S = 1e-3, math.pi / 180.0, rig.noise.pose_covariance
     span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
     if span is None:
         span = (0.0, math.inf)
@@ -126,7 +124,7 @@ def _to_si(rig: _Rig) -> Rig:
             scaled(rig.noise.pose_translation_sigma_mm, mm),
             scaled(rig.noise.pose_rotation_sigma_deg, deg),
             scaled(rig.noise.incidence_sigma_mm, mm, given[0].incidence_sigma),
-            _matrix(rig.noise.pose_covariance),
+            None if S is None else square_matrix(S, 6, "noise.pose_covariance"),
             scaled(rig.noise.pose_translation_prior_mm, mm, given[0].pose_translation_prior),
             scaled(rig.noise.pose_rotation_prior_deg, deg, given[0].pose_rotation_prior),
         ),
@@ -142,18 +140,6 @@ def _to_si(rig: _Rig) -> Rig:
             scaled(rig.limits.direction_sigma_deg, deg),
         ),
     )
-
-
-def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
-    """Return the rows as a 6 x 6 matrix."""
-    if rows is None:
-        return None
-    if [len(row) for row in rows] != [6] * 6:
-        raise InputError(
-            f"noise.pose_covariance of {len(rows)} rows of {sorted({len(row) for row in rows})}",
-            "6 rows of 6 numbers",
-        )
-    return np.array(rows, dtype=np.float64)
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
