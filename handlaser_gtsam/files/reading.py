@@ -85,10 +85,11 @@ def _first_fault(
     if not place:
         return InputError(f"the file = {shown(fault['input'])}", expected, path)
     field = ".".join(place)
-    if fault["type"] == "extra_forbidden" and len(place) <= 2:
+    if fault["type"] == "extra_forbidden":
         table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
-        names = ", ".join(getattr(table, "model_fields", ()))
-        return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
+        names = ", ".join(getattr(table, "model_fields", ())) if len(place) <= 2 else ""
+        expected = f"one of {names}" if names else "a field of the format"
+        return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
 
 
