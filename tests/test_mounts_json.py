@@ -61,8 +61,8 @@ FAULTS = {
     "negative variance": (changed("beam_covariance", 0, 0, to=-1.0), "the variance -1"),
     "asymmetry": (changed("beam_covariance", 0, 1, to=0.0), "not symmetric"),
     "entry of 1e308": (changed("beam_covariance", 0, 0, to=1e308), "the entry 1e+308"),
-    "no rows": (changed("beam_covariance", to=[]), "0 rows of covariance"),
-    "short row": (changed("beam_covariance", 3, to=[0.0]), "rows of covariance"),
+    "no rows": (changed("beam_covariance", to=[]), "beam_covariance of 0 rows"),
+    "short row": (changed("beam_covariance", 3, to=[0.0]), "beam_covariance of 8 rows of [1, 8]"),
     "pose covariance that is none": (
         changed("fit", "pose_covariance", to=(1.0 - 2.0 * np.eye(6)).tolist()),
         "the variance -1",

@@ -10,20 +10,7 @@ from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
 from ..results.calibration import Beam, Calibration, Fit, NoiseComponent, Plane
 from ..results.spots import spot
-from .calibration_reading import (
-    CalibrationFile,
-    CorrelationRecord,
-    FitRecord,
-    IndicesRecord,
-    NoiseRecord,
-    ObservabilityRecord,
-    PlaneRecord,
-    RejectedRecord,
-    ScalesRecord,
-    SpotRecord,
-    SystematicRecord,
-    WarningRecord,
-)
+from . import calibration_reading as schema
 from .json_text import Record, json_text, record
 from .writing import path_of, write_text
 
@@ -38,27 +25,27 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
     """
     joint, scales = calibration.covariance, calibration.range_error_scales
     start, seen = calibration.start, calibration.observability
-    indices = None if seen.indices is None else record(seen.indices, IndicesRecord)
+    indices = None if seen.indices is None else record(seen.indices, schema.IndicesRecord)
     whole = record(
         calibration,
-        CalibrationFile,
+        schema.CalibrationFile,
         format="handlaser-calibration",
         version=1,
-        warnings=[record(one, WarningRecord) for one in calibration.warnings],
+        warnings=[record(one, schema.WarningRecord) for one in calibration.warnings],
         beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         beam_covariance=None if joint is None else joint.matrix(planes=[]),
         planes=[_plane(plane) for plane in calibration.planes.values()],
         fit=_fit(calibration.fit, calibration.pose_covariance, calibration.noise_estimate),
         observability=record(
-            seen, ObservabilityRecord, weakest=seen.weakest or None, indices=indices
+            seen, schema.ObservabilityRecord, weakest=seen.weakest or None, indices=indices
         ),
         correlations=[
-            record(one, CorrelationRecord, first=str(one.first), second=str(one.second))
+            record(one, schema.CorrelationRecord, first=str(one.first), second=str(one.second))
             for one in calibration.correlations
         ],
-        range_error_scales=None if scales is None else record(scales, ScalesRecord),
+        range_error_scales=None if scales is None else record(scales, schema.ScalesRecord),
         systematic=[
-            record(one, SystematicRecord, explained_by=one.explained_by or None)
+            record(one, schema.SystematicRecord, explained_by=one.explained_by or None)
             for one in calibration.systematic
         ],
         start={
@@ -70,7 +57,9 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
 
 
 def write_calibration(
-    path: Path | str, calibration: Calibration | CalibrationFile, reading: float | None = None
+    path: Path | str,
+    calibration: Calibration | schema.CalibrationFile,
+    reading: float | None = None,
 ) -> None:
     """Write the calibration to a JSON file, whole or not at all.
 
@@ -82,7 +71,7 @@ def write_calibration(
     InputError
         What is no calibration, or a file that cannot be written.
     """
-    if isinstance(calibration, CalibrationFile):
+    if isinstance(calibration, schema.CalibrationFile):
         text = json_text("calibration", calibration.model_dump(mode="json"))
     else:
         require_kind("calibration", calibration, Calibration)
@@ -150,21 +139,21 @@ def _spot(calibration: Calibration, name: str, reading: float | None) -> Record 
         return None
     found = spot(calibration, name, d)
     sigmas = {"along_sigma_m": found.along, "across_sigma_m": found.across}
-    return record(found, SpotRecord, reading_m=d, **sigmas)
+    return record(found, schema.SpotRecord, reading_m=d, **sigmas)
 
 
 def _plane(plane: Plane) -> Record:
     sigma = {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma}
-    return record(plane, PlaneRecord, sigma=None if plane.sigma is None else sigma)
+    return record(plane, schema.PlaneRecord, sigma=None if plane.sigma is None else sigma)
 
 
 def _fit(fit: Fit, pose: FloatArray | None, noise: tuple[NoiseComponent, ...]) -> Record:
     return record(
         fit,
-        FitRecord,
+        schema.FitRecord,
         max_m=fit.max_residual,
         max_at=dict(zip(("station", "beam"), fit.max_residual_at, strict=True)),
         pose_covariance=pose,
-        noise_estimate=[record(one, NoiseRecord) for one in noise],
-        rejected=[record(one, RejectedRecord) for one in fit.rejected],
+        noise_estimate=[record(one, schema.NoiseRecord) for one in noise],
+        rejected=[record(one, schema.RejectedRecord) for one in fit.rejected],
     )

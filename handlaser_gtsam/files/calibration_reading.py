@@ -11,11 +11,10 @@ from typing import Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, Strict
 
-from ..arrays import FloatArray
 from ..errors import InputError
 from ..results.mounts import Mounts
 from ..text import shown
-from .reading import Record, json_value, read_checked
+from .reading import FileRecord, json_value, read_checked, square_matrix
 from .writing import path_of
 
 EXPECTED = "a calibration of handlaser, JSON"
@@ -33,7 +32,7 @@ Version = Annotated[int, Field(ge=1, le=1)]
 Format = Literal["handlaser-calibration"]
 
 
-class WarningRecord(Record):
+class WarningRecord(FileRecord):
     """A warning of the calibration, with the numbers and names of its message."""
 
     code: str
@@ -41,14 +40,14 @@ class WarningRecord(Record):
     values: dict[str, int | float | str]
 
 
-class RangeErrorRecord(Record):
+class RangeErrorRecord(FileRecord):
     """k1 [1] and k2 [1/m]."""
 
     k1: float
     k2_per_m: float
 
 
-class BeamSigmaRecord(Record):
+class BeamSigmaRecord(FileRecord):
     """Standard deviations of a beam; None where undetermined."""
 
     location_m: Annotated[Known, Field(min_length=3, max_length=3)]
@@ -57,7 +56,7 @@ class BeamSigmaRecord(Record):
     k2_per_m: float | None
 
 
-class IntervalRecord(Record):
+class IntervalRecord(FileRecord):
     """95 % intervals of a beam."""
 
     location_m: Many[Pair]
@@ -66,7 +65,7 @@ class IntervalRecord(Record):
     k2_per_m: Pair
 
 
-class SpotRecord(Record):
+class SpotRecord(FileRecord):
     """The laser spot of a beam at one reading."""
 
     reading_m: float
@@ -77,7 +76,7 @@ class SpotRecord(Record):
     reading_sigma_m: float
 
 
-class BeamRecord(Record):
+class BeamRecord(FileRecord):
     """A beam, hand frame."""
 
     name: str
@@ -92,14 +91,14 @@ class BeamRecord(Record):
     spot: SpotRecord | None
 
 
-class PlaneSigmaRecord(Record):
+class PlaneSigmaRecord(FileRecord):
     """Standard deviations of a plane; None where undetermined."""
 
     normal_rad: float | None
     offset_m: float | None
 
 
-class PlaneRecord(Record):
+class PlaneRecord(FileRecord):
     """A plane n . x + b = 0, world frame."""
 
     name: str
@@ -108,7 +107,7 @@ class PlaneRecord(Record):
     sigma: PlaneSigmaRecord | None
 
 
-class ReadingRecord(Record):
+class ReadingRecord(FileRecord):
     """Where a reading stands: its station and its beam."""
 
     station: str
@@ -122,7 +121,7 @@ class RejectedRecord(ReadingRecord):
     residual_m: float | None
 
 
-class NoiseRecord(Record):
+class NoiseRecord(FileRecord):
     """An estimated sigma."""
 
     name: str
@@ -131,7 +130,7 @@ class NoiseRecord(Record):
     prior_carries: bool
 
 
-class FitRecord(Record):
+class FitRecord(FileRecord):
     """How well the readings agree."""
 
     readings: int
@@ -149,7 +148,7 @@ class FitRecord(Record):
     rejected: Many[RejectedRecord]
 
 
-class IndicesRecord(Record):
+class IndicesRecord(FileRecord):
     """Observability indices."""
 
     O1: float
@@ -158,7 +157,7 @@ class IndicesRecord(Record):
     O4: float
 
 
-class ObservabilityRecord(Record):
+class ObservabilityRecord(FileRecord):
     """What the recording determines."""
 
     rank: int
@@ -170,7 +169,7 @@ class ObservabilityRecord(Record):
     indices: IndicesRecord | None
 
 
-class CorrelationRecord(Record):
+class CorrelationRecord(FileRecord):
     """Two coordinates that the recording hardly tells apart."""
 
     first: str
@@ -179,15 +178,13 @@ class CorrelationRecord(Record):
     advice: str
 
 
-class ScalesRecord(Record):
+class ScalesRecord(RangeErrorRecord):
     """Learned scales of the range errors."""
 
-    k1: float
-    k2_per_m: float
     linearity: float
 
 
-class SystematicRecord(Record):
+class SystematicRecord(FileRecord):
     """A systematic error that was tested."""
 
     code: str
@@ -209,21 +206,21 @@ class SystematicRecord(Record):
     remedy: str
 
 
-class TriedRecord(Record):
+class TriedRecord(FileRecord):
     """A start that was tried, and the rms residual it led to; None if it led nowhere."""
 
     method: str
     rms_m: float | None
 
 
-class StartRecord(Record):
+class StartRecord(FileRecord):
     """The start that was used, and all that were tried."""
 
     method: str
     tried: Many[TriedRecord]
 
 
-class CalibrationFile(Record):
+class CalibrationFile(FileRecord):
     """What the JSON file of a calibration holds; see docs/files.md for its fields.
 
     It can be compared, copied and pickled, and `write_calibration` writes it as it was. Matrices are
@@ -263,7 +260,7 @@ def read_calibration(path: Path | str) -> CalibrationFile:
     return read_checked(path, CalibrationFile, json_value, EXPECTED)
 
 
-class _PartOf(Record, extra="ignore"):
+class _PartOf(FileRecord, extra="ignore"):
     """Some fields of a record."""
 
 
@@ -317,14 +314,7 @@ def _mounts(file: _Beams, rows: Many[Numbers]) -> Mounts:
         np.array([beam.direction for beam in beams]),
         np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
         tuple(beam.range_error_terms for beam in beams),
-        _matrix(rows, 8 * len(beams), f"{len(beams)} beams", "8 rows a beam, of as many numbers"),
+        square_matrix(rows, 8 * len(beams), "beam_covariance"),
         file.fit.range_sigma_m,
-        None if pose is None else _matrix(pose, 6, "fit.pose_covariance", "6 rows of 6 numbers"),
+        None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
     )
-
-
-def _matrix(rows: Many[Numbers], size: int, owner: str, expected: str) -> FloatArray:
-    """Return rows as a square matrix of `size`; refuse any other shape."""
-    if [len(row) for row in rows] != [size] * size:
-        raise InputError(f"{owner} and {len(rows)} rows of covariance", expected)
-    return np.array(rows, dtype=np.float64)

@@ -1,12 +1,14 @@
 """Text files read, and checked against a schema: the first fault is refused in one line."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from ..arrays import FloatArray
 from ..data.recording import first_repeated
 from ..errors import InputError
 from ..text import shown
@@ -15,7 +17,7 @@ from .writing import path_of
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-class Record(BaseModel):
+class FileRecord(BaseModel):
     """Fields of a file: no others, of no other type, and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -83,10 +85,11 @@ def _first_fault(
     if not place:
         return InputError(f"the file = {shown(fault['input'])}", expected, path)
     field = ".".join(place)
-    if fault["type"] == "extra_forbidden" and len(place) <= 2:
+    if fault["type"] == "extra_forbidden":
         table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
-        names = ", ".join(getattr(table, "model_fields", ()))
-        return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
+        names = ", ".join(getattr(table, "model_fields", ())) if len(place) <= 2 else ""
+        expected = f"one of {names}" if names else "a field of the format"
+        return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
 
 
@@ -101,3 +104,12 @@ def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if twice is not None:
         raise InputError(f"the field {shown(pairs[twice][0])} twice", "every field once")
     return dict(pairs)
+
+
+def square_matrix(rows: Sequence[Sequence[float]], size: int, field: str) -> FloatArray:
+    """Return the rows of a field as a square matrix of `size`; refuse any other shape."""
+    lengths = [len(row) for row in rows]
+    if lengths != [size] * size:
+        found = f"{field} of {len(rows)} rows of {sorted(set(lengths))}"
+        raise InputError(found, f"{size} rows of {size} numbers")
+    return np.array(rows, dtype=np.float64)

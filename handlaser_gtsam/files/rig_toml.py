@@ -17,19 +17,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, overload
 
-import numpy as np
 from pydantic import Strict
 
-from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..results.limits import Limits
-from .reading import Record, read_checked
+from .reading import FileRecord, read_checked, square_matrix
 from .writing import path_of, write_text
 
 
-class NoiseTable(Record):
+class NoiseTable(FileRecord):
     """The table [noise] of a rig file."""
 
     range_sigma_mm: float | None = None
@@ -41,19 +39,19 @@ class NoiseTable(Record):
     pose_rotation_prior_deg: float | None = None
 
 
-class _Sensor(Record):
+class _Sensor(FileRecord):
     range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
     linearity_percent: float | None = None
 
 
-class _Limits(Record):
+class _Limits(FileRecord):
     rms_mm: float | None = None
     location_sigma_mm: float | None = None
     direction_sigma_deg: float | None = None
 
 
-class _Rig(Record):
+class _Rig(FileRecord):
     noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
@@ -140,28 +138,16 @@ def _to_si(rig: _Rig) -> Rig:
 
 def noise_of(table: NoiseTable) -> Noise:
     """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
-    mm, deg, given = 1e-3, math.pi / 180.0, Noise()
+    mm, deg, given, S = 1e-3, math.pi / 180.0, Noise(), table.pose_covariance
     return Noise(
         scaled(table.range_sigma_mm, mm),
         scaled(table.pose_translation_sigma_mm, mm),
         scaled(table.pose_rotation_sigma_deg, deg),
         scaled(table.incidence_sigma_mm, mm, given.incidence_sigma),
-        _matrix(table.pose_covariance),
+        None if S is None else square_matrix(S, 6, "noise.pose_covariance"),
         scaled(table.pose_translation_prior_mm, mm, given.pose_translation_prior),
         scaled(table.pose_rotation_prior_deg, deg, given.pose_rotation_prior),
     )
-
-
-def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
-    """Return the rows as a 6 x 6 matrix."""
-    if rows is None:
-        return None
-    if [len(row) for row in rows] != [6] * 6:
-        raise InputError(
-            f"noise.pose_covariance of {len(rows)} rows of {sorted({len(row) for row in rows})}",
-            "6 rows of 6 numbers",
-        )
-    return np.array(rows, dtype=np.float64)
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:

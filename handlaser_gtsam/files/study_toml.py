@@ -36,14 +36,14 @@ from ..model.losses import LossName
 from ..simulation.scenes import ERRORS, SENSORS, Layout
 from ..simulation.simulate import Errors
 from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
-from .reading import Record, read_checked
+from .reading import FileRecord, read_checked
 from .rig_toml import NoiseTable, noise_of, scaled, toml_value
 from .writing import path_of
 
 MM, DEG = 1e-3, np.pi / 180.0
 
 
-class _Scene(Record):
+class _Scene(FileRecord):
     scene: Literal["paper", "unplanned", "arm"] | None = None
     beams: int = 4
     planes: int = 4
@@ -61,7 +61,7 @@ class _Scene(Record):
     arguments: dict[str, Any] | None = None
 
 
-class _Treatment(Record):
+class _Treatment(FileRecord):
     solve: Literal["calibrate", "reduction"] = "calibrate"
     noise: Literal["scene"] | NoiseTable | None = None
     range_error: RangeError = "auto"
@@ -70,7 +70,7 @@ class _Treatment(Record):
     poses: Poses = "auto"
 
 
-class _Study(Record):
+class _Study(FileRecord):
     runs: int = 100
     seed: int = 0
     scenes: dict[str, _Scene]

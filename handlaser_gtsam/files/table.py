@@ -120,8 +120,12 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
     cells = [_split(lines, index) for index in range(len(lines.text))]
     width = cells[0].count(UNIT) + 1
     for index, row in enumerate(cells):
-        if row.count(UNIT) + 1 != width:
-            raise _wrong_width(lines, index, row.count(UNIT) + 1, width)
+        count, last = row.count(UNIT) + 1, index == len(cells) - 1
+        if count != width:
+            cut = (
+                " in a last line that is cut" if last and not lines.ended and count < width else ""
+            )
+            raise lines.fault(index, f"{count} fields{cut}", f"{width}, as in the header")
     names = _names(lines, cells[0].split(UNIT))
     split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
     frame = split.struct.rename_fields(names).struct.unnest()
@@ -201,13 +205,6 @@ def _split(lines: _Lines, index: int) -> str:
         cells.append(line[at:end])
         at = end + 1
     return UNIT.join(cells)
-
-
-def _wrong_width(lines: _Lines, index: int, cells: int, width: int) -> InputError:
-    found = f"{cells} fields"
-    if index == len(lines.text) - 1 and not lines.ended and cells < width:
-        found += " in a last line that is cut"
-    return lines.fault(index, found, f"{width}, as in the header")
 
 
 def _names(lines: _Lines, header: list[str]) -> list[str]:

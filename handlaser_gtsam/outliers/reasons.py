@@ -54,23 +54,9 @@ class Reasons:
 
 
 def reasons(
-    readings: Readings,
-    kept: BoolArray,
-    parameters: Parameters,
-    range_sigma: float,
-    names: Names,
+    readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float, names: Names
 ) -> Reasons:
-    """Explain every reading that is not `kept`.
-
-    Parameters
-    ----------
-    readings : Readings
-    kept : (N,) of bool
-    parameters : Parameters
-    range_sigma : float
-        Standard deviation of a good reading [m].
-    names : Names
-    """
+    """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m]."""
     beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
     rows = np.flatnonzero(~kept)
     left = np.bincount(readings.station[kept], minlength=int(readings.station.max()) + 1)

@@ -19,7 +19,7 @@ from .directions import direction_starts, random_starts
 from .lifted import lifted_starts
 from .part import Part, part_of
 from .partial import PartialStart, grow
-from .search import Candidate, Round, agreeing, rank, search
+from .search import Candidate, Refinement, Round, agreeing, rank, search
 from .sweep import sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
 
@@ -197,7 +197,7 @@ def _grown(
 
 
 @dataclass(frozen=True, slots=True)
-class _LeastSquares:
+class _LeastSquares(Refinement):
     """All seeds are refined a little by least squares, and the best of them to the end."""
 
     readings: Readings
@@ -222,10 +222,6 @@ class _LeastSquares:
             (method, late if late and plausible_range_errors(late.parameters, readings) else early)
             for (method, early), late in zip(best, last, strict=True)
         ]
-
-    def mended(self, _best: Sequence[Candidate], _latest: Round) -> list[Refined | None]:
-        """Return nothing: least squares fits every plane to all its readings."""
-        return []
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,8 @@ def part_of(readings: Readings) -> Part:
     """
     counts = np.bincount(readings.beam, minlength=readings.beams)
     beams = np.sort(np.argsort(-counts, kind="stable")[:MOST_BEAMS])
-    some = readings if len(beams) == readings.beams else _of_beams(readings, beams)
+    has = np.isin(np.arange(readings.beams), beams)
+    some = readings if has.all() else readings.subset(np.flatnonzero(has[readings.beam]))
     count = np.bincount(some.plane, minlength=readings.planes)
     order = np.argsort(-count, kind="stable")
     enough = int(np.searchsorted(np.cumsum(count[order]), ENOUGH)) + 1
@@ -69,16 +70,15 @@ def part_of(readings: Readings) -> Part:
     if enough < readings.planes:
         chosen = np.zeros(readings.planes, dtype=bool)
         chosen[order[:enough]] = True
-        for beam in range(some.beams):
+        for beam in beams:
             own = some.plane[some.beam == beam]
             if own.size and not chosen[own].any():
                 chosen[own[np.argmax(count[own])]] = True
     elif some is readings and len(readings) <= MOST:
         return Part(readings, np.arange(readings.planes), beams, readings)
-    number = np.cumsum(chosen) - 1
-    subset = _thinned(some.subset(np.flatnonzero(chosen[some.plane])))
-    planes = np.flatnonzero(chosen)
-    part = replace(subset, plane=number[subset.plane], planes=len(planes))
+    few, planes = _thinned(some.subset(np.flatnonzero(chosen[some.plane]))), np.flatnonzero(chosen)
+    plane, beam = (np.cumsum(chosen) - 1)[few.plane], (np.cumsum(has) - 1)[few.beam]
+    part = replace(few, beam=beam, plane=plane, beams=len(beams), planes=len(planes))
     return Part(part, planes, beams, readings)
 
 
@@ -92,11 +92,3 @@ def _thinned(readings: Readings) -> Readings:
         for name in ("plane", "beam")
     )
     return few if same else readings
-
-
-def _of_beams(readings: Readings, beams: IntArray) -> Readings:
-    """Return the readings of some beams, numbered anew."""
-    number = np.full(readings.beams, -1, dtype=np.intp)
-    number[beams] = np.arange(len(beams))
-    some = readings.subset(np.flatnonzero(number[readings.beam] >= 0))
-    return replace(some, beam=number[some.beam], beams=len(beams))

@@ -63,8 +63,9 @@ class Refinement(Protocol):
     def refined(self, latest: Round) -> list[tuple[str, Refined]]:
         """Return the refined starts of a round that are worth comparing, with their methods."""
 
-    def mended(self, best: Sequence[Candidate], latest: Round, /) -> list[Refined | None]:
-        """Return, for the first of the candidates in order, others that may be better."""
+    def mended(self, _best: Sequence[Candidate], _latest: Round, /) -> list[Refined | None]:
+        """Return, for the first of the candidates in order, others that may be better; none here."""
+        return []
 
 
 class Judge(Protocol):

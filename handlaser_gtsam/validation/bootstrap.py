@@ -164,8 +164,7 @@ class _Source:
             raise KeyboardInterrupt
         if found.result.status != "converged" or not found.observability.full:
             return None
-        p = found.parameters
-        beams = np.hstack((p.locations, p.directions, p.range_errors))
+        beams = np.hstack(found.parameters.beams)
         return beams if shift is None else beams + shift
 
 

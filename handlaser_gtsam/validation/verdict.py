@@ -14,17 +14,14 @@ SHOWN = 4
 
 
 def verdict_of_validation(
-    validation: Validation,
-    recording: Recording | None = None,
-    limits: Limits | None = None,
-    reading: float | None = None,
+    validation: Validation, recording: Recording | None = None, limits: Limits | None = None
 ) -> Verdict:
     """Return the verdict on a calibration that was validated by leaving planes out.
 
     Beside that on the calibration itself: the rms limit holds for planes that were left out, too, and
     none of them contradicts the beams found without it.
     """
-    found = verdict(validation.calibration, recording, limits, reading)
+    found = verdict(validation.calibration, recording, limits)
     left_out = {one.plane: one.result for one in validation.planes if one.result is not None}
     checks = tuple(
         check
