@@ -9,7 +9,8 @@ from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
-from ..results.calibration import Beam, Calibration, Determined, Fit, NoiseComponent, Plane
+from ..results.calibration import Calibration
+from ..results.reports import Beam, Determined, Fit, NoiseComponent, Plane
 from ..results.spots import spot
 from ..results.systematic import SystematicError
 from .calibration_reading import CalibrationFile

@@ -20,17 +20,15 @@ size of the noise comes from the residuals, these are smaller than the noise by 
 draws tell.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..model.weighting import Whitening
-from .projection import WIDTH, Projection, linear_rows
+from .projection import WIDTH, Projection, Rows
 
 FAR = 3.5
 """Standard deviations above its mean from which the autocorrelation is no accident: one in 4000."""
@@ -64,46 +62,33 @@ class Dependence:
     plane_growth: float = 1.0
 
     @property
-    def warning(self) -> CalibrationWarning | None:
-        """What to say about it; None where there is nothing."""
+    def warnings(self) -> tuple[CalibrationWarning, ...]:
+        """What to say about it; nothing where readings are independent."""
         if self.growth == 1.0 and self.plane_growth == 1.0:
-            return None
-        return CalibrationWarning(
-            "correlated-in-time",
+            return ()
+        words = (
             f"the residuals of neighbouring readings go together (their noise correlates by "
             f"{self.correlation:.2f}): the standard deviations of the beams are {self.growth:.2f} "
             f"times, those of the planes up to {self.plane_growth:.2f} times as large as with "
             "independent readings; read more slowly, or average less in the sensor, and visit "
-            "stations in another order",
-            {
-                "correlation": self.correlation,
-                "growth": self.growth,
-                "plane_growth": self.plane_growth,
-            },
+            "stations in another order"
         )
+        return (CalibrationWarning("correlated-in-time", words, asdict(self)),)
 
 
 INDEPENDENT = Dependence()
 
 
-def dependence(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    prior: FloatArray,
-    position: IntArray,
-    *,
-    known: bool,
-) -> Dependence:
+def dependence(rows: Rows, *, known: bool) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
-    The arguments are those of `systematic_errors`.
+    `known` tells whether the size of the noise was given.
     """
-    chain = _Chain.of(readings, position)
+    readings, how = rows.readings, rows.how
+    chain = _Chain.of(readings, rows.position)
     if chain.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    rows = linear_rows(at, readings, how)
-    projection = Projection(rows, prior)
+    projection = Projection(rows)
     back = replace(how, root=np.asarray(np.linalg.inv(how.root), dtype=np.float64))
     count = int(np.clip(NUMBERS // len(readings), LEAST_DRAWS, DRAWS))
     white = np.random.default_rng(SEED).standard_normal((len(readings), count))

@@ -8,14 +8,12 @@ is a sentence for the user, never a change of the data.
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
@@ -31,8 +29,9 @@ DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
 GROUPS = 4
 """Planes are left out in so many groups to find the one before which beams look swapped."""
-Sequence = Literal["xyz", "XYZ", "ZYX"]
-"""Of angles, in SciPy's spelling: lower case about fixed axes, upper case about moving ones."""
+Numbers = Literal["vector", "xyz", "XYZ", "ZYX"]
+"""Three numbers of a rotation: its vector, or angles of a sequence in SciPy's spelling, in lower case
+about fixed axes and in upper case about moving ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,14 +122,15 @@ def _swaps(recording: Recording, terms: int) -> list[Hypothesis]:
 def _swap(recording: Recording, plane: int, i: int, j: int) -> Hypothesis:
     names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
     words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
-    return Hypothesis(words, partial(_swapped, plane=plane, i=i, j=j))
+    rows = (recording.plane_of_station == plane)[:, None]
 
+    def undone(recording: Recording) -> Recording:
+        columns = np.arange(len(recording.beam_names))
+        columns[[i, j]] = j, i
+        ranges = np.where(rows, recording.ranges[:, columns], recording.ranges)
+        return replace(recording, ranges=ranges)
 
-def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
-    ranges = recording.ranges.copy()
-    rows = recording.plane_of_station == plane
-    ranges[rows, i], ranges[rows, j] = recording.ranges[rows, j], recording.ranges[rows, i]
-    return replace(recording, ranges=ranges)
+    return Hypothesis(words, undone)
 
 
 def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
@@ -170,81 +170,45 @@ def _scalar_first(rotation: Rotation) -> Rotation:
     return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
 
 
-def _other_angles(written: Sequence, read: Sequence) -> Callable[[Rotation], Rotation]:
-    """Angles of the sequence `written` were read as those of `read`."""
+def _numbers(
+    written: Numbers, read: Numbers, factor: float = 1.0
+) -> Callable[[Recording], Recording]:
+    """Undo that three numbers were `read` as another thing than `written`, or without a `factor`."""
 
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_euler(written, _angles(rotation, read))
+    def change(rotation: Rotation) -> Rotation:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
+            found = rotation.as_rotvec() if read == "vector" else rotation.as_euler(read)
+        if written == "vector":
+            return Rotation.from_rotvec(factor * found)
+        return Rotation.from_euler(written, factor * found)
 
-    return undone
-
-
-def _longer_vector(factor: float) -> Callable[[Rotation], Rotation]:
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_rotvec(factor * rotation.as_rotvec())
-
-    return undone
-
-
-def _other_unit(factor: float, sequence: Sequence) -> Callable[[Rotation], Rotation]:
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_euler(sequence, factor * _angles(rotation, sequence))
-
-    return undone
+    return _turned(change)
 
 
-def _vector_read_as_angles(rotation: Rotation) -> Rotation:
-    return Rotation.from_rotvec(_angles(rotation, "xyz"))
-
-
-def _angles(rotation: Rotation, sequence: Sequence) -> FloatArray:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
-        angles: FloatArray = rotation.as_euler(sequence)
-    return angles
-
-
-HYPOTHESES = (
-    Hypothesis("the poses look inverted (hand_T_world instead of world_T_hand)", _inverted),
-    Hypothesis(
-        "the rotations look inverted (hand_R_world instead of world_R_hand)",
-        _turned(lambda rotation: rotation.inv()),
+_MISTAKES: dict[str, Callable[[Recording], Recording]] = {
+    "the poses look inverted (hand_T_world instead of world_T_hand)": _inverted,
+    "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
+    "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
+    "the positions look like millimetres": _scaled(1e-3, 1.0),
+    "the ranges look like millimetres": _scaled(1.0, 1e-3),
+    "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEGREE),
+    "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEGREE),
+    "the rotation vectors look like radians taken as degrees": _numbers(
+        "vector", "vector", 1.0 / DEGREE
     ),
-    Hypothesis(
-        "the quaternions look like qw qx qy qz written as qx qy qz qw", _turned(_scalar_first)
+    "the angles about x, y, z look like radians taken as degrees": _numbers(
+        "xyz", "xyz", 1.0 / DEGREE
     ),
-    Hypothesis("the positions look like millimetres", _scaled(1e-3, 1.0)),
-    Hypothesis("the ranges look like millimetres", _scaled(1.0, 1e-3)),
-    Hypothesis(
-        "the rotation vectors look like degrees taken as radians",
-        _turned(_longer_vector(DEGREE)),
+    "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)": _numbers(
+        "ZYX", "xyz"
     ),
-    Hypothesis(
-        "the angles about x, y, z look like degrees taken as radians",
-        _turned(_other_unit(DEGREE, "xyz")),
+    "the angles of fixed axes x, y, z look as if read as those of moving axes": _numbers(
+        "xyz", "XYZ"
     ),
-    Hypothesis(
-        "the rotation vectors look like radians taken as degrees",
-        _turned(_longer_vector(1.0 / DEGREE)),
+    "the angles of moving axes x, y, z look as if read as those of fixed axes": _numbers(
+        "XYZ", "xyz"
     ),
-    Hypothesis(
-        "the angles about x, y, z look like radians taken as degrees",
-        _turned(_other_unit(1.0 / DEGREE, "xyz")),
-    ),
-    Hypothesis(
-        "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)",
-        _turned(_other_angles("ZYX", "xyz")),
-    ),
-    Hypothesis(
-        "the angles of fixed axes x, y, z look as if read as those of moving axes",
-        _turned(_other_angles("xyz", "XYZ")),
-    ),
-    Hypothesis(
-        "the angles of moving axes x, y, z look as if read as those of fixed axes",
-        _turned(_other_angles("XYZ", "xyz")),
-    ),
-    Hypothesis(
-        "the rotation vectors look as if read as angles about x, y, z",
-        _turned(_vector_read_as_angles),
-    ),
-)
+    "the rotation vectors look as if read as angles about x, y, z": _numbers("vector", "xyz"),
+}
+HYPOTHESES = tuple(Hypothesis(words, undone) for words, undone in _MISTAKES.items())

@@ -13,16 +13,10 @@ from ..estimation.solution import Solution
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
-from .calibration import (
-    BeamMixture,
-    Calibration,
-    Fit,
-    NoiseComponent,
-    RangeErrorScales,
-    ScaledSolution,
-)
+from .calibration import Calibration
 from .fit import robust_sigma
 from .problem import Problem
+from .reports import BeamMixture, Fit, NoiseComponent, RangeErrorScales, ScaledSolution
 
 
 def joint_covariance(problem: Problem, solution: Solution, fit: Fit) -> JointCovariance:

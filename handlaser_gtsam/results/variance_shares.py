@@ -11,11 +11,9 @@ part of it that lies along the direction in which the solution is known worst wo
 along it.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -24,15 +22,11 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
-from ..model.joint import BEAM_COORDINATES, beam_lift
+from ..model.joint import beam_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.reduction import normal_equations
-from .spots import spot_jacobian
-from .used import used_recording
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
-
+from .calibration_data import CalibrationData
+from .spot_error import spot_at
 
 STEP = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""
@@ -70,7 +64,7 @@ class VarianceShares:
 
 
 def variance_shares(
-    calibration: Calibration, beam: str, reading: float, recording: Recording | None = None
+    calibration: CalibrationData, beam: str, reading: float, recording: Recording | None = None
 ) -> VarianceShares | None:
     """Return what the spot error of `beam` at `reading` [m] is made of; None without a covariance.
 
@@ -81,23 +75,20 @@ def variance_shares(
     S = calibration.covariance.matrix(planes=[])
     rows = 8 * list(calibration.beams).index(beam) + np.arange(8)
     J = np.zeros((3, len(S)))
-    J[:, rows] = spot_jacobian(calibration, beam, reading)
+    J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
     whole = float(np.trace(J @ S @ J.T))
     if whole <= 0.0:
         return VarianceShares(0.0, 0.0, 0.0)
-    width = len(BEAM_COORDINATES)
-    k = np.flatnonzero(np.arange(len(S)) % width >= width - 2)
+    k = np.flatnonzero(np.arange(len(S)) % 8 >= 6)
     known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=RANK, hermitian=True) @ S[k]
-    unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // width)
+    unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // 8)
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
-    along = J @ (unit * axes[:, -1])
+    along, square = J @ (unit * axes[:, -1]), axes[:, -1].reshape(-1, 8) ** 2
     return VarianceShares(
         _pose_share(calibration, J, recording),
         _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
         _part(float(values[-1] * (along @ along)) / whole),
-        max(
-            ROWS, key=lambda name: float((axes[:, -1].reshape(-1, width)[:, ROWS[name]] ** 2).sum())
-        ),
+        max(ROWS, key=lambda name: float(square[:, ROWS[name]].sum())),
     )
 
 
@@ -105,22 +96,17 @@ def _part(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-def _pose_share(calibration: Calibration, J: FloatArray, recording: Recording | None) -> float:
+def _pose_share(calibration: CalibrationData, J: FloatArray, recording: Recording | None) -> float:
     variances = calibration.variances
     if variances is None or variances.pose is None or not variances.pose.any():
         return 0.0 if recording is not None else math.nan
     if recording is None:
         return math.nan
-    readings = used_recording(calibration, recording).readings()
+    readings = calibration.used_in(recording).readings()
     try:
         low, high = (
             _spot_variance(
-                calibration,
-                J,
-                readings,
-                Variances(
-                    variances.range_sigma, variances.incidence_sigma, factor * variances.pose
-                ),
+                calibration, J, readings, replace(variances, pose=factor * variances.pose)
             )
             for factor in (1.0 / STEP, STEP)
         )
@@ -132,17 +118,19 @@ def _pose_share(calibration: Calibration, J: FloatArray, recording: Recording | 
 
 
 def _spot_variance(
-    calibration: Calibration, J: FloatArray, readings: Readings, variances: Variances
+    calibration: CalibrationData, J: FloatArray, readings: Readings, variances: Variances
 ) -> float:
     """Return the trace of the covariance of a spot, for these variances of the readings."""
     at = calibration.parameters()
     how = whitening(at, readings, variances)
     normal = normal_equations(at, readings, 2, whitening=how)
-    W = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True) @ np.swapaxes(
-        normal.border[0], 1, 2
-    )
+    inverse = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True)
+    W = inverse @ np.swapaxes(normal.border[0], 1, 2)
     S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
-    S = S / how.sigma**2 + np.diag(_prior(calibration))
+    prior, learned = np.zeros((len(calibration.beams), 7)), calibration.range_error_scales
+    if learned is not None:
+        prior[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
+    S = S / how.sigma**2 + np.diag(prior.ravel())
     active = np.concatenate([np.arange(7) < 5 + b.terms for b in calibration.beams.values()])
     length = calibration.fit.typical_range
     unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
@@ -150,11 +138,3 @@ def _spot_variance(
     lift = block_diag(*(beam_lift(basis, 2) for basis in model.tangent_basis(at.directions)))
     A = (J @ lift)[:, active] * unit
     return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))
-
-
-def _prior(calibration: Calibration) -> FloatArray:
-    """Return the prior information of the unknowns of all beams: that of learned range errors."""
-    learned, found = calibration.range_error_scales, np.zeros((len(calibration.beams), 7))
-    if learned is not None:
-        found[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
-    return found.ravel()
