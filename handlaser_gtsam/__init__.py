@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from .observability.wording import OpenPart as OpenPart
     from .pipeline import calibrate as calibrate
     from .results.calibration import Calibration as Calibration
-    from .results.correlations import Coordinate as Coordinate
-    from .results.correlations import Correlation as Correlation
+    from .results.calibration_data import Coordinate as Coordinate
+    from .results.calibration_data import Correlation as Correlation
     from .results.from_graph import read_graph as read_graph
     from .results.limits import Limits as Limits
     from .results.mounts import Mounts as Mounts
@@ -128,7 +128,7 @@ _NAMES = {
     "observability.wording": "OpenPart",
     "pipeline": "calibrate",
     "results.calibration": "Calibration",
-    "results.correlations": "Coordinate Correlation",
+    "results.calibration_data": "Coordinate Correlation",
     "results.from_graph": "read_graph",
     "results.limits": "Limits",
     "results.mounts": "Mounts",

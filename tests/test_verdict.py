@@ -12,9 +12,8 @@ from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
 from handlaser_gtsam.results.significance import chance, contradicted
-from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.spots import spot
-from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation

@@ -1,4 +1,4 @@
-"""What a calibration holds, and what follows from it at once."""
+"""What a calibration holds, what follows from it at once, and which unknowns it cannot tell apart."""
 
 import math
 from collections.abc import Mapping
@@ -18,9 +18,8 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
-from ..model.joint import JointCovariance
+from ..model.joint import BEAM_COORDINATES, JointCovariance
 from ..model.weighting import Variances
-from .correlations import Correlation
 from .reports import (
     Beam,
     BeamMixture,
@@ -35,6 +34,43 @@ from .reports import (
 from .systematic import SystematicError
 
 Status = Literal["converged", "unobservable", "not_converged"]
+STRONG = 0.95
+"""Correlations above this are worth a word."""
+NAMES = ("location x", "location y", "location z", "direction x", "direction y", "direction z")
+LABELS = (*NAMES, "k1", "k2")
+"""In the order of `joint.BEAM_COORDINATES`."""
+FIRST_ERROR = 6
+"""Coordinates from here on are range errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """One of the eight coordinates of a beam, as `joint.BEAM_COORDINATES` counts them."""
+
+    beam: str
+    number: int
+
+    def __str__(self) -> str:
+        """Return "beam NAME QUANTITY"."""
+        return f"beam {self.beam} {LABELS[self.number]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """Two unknowns and their correlation coefficient."""
+
+    first: Coordinate
+    second: Coordinate
+    coefficient: float
+
+    @property
+    def advice(self) -> str:
+        """What would tell the two apart."""
+        if max(self.first.number, self.second.number) >= FIRST_ERROR:
+            return "measure over a wider span of ranges, or estimate fewer range-error terms"
+        if self.first.beam != self.second.beam:
+            return "add planes with other normals"
+        return "turn the hand further, and vary the range"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -135,3 +171,28 @@ class CalibrationData(Value):
         tail = 0.5 * (1.0 + level)
         factor = float(norm.ppf(tail) if known else student.ppf(tail, max(self.fit.dof, 1)))
         return np.stack((value - factor * found.sigma, value + factor * found.sigma), axis=1)
+
+
+def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[Correlation, ...]:
+    """Return the pairs of beam unknowns whose correlation exceeds `limit`, strongest first.
+
+    Of the three components of a direction, the largest follows from the others and is left out.
+    """
+    S = joint.matrix(planes=[])
+    variance = np.diagonal(S)
+    keep = variance > 0.0
+    for beam, basis in enumerate(joint.beam_bases):
+        # The component along which the tangent plane reaches least belongs to the largest one.
+        keep[8 * beam + 3 + int(np.linalg.norm(basis, axis=1).argmin())] = False
+    rows = np.flatnonzero(keep)
+    sigma = np.sqrt(variance[rows])
+    C = S[np.ix_(rows, rows)] / np.outer(sigma, sigma)
+    first, second = np.triu_indices(len(rows), 1)
+    strong = np.flatnonzero(np.abs(C[first, second]) > limit)
+    strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]
+    width = len(BEAM_COORDINATES)
+    names = [Coordinate(joint.beam_names[row // width], row % width) for row in rows.tolist()]
+    return tuple(
+        Correlation(names[first[i]], names[second[i]], float(C[first[i], second[i]]))
+        for i in strong
+    )

@@ -110,16 +110,11 @@ def dependence(rows: Rows, *, known: bool) -> Dependence:
     rho = float(np.interp(found, means, STEPS[: len(means)]))
     _, loud, more = drawn(chain.coloured(white, rho))
     lost = 1.0 if known else float(squares.mean() / loud.mean())
-    growth = float((more / np.where(variance > 0.0, variance, np.inf)).max())
-    return _grown(rho, lost * growth, lost * chain.growth_of_means(rho))
-
-
-def _grown(rho: float, beams: float, planes: float) -> Dependence:
-    """Return the dependence that multiplies the variances so; none where that is little."""
-    growth, plane = float(np.sqrt(beams)), float(np.sqrt(planes))
-    if max(growth, plane) < LEAST_GROWTH:
+    beams = float((more / np.where(variance > 0.0, variance, np.inf)).max())
+    growth, plane_growth = np.sqrt([lost * beams, lost * chain.growth_of_means(rho)]).tolist()
+    if max(growth, plane_growth) < LEAST_GROWTH:
         return INDEPENDENT
-    return Dependence(rho, max(1.0, growth), max(1.0, plane, growth))
+    return Dependence(rho, max(1.0, growth), max(1.0, plane_growth, growth))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +139,11 @@ class _Chain:
         same = np.diff(readings.plane[order]) == 0
         return cls(order, same & (np.diff(readings.beam[order]) == 0))
 
+    @property
+    def bounds(self) -> IntArray:
+        """The first row of every chain, and the end of the last."""
+        return np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
+
     def autocorrelation(self, w: FloatArray) -> FloatArray:
         """Return the lag-one autocorrelation (q,) of columns (N, q), pooled over all chains."""
         w = w[self.order]
@@ -154,9 +154,7 @@ class _Chain:
     def coloured(self, white: FloatArray, rho: float) -> FloatArray:
         """Return noise (N, q) of unit variance whose neighbours correlate by rho, from white noise."""
         noise = np.empty_like(white)
-        starts = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(white)]))
-        for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-            rows = self.order[a:b]
+        for rows in np.split(self.order, self.bounds[1:-1]):
             steps = np.sqrt(1.0 - rho**2) * white[rows]
             steps[0] = white[rows[0]]
             noise[rows] = lfilter([1.0], [1.0, -rho], steps, axis=0)
@@ -164,7 +162,6 @@ class _Chain:
 
     def growth_of_means(self, rho: float) -> float:
         """Return the variance of the mean of the longest chain, over that of independent noise."""
-        starts = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
-        n = int(np.diff(starts).max())
+        n = int(np.diff(self.bounds).max())
         lags = np.arange(1, n)
         return 1.0 + 2.0 * float(((1.0 - lags / n) * rho**lags).sum())

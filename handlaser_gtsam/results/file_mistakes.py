@@ -6,9 +6,10 @@ is a sentence for the user, never a change of the data.
 """
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import combinations, product
 from typing import Literal
 
 import numpy as np
@@ -34,12 +35,8 @@ Numbers = Literal["vector", "xyz", "XYZ", "ZYX"]
 about fixed axes and in upper case about moving ones."""
 
 
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """A mistake in words, and the recording as it would be without it."""
-
-    words: str
-    undone: Callable[[Recording], Recording]
+Undone = Callable[[Recording], Recording]
+"""Returns a recording as it would be without a mistake."""
 
 
 def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
@@ -51,36 +48,30 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     terms : int
         Most range-error terms.
     """
-    wanted: list[tuple[Hypothesis, Effort]] = [
-        *((one, "normal") for one in _promising(recording, terms)),
-        *((one, "quick") for one in _swaps(recording, terms)),
-    ]
-    if not wanted:
+    mistakes = [*_promising(recording, terms), *_swaps(recording, terms)]
+    if not mistakes:
         return ()
-    now = _misfit(recording, terms, "normal")
-    found: list[tuple[float, str]] = []
-    for hypothesis, effort in wanted:
-        ratio = now / max(_misfit(hypothesis.undone(recording), terms, effort), 1e-30)
+    now, found = _misfit(recording, terms, "normal"), []
+    for words, undone, effort in mistakes:
+        ratio = now / max(_misfit(undone(recording), terms, effort), 1e-30)
         if ratio >= MUCH_BETTER:
-            found.append((ratio, hypothesis.words))
+            found.append((ratio, words))
     return tuple(
         f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
         for ratio, words in sorted(found, reverse=True)
     )
 
 
-def _promising(recording: Recording, terms: int) -> list[Hypothesis]:
-    """Return the mistakes of the poses or the units without which one beam fits far better.
+def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+    """Yield the mistakes of the poses or the units without which one beam fits far better.
 
     Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
     """
     one = _one_beam(recording)
     now = _misfit(one, terms, "glance")
-    return [
-        hypothesis
-        for hypothesis in HYPOTHESES
-        if now >= PROMISING * _misfit(hypothesis.undone(one), terms, "glance")
-    ]
+    for words, undone in HYPOTHESES.items():
+        if now >= PROMISING * _misfit(undone(one), terms, "glance"):
+            yield words, undone, "normal"
 
 
 def _one_beam(recording: Recording) -> Recording:
@@ -95,42 +86,36 @@ def _one_beam(recording: Recording) -> Recording:
     return recording.without(others).part(seen[:, beam])
 
 
-def _swaps(recording: Recording, terms: int) -> list[Hypothesis]:
+def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
     """Two beams exchanged before one plane; exchanged everywhere they would only change names.
 
     Without that plane the others fit far better, and their beams tell which two were exchanged.
     """
-    pairs = list(combinations(range(len(recording.beam_names)), 2))
-    planes = len(recording.plane_names)
+    beams, planes = recording.beam_names, len(recording.plane_names)
+    pairs = list(combinations(range(len(beams)), 2))
     if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
-        return []
-    now, found = _misfit(recording, terms, "glance"), []
+        return
+    now = _misfit(recording, terms, "glance")
     for group in range(min(GROUPS, planes)):
         out = np.arange(planes) % GROUPS == group
         try:
             rest = recording.part(~out[recording.plane_of_station])
         except InputError:
             continue
-        if rest.beam_names != recording.beam_names:
+        if rest.beam_names != beams or now < PROMISING * _misfit(rest, terms, "glance"):
             continue
-        if now < PROMISING * _misfit(rest, terms, "glance"):
-            continue
-        found += [(plane, i, j) for plane in np.flatnonzero(out).tolist() for i, j in pairs]
-    return [_swap(recording, *case) for case in found]
+        for plane, (i, j) in product(np.flatnonzero(out).tolist(), pairs):
+            name = recording.plane_names[plane]
+            words = (
+                f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
+            )
+            yield words, partial(_swapped, plane=plane, i=i, j=j), "quick"
 
 
-def _swap(recording: Recording, plane: int, i: int, j: int) -> Hypothesis:
-    names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
-    words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
-    rows = (recording.plane_of_station == plane)[:, None]
-
-    def undone(recording: Recording) -> Recording:
-        columns = np.arange(len(recording.beam_names))
-        columns[[i, j]] = j, i
-        ranges = np.where(rows, recording.ranges[:, columns], recording.ranges)
-        return replace(recording, ranges=ranges)
-
-    return Hypothesis(words, undone)
+def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
+    ranges, rows = recording.ranges.copy(), recording.plane_of_station == plane
+    ranges[rows, i], ranges[rows, j] = recording.ranges[rows, j], recording.ranges[rows, i]
+    return replace(recording, ranges=ranges)
 
 
 def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
@@ -141,7 +126,7 @@ def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
     return float(rms**2) / max(float(np.nanvar(recording.ranges)), 1e-300)
 
 
-def _turned(change: Callable[[Rotation], Rotation]) -> Callable[[Recording], Recording]:
+def _turned(change: Callable[[Rotation], Rotation]) -> Undone:
     def undone(recording: Recording) -> Recording:
         R = change(Rotation.from_matrix(recording.world_R_hand)).as_matrix()
         return replace(recording, world_R_hand=R)
@@ -155,7 +140,7 @@ def _inverted(recording: Recording) -> Recording:
     return replace(recording, world_R_hand=R, world_t_hand=t)
 
 
-def _scaled(positions: float, ranges: float) -> Callable[[Recording], Recording]:
+def _scaled(positions: float, ranges: float) -> Undone:
     def undone(recording: Recording) -> Recording:
         t, d = positions * recording.world_t_hand, ranges * recording.ranges
         if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
@@ -170,9 +155,7 @@ def _scalar_first(rotation: Rotation) -> Rotation:
     return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
 
 
-def _numbers(
-    written: Numbers, read: Numbers, factor: float = 1.0
-) -> Callable[[Recording], Recording]:
+def _numbers(written: Numbers, read: Numbers, factor: float = 1.0) -> Undone:
     """Undo that three numbers were `read` as another thing than `written`, or without a `factor`."""
 
     def change(rotation: Rotation) -> Rotation:
@@ -186,7 +169,7 @@ def _numbers(
     return _turned(change)
 
 
-_MISTAKES: dict[str, Callable[[Recording], Recording]] = {
+HYPOTHESES: dict[str, Undone] = {
     "the poses look inverted (hand_T_world instead of world_T_hand)": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
     "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
@@ -211,4 +194,4 @@ _MISTAKES: dict[str, Callable[[Recording], Recording]] = {
     ),
     "the rotation vectors look as if read as angles about x, y, z": _numbers("vector", "xyz"),
 }
-HYPOTHESES = tuple(Hypothesis(words, undone) for words, undone in _MISTAKES.items())
+"""Mistakes in words, and what undoes them."""

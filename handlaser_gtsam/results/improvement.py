@@ -7,16 +7,14 @@ than half; otherwise, and where the residuals alone say how noisy the readings a
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from .calibration_data import CalibrationData
 from .limits import LimitCheck
 from .significance import SINGLE_LEVEL
-from .spot_error import freedom
+from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
-from .variance_shares import Quantity, VarianceShares
 from .warnings import MANY_LEFT_OUT
 
 DOMINANT = 0.5
@@ -32,19 +30,6 @@ MOTIONS: dict[Quantity, str] = {
 }
 """What tells the quantity that is known worst."""
 
-Code = Literal[
-    "systematic",
-    "outliers",
-    "sigmas",
-    "limit-rms",
-    "poses",
-    "range-span",
-    "motion",
-    "more-stations",
-    "more-motion",
-    "recording",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
@@ -53,6 +38,8 @@ class Improvement:
     Attributes
     ----------
     code : str
+        `systematic`, `outliers`, `sigmas`, `limit-rms`, `poses`, `range-span`, `motion`,
+        `more-stations`, `more-motion` or `recording`.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -60,7 +47,7 @@ class Improvement:
         the share of the variance of the spot error, or how many times as many stations.
     """
 
-    code: Code
+    code: str
     words: str
     number: float | None = None
 
@@ -108,7 +95,7 @@ def _largest_share(
         return None
     condition = calibration.observability.condition
     weakest = 0.0 if condition is None or condition <= WELL_CONDITIONED else shares.weakest
-    candidates: tuple[tuple[Code, str, float], ...] = (
+    candidates: tuple[tuple[str, str, float], ...] = (
         (
             "poses",
             "a better robot calibration or more stations (robot errors cause {})",

@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..keys import BeamKeys
-from .fit import FitRows, fit_of_rows
+from .fit import fit_of_rows
 from .reports import Fit
 
 LEAST_OBLIQUE = 1e-6
@@ -154,7 +154,11 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
     sigma = np.concatenate([_sigmas(one.noiseModel(), one.dim()) for one, *_ in found])
     s = np.concatenate([_ranges(one, own.values) for one, *_ in found])
     return fit_of_rows(
-        FitRows(labels, tuple(own.beams), np.arange(len(e)), beam, e, e / sigma, s),
+        (labels, tuple(own.beams)),
+        (np.arange(len(e)), beam),
+        e,
+        e / sigma,
+        s,
         chi2=chi2,
         dof=dof,
         range_sigma=float(np.median(sigma)),

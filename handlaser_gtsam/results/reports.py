@@ -1,7 +1,7 @@
 """What a calibration reports: beams and planes with their uncertainty, fit, noise, rank and start."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -250,10 +250,6 @@ class BeamMixture(Value):
     means: FloatArray
     sigmas: FloatArray
     members: IntArray
-
-    def grown(self, factor: float) -> "BeamMixture":
-        """Return the mixture spread out about the estimate."""
-        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -13,9 +13,8 @@ from .calibration_data import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, worst_of_each
 from .lines import count
-from .spot_error import spot_radii
+from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
-from .variance_shares import VarianceShares, variance_shares
 
 Code = Literal[
     "usable",
@@ -35,7 +34,6 @@ OPENING: dict[Code, str] = {
     "undetermined": "Not usable, undetermined",
     "not-converged": "Not usable, no calibration",
 }
-USABLE: tuple[Code, ...] = ("usable", "usable-with-care")
 LONGEST = 90
 """Characters of a message of another module that a verdict quotes."""
 
@@ -88,7 +86,7 @@ class Verdict:
     @property
     def usable(self) -> bool:
         """Whether the calibration can be used."""
-        return self.code in USABLE
+        return self.code in ("usable", "usable-with-care")
 
     @property
     def sentence(self) -> str:
