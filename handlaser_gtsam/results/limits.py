@@ -108,8 +108,6 @@ def rms_checked(subject: str, rms: float, limits: Limits) -> tuple[LimitCheck, .
 
 def worst_of_each(checks: tuple[LimitCheck, ...]) -> tuple[LimitCheck, ...]:
     """Return the check nearest to its limit, or furthest beyond, of every quantity."""
-    worst: dict[Quantity, LimitCheck] = {}
-    for one in checks:
-        if one.quantity not in worst or one.ratio > worst[one.quantity].ratio:
-            worst[one.quantity] = one
-    return tuple(worst.values())
+    quantities = dict.fromkeys(one.quantity for one in checks)
+    alike = [[one for one in checks if one.quantity == quantity] for quantity in quantities]
+    return tuple(max(same, key=lambda one: one.ratio) for same in alike)

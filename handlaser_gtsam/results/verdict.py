@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from textwrap import shorten
-from typing import Literal
 
 import numpy as np
 
@@ -16,16 +15,7 @@ from .lines import count
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
 
-Code = Literal[
-    "usable",
-    "usable-with-care",
-    "outside-limits",
-    "systematic-error",
-    "contradicted",
-    "undetermined",
-    "not-converged",
-]
-OPENING: dict[Code, str] = {
+OPENING = {
     "usable": "Usable",
     "usable-with-care": "Usable with care",
     "outside-limits": "Not usable, outside the limits",
@@ -34,6 +24,7 @@ OPENING: dict[Code, str] = {
     "undetermined": "Not usable, undetermined",
     "not-converged": "Not usable, no calibration",
 }
+"""How a sentence begins, by the code of its verdict."""
 LONGEST = 90
 """Characters of a message of another module that a verdict quotes."""
 
@@ -71,7 +62,7 @@ class Verdict:
         The planes that were left out and do not.
     """
 
-    code: Code
+    code: str
     findings: tuple[str, ...]
     best: Improvement
     reading: float
@@ -128,7 +119,7 @@ def verdict(
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
     shares = variance_shares(calibration, beam, reading, recording) if beam else None
-    code: Code = "usable-with-care" if harmful or calibration.warnings else "usable"
+    code = "usable-with-care" if harmful or calibration.warnings else "usable"
     if failed:
         code = "outside-limits"
     elif excess > 1.0:
