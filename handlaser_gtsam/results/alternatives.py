@@ -33,7 +33,7 @@ MOST_SPLITS = 32
 class Everywhere:
     """Errors that concern all readings, one a column, with the interface of `Family`."""
 
-    codes = WHOLE
+    codes = np.array(WHOLE)
 
     def __init__(self, rows: Rows) -> None:
         self.columns = _whole_columns(rows)
@@ -59,8 +59,7 @@ class Family:
 
     Attributes
     ----------
-    codes : tuple of str
-        That of every member.
+    codes : (m,) of str
     column : (N,)
         Derivative of the residuals, as if the error were everywhere.
     plane, beam, position : (m,)
@@ -81,7 +80,7 @@ class Family:
         in_time: tuple[IntArray, IntArray, int],
     ) -> None:
         self.plane, self.beam, self.position = plane, _, position = members
-        self.codes, self.column = (code,) * len(plane), column
+        self.codes, self.column = np.full(len(plane), code), column
         # A member counts in the rows [first, last) of every beam, in the order by plane, beam and time.
         self.order, key, times = in_time
         blocks = plane[:, None] * rows.readings.beams + np.arange(rows.readings.beams)
