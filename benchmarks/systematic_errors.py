@@ -140,22 +140,23 @@ def of_member(
     scene: Scene, result: hl.Calibration, recording: hl.Recording, given: bool, seed: int
 ) -> tuple[float, FloatArray]:
     """Return the detectable size, and its effect, of the error of `scene` with this seed."""
-    from handlaser_gtsam.results.reliability import detectable_of
+    from handlaser_gtsam.results.projection import linear_rows
+    from handlaser_gtsam.results.score_tests import ScoreTests
 
     _, truth = cell(scene, np.random.default_rng(seed))
     plane, other = truth.subject
-    at = linearization(result, recording)
-    every = detectable_of(scene.code, *at, known=given, dof=result.fit.dof)
-    chosen = every.plane == plane
+    rows = linear_rows(*linearization(result, recording))
+    every = ScoreTests(rows, None if given else result.fit.dof)
+    chosen = (every.codes == scene.code) & (every.plane == plane)
     if scene.code == "displaced":
         chosen &= every.position == plane * scene.stations + other
     else:
         chosen &= every.beam == other
     if not chosen.any():
         return math.inf, np.full((2, scene.beams, 3), np.nan)
-    member = int(np.flatnonzero(chosen)[0])
-    shift = np.array([every.location_shift[member], every.direction_shift[member]])
-    return float(every.detectable[member]), shift
+    member = np.flatnonzero(chosen)[:1]
+    size = every.detectable[member]
+    return float(size[0]), np.concatenate(every.shifts(member, size))
 
 
 def linearization(

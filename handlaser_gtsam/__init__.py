@@ -59,17 +59,17 @@ if TYPE_CHECKING:
     from .observability.wording import OpenPart as OpenPart
     from .pipeline import calibrate as calibrate
     from .results.calibration import Calibration as Calibration
-    from .results.correlations import Coordinate as Coordinate
-    from .results.correlations import Correlation as Correlation
-    from .results.estimates import Beam as Beam
-    from .results.estimates import Plane as Plane
+    from .results.calibration_data import Coordinate as Coordinate
+    from .results.calibration_data import Correlation as Correlation
     from .results.from_graph import read_graph as read_graph
     from .results.limits import Limits as Limits
     from .results.mounts import Mounts as Mounts
+    from .results.reports import Beam as Beam
     from .results.reports import BeamMixture as BeamMixture
     from .results.reports import Determined as Determined
     from .results.reports import Fit as Fit
     from .results.reports import NoiseComponent as NoiseComponent
+    from .results.reports import Plane as Plane
     from .results.reports import RangeErrorScales as RangeErrorScales
     from .results.reports import ScaledSolution as ScaledSolution
     from .results.reports import StartReport as StartReport
@@ -149,13 +149,12 @@ _NAMES = {
     "observability.wording": "OpenPart",
     "pipeline": "calibrate",
     "results.calibration": "Calibration",
-    "results.correlations": "Coordinate Correlation",
-    "results.estimates": "Beam Plane",
+    "results.calibration_data": "Coordinate Correlation",
     "results.from_graph": "read_graph",
     "results.limits": "Limits",
     "results.mounts": "Mounts",
-    "results.reports": "BeamMixture Determined Fit NoiseComponent RangeErrorScales ScaledSolution"
-    " StartReport",
+    "results.reports": "Beam BeamMixture Determined Fit NoiseComponent Plane RangeErrorScales"
+    " ScaledSolution StartReport",
     "results.spots": "MeasuredPlane Spot measured_plane spot",
     "results.systematic": "SystematicError",
     "session.drift": "Moved",

@@ -16,8 +16,10 @@ from handlaser_gtsam.estimation.solve import solve
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import Names
 from handlaser_gtsam.results.alternatives import WHOLE
-from handlaser_gtsam.results.reliability import detectable_of
-from handlaser_gtsam.results.score_tests import LEVEL, POWER, alike, holm, needed, two_sided
+from handlaser_gtsam.results.projection import linear_rows
+from handlaser_gtsam.results.score_tests import POWER, ScoreTests, alike, needed, two_sided
+from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
+from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
 
 SIGMA = 1e-4
@@ -163,19 +165,27 @@ def solved(scene, ranges, terms="none"):
 
 
 def report(problem, known=True):
-    at, readings, how, prior, position = problem
+    readings, prior = problem[1], problem[3]
     unknowns = 5 * readings.beams + 3 * readings.planes + int(np.isinf(prior).sum())
-    found = systematic_errors(
-        at,
-        readings,
-        how,
-        prior,
-        position,
-        names_of(readings),
-        known=known,
-        dof=len(readings) - unknowns,
-    )
+    found = judged(problem, known, len(readings) - unknowns)
     return {one.code: one for one in found}
+
+
+def judged(problem, known, dof):
+    rows, names = linear_rows(*problem), names_of(problem[1])
+    stations = [str(number) for number in range(1, int(rows.position.max()) + 2)]
+    return systematic_errors(rows, names, stations, known=known, dof=dof)
+
+
+class Detectable:
+    """What could go unnoticed of every member of one family, for noise of known size."""
+
+    def __init__(self, code, problem):
+        found = ScoreTests(linear_rows(*problem), None)
+        members = np.flatnonzero(found.codes == code)
+        for name in ("plane", "beam", "position", "determined", "size", "sigma", "detectable"):
+            setattr(self, name, getattr(found, name)[members])
+        self.location_shift, self.direction_shift = found.shifts(members, self.detectable)
 
 
 # Two ways to one number
@@ -244,7 +254,7 @@ def test_the_blocked_projection_agrees_with_a_dense_one(prior):
             x.pose[:, 3:] * np.einsum("nji,nj->ni", readings.world_R_hand, readings.world_t_hand)
         ).sum(axis=1),
     }
-    found = {code: detectable_of(code, *problem, known=True, dof=100) for code in TESTED}
+    found = {code: Detectable(code, problem) for code in TESTED}
     for code, column in columns.items():
         if not found[code].determined[0]:
             assert code == "translation-scale"
@@ -283,7 +293,7 @@ SUBJECT = {"displaced": "plane p2 from station 23 on", "beam-on-plane": "beam b1
 
 def injected_size(code, problem):
     """Return twice the size that is detectable of the member that is injected."""
-    found = detectable_of(code, *problem, known=True, dof=100)
+    found = Detectable(code, problem)
     member = 0
     if code in SUBJECT:
         member = np.flatnonzero(
@@ -340,7 +350,7 @@ def test_the_bound_of_a_family_is_that_of_its_least_detectable_member():
     scene = Scene()
     problem = arguments(*scene.problem(scene.ranges()))
     one = report(problem)["displaced"]
-    of = detectable_of("displaced", *problem, known=True, dof=100)
+    of = Detectable("displaced", problem)
     assert one.detectable == of.detectable.max()
     largest = np.linalg.norm(of.location_shift, axis=2).max(axis=0)
     assert np.allclose(np.linalg.norm(one.location_shift, axis=1), largest)
@@ -501,4 +511,4 @@ def test_without_redundancy_nothing_is_tested():
     at, readings, position = Scene().problem(Scene().ranges())
     problem = arguments(at, readings, position)
     for known, dof in ((True, 0), (False, 1)):
-        assert systematic_errors(*problem, names_of(readings), known=known, dof=dof) == ()
+        assert judged(problem, known, dof) == ()

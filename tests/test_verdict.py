@@ -10,11 +10,10 @@ from helpers import GRIPPER, degenerate, error_of, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
-from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, exceeded, worst_of_each
+from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
 from handlaser_gtsam.results.significance import chance, contradicted
-from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.spots import spot
-from handlaser_gtsam.results.variance_shares import VarianceShares, variance_shares
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
@@ -139,10 +138,11 @@ def test_outside_a_limit(calibration, recording, name):
     )
     assert (inside.usable, inside.code) == (True, "usable")
     assert (outside.usable, outside.code) == (False, "outside-limits")
-    assert outside.exceeded == exceeded(calibration, Limits(**{name: 0.99 * value}))
+    too_large = checked(calibration, Limits(**{name: 0.99 * value}))
+    assert outside.exceeded == tuple(one.failure for one in too_large if not one.held) != ()
     assert max(outside.limits, key=lambda one: one.ratio).failure in outside.sentence
     expected = "limit-rms" if name == "rms" else "more-stations"
-    assert outside.improvement_code == expected
+    assert outside.best.code == expected
 
 
 def test_warnings_ask_for_care(calibration, recording):
@@ -155,8 +155,8 @@ def test_undetermined_names_what_and_what_helps():
     recording = degenerate("pure translations")
     found = verdict(hl.calibrate(recording), recording)
     assert (found.usable, found.code, found.spot_error) == (False, "undetermined", None)
-    assert found.improvement_code == "more-motion"
-    assert "turn the hand" in found.improvement
+    assert found.best.code == "more-motion"
+    assert "turn the hand" in found.best.words
     assert len(found.sentence) <= 220
 
 
@@ -190,7 +190,7 @@ def test_a_systematic_error_counts_by_what_it_does_to_the_spot(
     found = verdict(replace(calibration, systematic=(one,)), recording)
     assert found.code == code
     assert found.usable == (code != "systematic-error")
-    assert (found.improvement_code, found.improvement) == ("systematic", "use a flatter plate")
+    assert (found.best.code, found.best.words) == ("systematic", "use a flatter plate")
     for unharmful in (replace(one, found=False), replace(one, explained_by="lag")):
         hidden = verdict(replace(calibration, systematic=(unharmful,)), recording)
         assert hidden.code == "usable"
@@ -203,7 +203,7 @@ def test_the_systematic_error_that_harms_most_is_named(calibration, recording):
         error_of(large, code="lag", message="a lag", remedy="wait", p_value=1e-3),
     )
     found = verdict(replace(calibration, systematic=both), recording)
-    assert found.improvement == "wait"
+    assert found.best.words == "wait"
     assert "a lag" in found.sentence
 
 

@@ -11,9 +11,10 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 
 from ..data.recording import Recording
-from ..results.calibration import Beam, Calibration, Plane
+from ..results.calibration import Calibration
 from ..results.lines import MM, UNDETERMINED
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
+from ..results.reports import Beam, Plane
 from ..results.screen import sizes
 from ..results.spots import spot, typical_plane
 from ..results.verdict import Verdict
@@ -108,7 +109,7 @@ def _beam_table(beam: Beam, result: Calibration) -> Table:
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     interval = result.intervals(beam.name)
     interval = np.zeros((8, 2)) if interval is None else interval
-    value = np.concatenate((beam.location, beam.direction, beam.range_error))
+    value = beam.coordinates
     for i, (name, spec, unit) in enumerate(ROWS[: 6 + beam.terms]):
         scale = MM if unit == "mm" else 1.0
         numbers = [x * scale for x in (value[i], sigma[i], *interval[i])]

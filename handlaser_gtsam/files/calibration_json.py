@@ -8,7 +8,8 @@ from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
-from ..results.calibration import Beam, Calibration, Fit, NoiseComponent, Plane
+from ..results.calibration import Calibration
+from ..results.reports import Beam, Fit, NoiseComponent, Plane
 from ..results.spots import spot
 from . import calibration_reading as schema
 from .json_text import Record, json_text, record

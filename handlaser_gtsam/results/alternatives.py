@@ -1,8 +1,8 @@
 r"""Systematic errors that the model leaves out, each as a column of derivatives.
 
 A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
-Errors that concern all readings are `whole_columns`, one a column. Errors local to one plane come
-in families: a column for all readings, and for every member the rows in which it counts.
+Errors that concern all readings have one column each. Errors local to one plane come in families: a
+column for all readings, and for every member the rows in which it counts.
 
 With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h
 farther along n changes e by c h, a reading that is f too long by -g'(d) f, and a true hand pose
@@ -13,56 +13,86 @@ translations larger than reported. A cubic error is a function of the reading it
 true range: it is the next term of g.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import slopes
-from .projection import Rows
+from .projection import Projection, Rows
 
 WHOLE = ("incidence", "cubic", "sag", "lag", "drift", "turn-scale", "translation-scale")
-"""Codes of the errors that concern all readings, in the order of `whole_columns`."""
+"""Codes of the errors that concern all readings, in the order of the columns."""
 LEAST_STATIONS = 2
 """A plane is taken as displaced only where it has so many stations before and after."""
 MOST_SPLITS = 32
 """A plane with more splits is tested at so many, evenly spaced: neighbours hardly differ."""
 
 
-@dataclass(frozen=True, slots=True)
+class Everywhere:
+    """Errors that concern all readings, one a column, with the interface of `Family`."""
+
+    codes = np.array(WHOLE)
+
+    def __init__(self, rows: Rows) -> None:
+        self.columns = _whole_columns(rows)
+        self.plane = self.beam = self.position = np.full(len(WHOLE), -1)
+        self.squares = (self.columns * rows.how.weighed(self.columns)).sum(axis=0)
+
+    def dot(self, y: FloatArray) -> FloatArray:
+        """Return the products (m, q) of all columns with columns y (N, q)."""
+        return np.asarray(self.columns.T @ y)
+
+    def column_of(self, member: int) -> FloatArray:
+        """Return one column (N,)."""
+        return np.asarray(self.columns[:, member])
+
+    def left_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
+        """Return how beams follow each (m, 7 B), and the squares (m,) that are left."""
+        found = projection.perpendicular(self.columns)
+        return found.moved.T, found.squares
+
+
 class Family:
     """Errors of one kind that are local to a plane.
 
     Attributes
     ----------
-    code : str
+    codes : (m,) of str
     column : (N,)
         Derivative of the residuals, as if the error were everywhere.
     plane, beam, position : (m,)
         Of every member: its plane, the one beam it concerns (-1 for all), and the position in the
-        recording of the first station it concerns.
-    first, last : (m, B)
-        The rows [first, last) of every beam in which it counts, in the order `rows`.
-    rows : (N,)
-        The readings by plane, beam and position.
+        recording of the first station it concerns. It counts from there on.
+    products : (m, B, 10)
+        Sums over members times sigma^2 inv(C) with the rows of J, beam by beam.
+    squares : (m,)
+        Of the whitened columns.
     """
 
-    code: str
-    column: FloatArray
-    plane: IntArray
-    beam: IntArray
-    position: IntArray
-    first: IntArray
-    last: IntArray
-    rows: IntArray
+    def __init__(
+        self,
+        rows: Rows,
+        code: str,
+        column: FloatArray,
+        members: tuple[IntArray, IntArray, IntArray],
+        in_time: tuple[IntArray, IntArray, int],
+    ) -> None:
+        self.plane, self.beam, self.position = plane, _, position = members
+        self.codes, self.column = np.full(len(plane), code), column
+        # A member counts in the rows [first, last) of every beam, in the order by plane, beam and time.
+        self.order, key, times = in_time
+        blocks = plane[:, None] * rows.readings.beams + np.arange(rows.readings.beams)
+        self.first = np.searchsorted(key, blocks * times + position[:, None])
+        self.last = np.searchsorted(key, (blocks + 1) * times)
+        self.products = np.zeros((*self.first.shape, rows.J.shape[1]))
+        self.squares = np.zeros(len(plane))
+        self._sum(rows)
 
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
-        values = (self.column[:, None] * y)[self.rows]
+        values = (self.column[:, None] * y)[self.order]
         if (self.beam < 0).all():
             return np.asarray(_range_sums(values, self.first, self.last).sum(axis=1))
         own = (np.arange(len(self.beam)), self.beam)
@@ -73,52 +103,73 @@ class Family:
         column = np.zeros_like(self.column)
         beams = range(self.first.shape[1]) if self.beam[member] < 0 else [int(self.beam[member])]
         for beam in beams:
-            rows = self.rows[self.first[member, beam] : self.last[member, beam]]
+            rows = self.order[self.first[member, beam] : self.last[member, beam]]
             column[rows] = self.column[rows]
         return column
 
-    def products(self, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Return sums over members times sigma^2 inv(C): with the rows of J, and with themselves.
+    def left_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
+        """Return how beams follow the members (m, 7 B), and the squares (m,) that are left."""
+        return projection.members(self.products, self.squares, self.plane)
 
-        The first are (m, B, 10), beam by beam; the second the squares (m,) of the whitened columns.
-        """
-        sums = np.zeros((*self.first.shape, rows.J.shape[1]))
-        squares = np.zeros(len(self.beam))
+    def _sum(self, rows: Rows) -> None:
+        """Fill in the products and the squares."""
         if not rows.how.is_coupled and (self.beam >= 0).all():  # only the own beam has any
-            heavy = rows.how.weighed(self.column[:, None])
-            values = np.hstack((rows.J * heavy, self.column[:, None] * heavy))[self.rows]
-            mine = np.arange(len(self.beam)), self.beam
-            found = _range_sums(values, self.first[mine], self.last[mine])
-            sums[mine] = found[:, :-1]
-            return sums, found[:, -1]
+            own = np.arange(len(self.beam)), self.beam
+            found = _range_sums(self._weighed(rows, self.column), self.first[own], self.last[own])
+            self.products[own], self.squares[:] = found[:, :-1], found[:, -1]
+            return
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
-            own = self.column if beam < 0 else self.column * (rows.readings.beam == beam)
-            heavy = rows.how.weighed(own[:, None])
-            values = np.hstack((rows.J * heavy, own[:, None] * heavy))[self.rows]
+            column = self.column if beam < 0 else self.column * (rows.readings.beam == beam)
+            values = self._weighed(rows, column)
             found = _range_sums(values, self.first[members], self.last[members])
-            sums[members] = found[:, :, :-1]
-            squares[members] = found[:, :, -1].sum(axis=1)
-        return sums, squares
+            self.products[members] = found[:, :, :-1]
+            self.squares[members] = found[:, :, -1].sum(axis=1)
+
+    def _weighed(self, rows: Rows, column: FloatArray) -> FloatArray:
+        """Return a column times sigma^2 inv(C), with J and with itself, in the order (N, 11)."""
+        heavy = rows.how.weighed(column[:, None])
+        return np.hstack((rows.J * heavy, column[:, None] * heavy))[self.order]
 
 
-def whole_columns(at: Parameters, readings: Readings, position: IntArray) -> FloatArray:
-    """Return the columns (N, 7) of the errors `WHOLE`.
+def alternatives(rows: Rows) -> tuple[Everywhere, Family, Family]:
+    """Return all errors: those of all readings, and the families `displaced` and `beam-on-plane`.
 
-    Parameters
-    ----------
-    at : Parameters
-    readings : Readings
-    position : (N,)
-        Order in time of each reading's station.
+    A beam's bias on one plane is left out where the beam sees no other plane, or no other beam sees
+    the plane: it is then the location of the beam along itself, or the offset of the plane.
     """
+    at, readings, position = rows.at, rows.readings, rows.position
+    order, key, times = in_time = _in_time(rows)
+    height = model.linearize(model.scene(at, readings), readings.distance).offset
+    plane, since = _splits(readings, position)
+    everyone = np.full_like(plane, -1)
+    displaced = Family(rows, "displaced", height, (plane, everyone, since), in_time)
+    plane, beam = np.nonzero(_pairs(readings))
+    start = position[order][np.searchsorted(key, (plane * readings.beams + beam) * times)]
+    longer = -slopes(at, readings)
+    biased = Family(rows, "beam-on-plane", longer, (plane, beam, start), in_time)
+    return Everywhere(rows), displaced, biased
+
+
+def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
+    """Return the readings by plane, beam and position, and a sorted key with its stride of blocks."""
+    readings, position = rows.readings, rows.position
+    order = np.lexsort((position, readings.beam, readings.plane))
+    times = int(position.max()) + 1
+    block = readings.plane * readings.beams + readings.beam
+    return order, (block * times + position)[order], times
+
+
+def _whole_columns(rows: Rows) -> FloatArray:
+    """Return the columns (N, 7) of the errors `WHOLE`."""
+    at, readings, position = rows.at, rows.readings, rows.position
     x, d = model.scene(at, readings), readings.distance
     found = model.linearize(x, d, with_pose=True)
     longer = -slopes(at, readings)
     tangent_square = 1.0 / model.cosines(x) ** 2 - 1.0
     spot = found.normal / found.offset[:, None]
     square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
-    poses = pose_errors(readings, position)
+    poses = _pose_errors(readings, position)
     return np.column_stack(
         (
             longer * tangent_square,
@@ -131,7 +182,7 @@ def whole_columns(at: Parameters, readings: Readings, position: IntArray) -> Flo
     )
 
 
-def pose_errors(readings: Readings, position: IntArray) -> FloatArray:
+def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:
     """Return (omega, u) (N, 6, 3) of the hand poses for a lag, a turn scale and a translation scale.
 
     The lag of one step is half the way from the previous station of the plane to the next, or the
@@ -155,34 +206,6 @@ def pose_errors(readings: Readings, position: IntArray) -> FloatArray:
     errors[:, 3:, 2] = np.einsum("mij,mi->mj", R, t)
     whole: FloatArray = errors[station]
     return whole
-
-
-def families(at: Parameters, readings: Readings, position: IntArray) -> tuple[Family, ...]:
-    """Return the families of errors that are local to a plane: `displaced` and `beam-on-plane`.
-
-    A beam's bias on one plane is left out where the beam sees no other plane, or no other beam sees
-    the plane: it is then the location of the beam along itself, or the offset of the plane.
-    """
-    found = model.linearize(model.scene(at, readings), readings.distance)
-    rows = np.lexsort((position, readings.beam, readings.plane))
-    block = readings.plane * readings.beams + readings.beam
-    times = int(position.max()) + 1
-    key = (block * times + position)[rows]
-
-    def family(
-        code: str, column: FloatArray, plane: IntArray, beam: IntArray, since: IntArray
-    ) -> Family:
-        blocks = plane[:, None] * readings.beams + np.arange(readings.beams)
-        first = np.searchsorted(key, blocks * times + since[:, None])
-        last = np.searchsorted(key, (blocks + 1) * times)
-        return Family(code, column, plane, beam, since, first, last, rows)
-
-    plane, since = _splits(readings, position)
-    displaced = family("displaced", found.offset, plane, np.full_like(plane, -1), since)
-    plane, beam = np.nonzero(_pairs(readings))
-    start = position[rows][np.searchsorted(key, (plane * readings.beams + beam) * times)]
-    biased = family("beam-on-plane", -slopes(at, readings), plane, beam, start)
-    return displaced, biased
 
 
 def _pairs(readings: Readings) -> BoolArray:

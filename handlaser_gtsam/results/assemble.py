@@ -1,5 +1,6 @@
 """From a solution to the result people see."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
+from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances, whitening
 from ..observability.other_solutions import mirror_image_fits
@@ -25,14 +27,17 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..solvers.progress import tell
-from .calibration import Calibration, Determined, Fit, StartReport, Status
+from .calibration import Calibration
+from .calibration_data import Status, strong_correlations
 from .dependence import INDEPENDENT, Dependence, dependence
 from .file_mistakes import better_ways
 from .fit import fit_of
-from .problem import Estimate, Problem
+from .problem import Problem, named_estimates
+from .projection import linear_rows
+from .reports import Beam, Determined, Fit, Plane, StartReport
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
-from .warnings import few_readings, fit_warnings, misfit, noise_advice, suspicious
+from .warnings import fit_warnings, misfit, noise_advice, suspicious
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -45,46 +50,59 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     fit, why = fit_of(problem, selection)
     determined = _determined_by(names, used, solution, fit)
     wrong = misfit(problem.recording, used, solution.best, fit)
-    status = _status_of(solution, determined, wrong)
-    systematic, together = _tested(problem, used, solution, fit, trusted=status == "converged")
-    trusted = status == "converged" or _is_settled(solution, status, fit)
-    joint = None
-    if trusted:
-        joint = joint_covariance(problem, solution, fit)
-        joint = joint.grown(together.growth, together.plane_growth)
-    beams, planes = open_coordinates(solution.observability, solution.parameters)
-    estimate = Estimate(
-        problem.recording.beam_names,
-        problem.recording.plane_names,
-        problem.in_world(solution.best),
-        tuple(solution.problem.terms[i] for _, i in names.beams),
-        joint,
-        (beams[[i for _, i in names.beams]] > LEAK, planes[[p for _, p in names.planes]] > LEAK),
+    status, message = _status_of(solution, determined, wrong)
+    systematic: tuple[SystematicError, ...] = ()
+    together = INDEPENDENT
+    if status == "converged" and solution.problem.loss == GAUSSIAN:
+        systematic, together = _tested(problem, used, solution, fit)
+    joint, growth = None, None
+    if status == "converged" or _is_settled(solution, status, fit):
+        growth = together.growth
+        joint = joint_covariance(problem, solution, fit).grown(growth, together.plane_growth)
+    whole = joint if determined.rank == determined.unknowns else None
+    result = Calibration(
         status,
-        _message_of(status, solution, determined, wrong),
+        message,
+        (
+            *_ways(problem, used, fit, solution, wrong),
+            *([] if wrong is None else [wrong]),
+            *_wrong_labels(problem, why),
+            *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams()),
+            *together.warnings,
+            *(
+                CalibrationWarning(f"systematic-{s.code}", s.warning)
+                for s in systematic
+                if s.warning
+            ),
+        ),
+        *_estimates(problem, solution, joint),
         fit,
         determined,
         StartReport(selection.method, selection.tried),
         solution.result.iterations,
         solution.result.status == "interrupted",
+        covariance=whole,
+        correlations=() if whole is None else strong_correlations(whole),
+        systematic=systematic,
     )
-    sorted_beams, found = names.sorted_beams(), solution.best
-    warnings = (
-        *_ways(problem, used, fit, solution, wrong),
-        *_some(wrong),
-        *_wrong_labels(problem, why),
-        *fit_warnings(used, found, fit, problem.noise, solution.variances, sorted_beams),
-        *few_readings(solution.redundancy, fit),
-        *_some(together.warning),
-        *(CalibrationWarning(f"systematic-{s.code}", s.warning) for s in systematic if s.warning),
-    )
-    result = replace(estimate.calibration(warnings), systematic=systematic)
-    growth = together.growth if trusted else None
     return with_scales(result, problem, solution, growth)
 
 
-def _some(one: CalibrationWarning | None) -> tuple[CalibrationWarning, ...]:
-    return () if one is None else (one,)
+def _estimates(
+    problem: Problem, solution: Solution, joint: JointCovariance | None
+) -> tuple[Mapping[str, Beam], Mapping[str, Plane]]:
+    """Return beams and planes by name, in the order of the recording."""
+    names, recording = problem.names, problem.recording
+    open_beams, open_planes = open_coordinates(solution.observability, solution.parameters)
+    beams, planes = [i for _, i in names.beams], [p for _, p in names.planes]
+    return named_estimates(
+        recording.beam_names,
+        recording.plane_names,
+        problem.in_world(solution.best),
+        tuple(solution.problem.terms[i] for i in beams),
+        joint,
+        (open_beams[beams] > LEAK, open_planes[planes] > LEAK),
+    )
 
 
 def _is_settled(solution: Solution, status: Status, fit: Fit) -> bool:
@@ -94,14 +112,9 @@ def _is_settled(solution: Solution, status: Status, fit: Fit) -> bool:
 
 
 def _tested(
-    problem: Problem, used: Readings, solution: Solution, fit: Fit, *, trusted: bool
+    problem: Problem, used: Readings, solution: Solution, fit: Fit
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
-    """Test the residuals for errors that the model leaves out, and for correlation in time.
-
-    Only those of a solution that is `trusted` and of a Gaussian loss are tested.
-    """
-    if not trusted or solution.problem.loss != GAUSSIAN:
-        return (), INDEPENDENT
+    """Test the residuals for errors that the model leaves out, and for correlation in time."""
     tell("tests")
     how, at, names = solution.whitening, solution.parameters, problem.names
     if how is None:
@@ -109,24 +122,15 @@ def _tested(
         how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
     prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
-    position, known = problem.order.stations[used.station], fit.range_sigma_given
-    found = systematic_errors(
-        at,
-        used,
-        how,
-        prior,
-        position,
-        names,
-        known=known,
-        dof=fit.dof,
-        stations=problem.recording.station_names,
-    )
+    rows = linear_rows(at, used, how, prior, problem.order.stations[used.station])
+    known, stations = fit.range_sigma_given, problem.recording.station_names
+    found = systematic_errors(rows, names, stations, known=known, dof=fit.dof)
     beams = [i for _, i in names.beams]
     moves = ("location_shift", "direction_shift", "location_error", "direction_error")
     ordered = tuple(
         replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
     )
-    return ordered, dependence(at, used, how, prior, position, known=known)
+    return ordered, dependence(rows, known=known)
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
@@ -199,29 +203,14 @@ def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
 
 def _status_of(
     solution: Solution, determined: Determined, wrong: CalibrationWarning | None
-) -> Status:
-    """Return the status; `wrong` says that the readings do not fit at all."""
-    if solution.result.status == "interrupted":
-        return "not_converged"
-    if determined.undetermined:
-        return "unobservable"
-    return (
-        "converged" if wrong is None and solution.result.status == "converged" else "not_converged"
-    )
-
-
-def _message_of(
-    status: Status,
-    solution: Solution,
-    determined: Determined,
-    wrong: CalibrationWarning | None,
-) -> str:
-    """Return the status in words, with what to do."""
-    if status == "unobservable":
-        return (
+) -> tuple[Status, str]:
+    """Return the status, and what to do in words; `wrong` says that the readings do not fit at all."""
+    ended = solution.result.status
+    if ended != "interrupted" and determined.undetermined:
+        return "unobservable", (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    if wrong is not None and status == "not_converged":
-        return wrong.message
-    return solution.result.message
+    if wrong is not None:
+        return "not_converged", wrong.message
+    return "converged" if ended == "converged" else "not_converged", solution.result.message

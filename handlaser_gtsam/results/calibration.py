@@ -1,64 +1,35 @@
 """The result of a calibration."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
-from ..arrays import FloatArray
-from ..checks import require_kind, require_number
-from ..data.noise import Noise
-from ..data.parameters import Parameters, RangeErrorPrior
-from ..data.recording import Recording
-from ..data.value import Value
-from ..errors import CalibrationWarning, InputError
-from ..estimation.learned import LearnedScales
-from ..estimation.mixture import mixture_quantiles
-from ..model.joint import JointCovariance
-from ..model.weighting import Variances
-from .correlations import Correlation
-from .estimates import Beam, Plane
-from .reports import (
-    BeamMixture,
-    Determined,
-    Fit,
-    NoiseComponent,
-    RangeErrorScales,
-    ScaledSolution,
-    StartReport,
-)
-from .systematic import SystematicError
+from ..errors import InputError
+from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
+from ..model.losses import Loss
+from ..model.weighting import whitening
+from .calibration_data import CalibrationData
+from .limits import Limits
+from .reports import Beam, Plane
+from .screen import screen_lines
+from .verdict import verdict
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # both take long to import, and few need them
     import gtsam
     import polars as pl
 
     from ..solvers.graph import CalibrationGraph
-    from .limits import Limits
 
-__all__ = [
-    "Beam",
-    "BeamMixture",
-    "Calibration",
-    "Determined",
-    "Fit",
-    "NoiseComponent",
-    "Plane",
-    "RangeErrorScales",
-    "ScaledSolution",
-    "StartReport",
-    "Status",
-]
-
-Status = Literal["converged", "unobservable", "not_converged"]
+UNIT_SIGMA = 1e-3
+"""Range sigma [m] of readings that fit exactly, which show none."""
+UNITS = {"x": "_m", "y": "_m", "z": "_m", "b": "_m", "k2": "_per_m"}
+"""Ends of the names of coordinates that have a unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Calibration(Value):
+class Calibration(CalibrationData):
     """Beams and planes with their uncertainty, and how they were found.
 
     Attributes
@@ -112,34 +83,6 @@ class Calibration(Value):
     So it does not keep its graph: `problem`, and `graph` and `values` after it, build it again.
     """
 
-    status: Status
-    message: str
-    warnings: tuple[CalibrationWarning, ...]
-    beams: Mapping[str, Beam]
-    planes: Mapping[str, Plane]
-    fit: Fit
-    observability: Determined
-    start: StartReport
-    iterations: int
-    interrupted: bool = False
-    variances: Variances | None = None
-    noise_estimate: tuple[NoiseComponent, ...] = ()
-    covariance: JointCovariance | None = None
-    correlations: tuple[Correlation, ...] = ()
-    range_error_scales: RangeErrorScales | None = None
-    mixture: BeamMixture | None = None
-    at_scales: ScaledSolution | None = None
-    learned: LearnedScales | None = None
-    systematic: tuple[SystematicError, ...] = ()
-    recording: Recording | None = None
-    range_error_prior: RangeErrorPrior | None = None
-    cost: float = math.nan
-
-    @property
-    def success(self) -> bool:
-        """Whether the solver converged on a solution that the recording determines."""
-        return self.status == "converged"
-
     def problem(self) -> "CalibrationGraph":
         """Return the factor graph that was solved, in the world frame, with the keys of everything.
 
@@ -150,11 +93,29 @@ class Calibration(Value):
         Raises
         ------
         InputError
-            The calibration does not hold its recording.
+            The calibration does not hold its recording: it was read from a graph.
         """
-        from .solved_graph import solved_graph  # which imports GTSAM
+        from ..solvers.graph import build_graph
+        from ..solvers.poses import pose_priors
 
-        return solved_graph(self)
+        recording, fit, variances = self.recording, self.fit, self.variances
+        if recording is None:
+            raise InputError(
+                "a calibration without its recording", "one that hl.calibrate returned"
+            )
+        used = np.where(np.isnan(fit.residuals), np.nan, recording.ranges)
+        readings = replace(recording, ranges=used).readings()
+        at = self.parameters() if self.at_scales is None else self.at_scales.parameters
+        terms, loss = tuple(beam.terms for beam in self.beams.values()), Loss(fit.loss)
+        if variances is None:
+            sigma = fit.range_sigma or UNIT_SIGMA
+            return build_graph(readings, at, terms, sigma, loss, None, self.range_error_prior)
+        priors = None
+        if fit.poses == "estimated" and variances.pose is not None:
+            priors = pose_priors(readings, variances.pose)
+            variances = variances.without_poses()
+        how = whitening(at, readings, variances)
+        return build_graph(readings, at, terms, how, loss, priors, self.range_error_prior)
 
     @property
     def graph(self) -> "gtsam.NonlinearFactorGraph":
@@ -166,7 +127,7 @@ class Calibration(Value):
         """The solution as GTSAM values, for `graph`; see `problem`."""
         return self.problem().values
 
-    def summary(self, limits: "Limits | None" = None, reading: float | None = None) -> str:
+    def summary(self, limits: Limits | None = None, reading: float | None = None) -> str:
         """Return what `handlaser calibrate` prints: the verdict first, 30 lines of 100 columns.
 
         Parameters
@@ -176,9 +137,6 @@ class Calibration(Value):
         reading : float, optional
             Working distance at which laser spots are judged [m]; the median reading where not given.
         """
-        from .screen import screen_lines  # which reads calibrations, as the verdict does
-        from .verdict import verdict
-
         recording = self.recording
         return "\n".join(screen_lines(self, recording, verdict(self, recording, limits, reading)))
 
@@ -190,74 +148,23 @@ class Calibration(Value):
         coordinate, as `x_sigma_m`: infinite where the recording leaves it undetermined, null where
         nothing is known.
         """
-        from .tables import beam_table, plane_table  # which import Polars
-
-        return beam_table(self), plane_table(self)
-
-    def parameters(self) -> Parameters:
-        """Return beams and planes as arrays, in their order."""
         beams, planes = list(self.beams.values()), list(self.planes.values())
-        return Parameters(
-            np.array([beam.location for beam in beams]),
-            np.array([beam.direction for beam in beams]),
-            np.array([beam.range_error for beam in beams]),
-            np.array([plane.normal for plane in planes]),
-            np.array([plane.offset for plane in planes]),
-        )
+        terms = {"terms": [beam.terms for beam in beams]}
+        of_beams = _table({"beam": list(self.beams), **terms}, BEAM_COORDINATES, beams)
+        return of_beams, _table({"plane": list(self.planes)}, PLANE_COORDINATES, planes)
 
-    def noise(self, given: Noise) -> Noise:
-        """Return `given` with what was estimated in its place, for readings of the same kind."""
-        require_kind("noise", given, Noise)
-        found = replace(given, range_sigma=self.fit.range_sigma)
-        if given.pose_covariance is not None and given.pose_covariance.ndim == 3:
-            return found
-        pose = self.pose_covariance
-        if pose is None:
-            exact = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
-            return replace(found, **exact, pose_covariance=None)
-        return replace(
-            found,
-            pose_translation_sigma=None,
-            pose_rotation_sigma=None,
-            pose_covariance=pose,
-        )
 
-    @property
-    def pose_covariance(self) -> FloatArray | None:
-        """What hand poses err by (6, 6): that of the first station that was used; None if exact."""
-        if self.variances is None or self.variances.pose is None:
-            return None
-        pose = self.variances.pose
-        used = np.flatnonzero(pose.any(axis=(1, 2)))
-        return pose[used[0]] if used.size else None
+def _table(
+    first: Mapping[str, object], names: tuple[str, ...], rows: Sequence[Beam | Plane]
+) -> "pl.DataFrame":
+    """Return a table of its first columns, then of coordinates, then of their standard deviations."""
+    import polars as pl
 
-    def intervals(self, beam: str, level: float = 0.95) -> FloatArray | None:
-        """Return where each coordinate of a beam lies with probability `level`, (8, 2).
-
-        Quantiles of the mixture where scales were integrated over; else Gaussian, or Student's t where
-        the range sigma comes from the residuals. None where there are no standard deviations; infinite
-        where the recording leaves a coordinate undetermined.
-
-        Raises
-        ------
-        InputError
-            No such beam, or no probability.
-        """
-        if beam not in self.beams:
-            raise InputError(f"beam {beam!r}", f"one of {', '.join(self.beams)}")
-        require_number("level", level, 0.0, 1.0)
-        found = self.beams[beam]
-        if found.sigma is None:
-            return None
-        value = np.concatenate((found.location, found.direction, found.range_error))
-        if self.mixture is not None:
-            mixture, i = self.mixture, list(self.beams).index(beam)
-            sides = [
-                mixture_quantiles(mixture.weight, mixture.means[:, i], mixture.sigmas[:, i], tail)
-                for tail in (0.5 * (1.0 - level), 0.5 * (1.0 + level))
-            ]
-            return value[:, None] + np.stack(sides, axis=1)
-        known = self.fit.range_sigma_given and not self.noise_estimate
-        tail = 0.5 * (1.0 + level)
-        factor = float(norm.ppf(tail) if known else student.ppf(tail, max(self.fit.dof, 1)))
-        return np.stack((value - factor * found.sigma, value + factor * found.sigma), axis=1)
+    values, sigmas = {}, {}
+    for index, name in enumerate(names):
+        unit = UNITS.get(name, "")
+        values[name + unit] = [one.coordinates[index] for one in rows]
+        known = [None if one.sigma is None else one.sigma[index] for one in rows]
+        sigmas[f"{name}_sigma{unit}"] = known
+    numbers = values | sigmas
+    return pl.DataFrame({**first, **numbers}, schema_overrides=dict.fromkeys(numbers, pl.Float64))

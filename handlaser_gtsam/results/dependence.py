@@ -20,17 +20,15 @@ size of the noise comes from the residuals, these are smaller than the noise by 
 draws tell.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..model.weighting import Whitening
-from .projection import WIDTH, Projection, linear_rows
+from .projection import WIDTH, Projection, Rows
 
 FAR = 3.5
 """Standard deviations above its mean from which the autocorrelation is no accident: one in 4000."""
@@ -64,46 +62,33 @@ class Dependence:
     plane_growth: float = 1.0
 
     @property
-    def warning(self) -> CalibrationWarning | None:
-        """What to say about it; None where there is nothing."""
+    def warnings(self) -> tuple[CalibrationWarning, ...]:
+        """What to say about it; nothing where readings are independent."""
         if self.growth == 1.0 and self.plane_growth == 1.0:
-            return None
-        return CalibrationWarning(
-            "correlated-in-time",
+            return ()
+        words = (
             f"the residuals of neighbouring readings go together (their noise correlates by "
             f"{self.correlation:.2f}): the standard deviations of the beams are {self.growth:.2f} "
             f"times, those of the planes up to {self.plane_growth:.2f} times as large as with "
             "independent readings; read more slowly, or average less in the sensor, and visit "
-            "stations in another order",
-            {
-                "correlation": self.correlation,
-                "growth": self.growth,
-                "plane_growth": self.plane_growth,
-            },
+            "stations in another order"
         )
+        return (CalibrationWarning("correlated-in-time", words, asdict(self)),)
 
 
 INDEPENDENT = Dependence()
 
 
-def dependence(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    prior: FloatArray,
-    position: IntArray,
-    *,
-    known: bool,
-) -> Dependence:
+def dependence(rows: Rows, *, known: bool) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
-    The arguments are those of `systematic_errors`.
+    `known` tells whether the size of the noise was given.
     """
-    chain = _Chain.of(readings, position)
+    readings, how = rows.readings, rows.how
+    chain = _Chain.of(readings, rows.position)
     if chain.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    rows = linear_rows(at, readings, how)
-    projection = Projection(rows, prior)
+    projection = Projection(rows)
     back = replace(how, root=np.asarray(np.linalg.inv(how.root), dtype=np.float64))
     count = int(np.clip(NUMBERS // len(readings), LEAST_DRAWS, DRAWS))
     white = np.random.default_rng(SEED).standard_normal((len(readings), count))
@@ -125,16 +110,11 @@ def dependence(
     rho = float(np.interp(found, means, STEPS[: len(means)]))
     _, loud, more = drawn(chain.coloured(white, rho))
     lost = 1.0 if known else float(squares.mean() / loud.mean())
-    growth = float((more / np.where(variance > 0.0, variance, np.inf)).max())
-    return _grown(rho, lost * growth, lost * chain.growth_of_means(rho))
-
-
-def _grown(rho: float, beams: float, planes: float) -> Dependence:
-    """Return the dependence that multiplies the variances so; none where that is little."""
-    growth, plane = float(np.sqrt(beams)), float(np.sqrt(planes))
-    if max(growth, plane) < LEAST_GROWTH:
+    beams = float((more / np.where(variance > 0.0, variance, np.inf)).max())
+    growth, plane_growth = np.sqrt([lost * beams, lost * chain.growth_of_means(rho)]).tolist()
+    if max(growth, plane_growth) < LEAST_GROWTH:
         return INDEPENDENT
-    return Dependence(rho, max(1.0, growth), max(1.0, plane, growth))
+    return Dependence(rho, max(1.0, growth), max(1.0, plane_growth, growth))
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +139,11 @@ class _Chain:
         same = np.diff(readings.plane[order]) == 0
         return cls(order, same & (np.diff(readings.beam[order]) == 0))
 
+    @property
+    def bounds(self) -> IntArray:
+        """The first row of every chain, and the end of the last."""
+        return np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
+
     def autocorrelation(self, w: FloatArray) -> FloatArray:
         """Return the lag-one autocorrelation (q,) of columns (N, q), pooled over all chains."""
         w = w[self.order]
@@ -169,9 +154,7 @@ class _Chain:
     def coloured(self, white: FloatArray, rho: float) -> FloatArray:
         """Return noise (N, q) of unit variance whose neighbours correlate by rho, from white noise."""
         noise = np.empty_like(white)
-        starts = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(white)]))
-        for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-            rows = self.order[a:b]
+        for rows in np.split(self.order, self.bounds[1:-1]):
             steps = np.sqrt(1.0 - rho**2) * white[rows]
             steps[0] = white[rows[0]]
             noise[rows] = lfilter([1.0], [1.0, -rho], steps, axis=0)
@@ -179,7 +162,6 @@ class _Chain:
 
     def growth_of_means(self, rho: float) -> float:
         """Return the variance of the mean of the longest chain, over that of independent noise."""
-        starts = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
-        n = int(np.diff(starts).max())
+        n = int(np.diff(self.bounds).max())
         lags = np.arange(1, n)
         return 1.0 + 2.0 * float(((1.0 - lags / n) * rho**lags).sum())

@@ -6,16 +6,15 @@ is a sentence for the user, never a change of the data.
 """
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, product
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
@@ -31,16 +30,13 @@ DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
 GROUPS = 4
 """Planes are left out in so many groups to find the one before which beams look swapped."""
-Sequence = Literal["xyz", "XYZ", "ZYX"]
-"""Of angles, in SciPy's spelling: lower case about fixed axes, upper case about moving ones."""
+Numbers = Literal["vector", "xyz", "XYZ", "ZYX"]
+"""Three numbers of a rotation: its vector, or angles of a sequence in SciPy's spelling, in lower case
+about fixed axes and in upper case about moving ones."""
 
 
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """A mistake in words, and the recording as it would be without it."""
-
-    words: str
-    undone: Callable[[Recording], Recording]
+Undone = Callable[[Recording], Recording]
+"""Returns a recording as it would be without a mistake."""
 
 
 def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
@@ -52,36 +48,30 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     terms : int
         Most range-error terms.
     """
-    wanted: list[tuple[Hypothesis, Effort]] = [
-        *((one, "normal") for one in _promising(recording, terms)),
-        *((one, "quick") for one in _swaps(recording, terms)),
-    ]
-    if not wanted:
+    mistakes = [*_promising(recording, terms), *_swaps(recording, terms)]
+    if not mistakes:
         return ()
-    now = _misfit(recording, terms, "normal")
-    found: list[tuple[float, str]] = []
-    for hypothesis, effort in wanted:
-        ratio = now / max(_misfit(hypothesis.undone(recording), terms, effort), 1e-30)
+    now, found = _misfit(recording, terms, "normal"), []
+    for words, undone, effort in mistakes:
+        ratio = now / max(_misfit(undone(recording), terms, effort), 1e-30)
         if ratio >= MUCH_BETTER:
-            found.append((ratio, hypothesis.words))
+            found.append((ratio, words))
     return tuple(
         f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
         for ratio, words in sorted(found, reverse=True)
     )
 
 
-def _promising(recording: Recording, terms: int) -> list[Hypothesis]:
-    """Return the mistakes of the poses or the units without which one beam fits far better.
+def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+    """Yield the mistakes of the poses or the units without which one beam fits far better.
 
     Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
     """
     one = _one_beam(recording)
     now = _misfit(one, terms, "glance")
-    return [
-        hypothesis
-        for hypothesis in HYPOTHESES
-        if now >= PROMISING * _misfit(hypothesis.undone(one), terms, "glance")
-    ]
+    for words, undone in HYPOTHESES.items():
+        if now >= PROMISING * _misfit(undone(one), terms, "glance"):
+            yield words, undone, "normal"
 
 
 def _one_beam(recording: Recording) -> Recording:
@@ -96,39 +86,34 @@ def _one_beam(recording: Recording) -> Recording:
     return recording.without(others).part(seen[:, beam])
 
 
-def _swaps(recording: Recording, terms: int) -> list[Hypothesis]:
+def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
     """Two beams exchanged before one plane; exchanged everywhere they would only change names.
 
     Without that plane the others fit far better, and their beams tell which two were exchanged.
     """
-    pairs = list(combinations(range(len(recording.beam_names)), 2))
-    planes = len(recording.plane_names)
+    beams, planes = recording.beam_names, len(recording.plane_names)
+    pairs = list(combinations(range(len(beams)), 2))
     if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
-        return []
-    now, found = _misfit(recording, terms, "glance"), []
+        return
+    now = _misfit(recording, terms, "glance")
     for group in range(min(GROUPS, planes)):
         out = np.arange(planes) % GROUPS == group
         try:
             rest = recording.part(~out[recording.plane_of_station])
         except InputError:
             continue
-        if rest.beam_names != recording.beam_names:
+        if rest.beam_names != beams or now < PROMISING * _misfit(rest, terms, "glance"):
             continue
-        if now < PROMISING * _misfit(rest, terms, "glance"):
-            continue
-        found += [(plane, i, j) for plane in np.flatnonzero(out).tolist() for i, j in pairs]
-    return [_swap(recording, *case) for case in found]
-
-
-def _swap(recording: Recording, plane: int, i: int, j: int) -> Hypothesis:
-    names = recording.beam_names[i], recording.beam_names[j], recording.plane_names[plane]
-    words = "the readings of beams {} and {} look swapped before plane {}".format(*names)
-    return Hypothesis(words, partial(_swapped, plane=plane, i=i, j=j))
+        for plane, (i, j) in product(np.flatnonzero(out).tolist(), pairs):
+            name = recording.plane_names[plane]
+            words = (
+                f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
+            )
+            yield words, partial(_swapped, plane=plane, i=i, j=j), "quick"
 
 
 def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
-    ranges = recording.ranges.copy()
-    rows = recording.plane_of_station == plane
+    ranges, rows = recording.ranges.copy(), recording.plane_of_station == plane
     ranges[rows, i], ranges[rows, j] = recording.ranges[rows, j], recording.ranges[rows, i]
     return replace(recording, ranges=ranges)
 
@@ -141,7 +126,7 @@ def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
     return float(rms**2) / max(float(np.nanvar(recording.ranges)), 1e-300)
 
 
-def _turned(change: Callable[[Rotation], Rotation]) -> Callable[[Recording], Recording]:
+def _turned(change: Callable[[Rotation], Rotation]) -> Undone:
     def undone(recording: Recording) -> Recording:
         R = change(Rotation.from_matrix(recording.world_R_hand)).as_matrix()
         return replace(recording, world_R_hand=R)
@@ -155,7 +140,7 @@ def _inverted(recording: Recording) -> Recording:
     return replace(recording, world_R_hand=R, world_t_hand=t)
 
 
-def _scaled(positions: float, ranges: float) -> Callable[[Recording], Recording]:
+def _scaled(positions: float, ranges: float) -> Undone:
     def undone(recording: Recording) -> Recording:
         t, d = positions * recording.world_t_hand, ranges * recording.ranges
         if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
@@ -170,81 +155,43 @@ def _scalar_first(rotation: Rotation) -> Rotation:
     return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
 
 
-def _other_angles(written: Sequence, read: Sequence) -> Callable[[Rotation], Rotation]:
-    """Angles of the sequence `written` were read as those of `read`."""
+def _numbers(written: Numbers, read: Numbers, factor: float = 1.0) -> Undone:
+    """Undo that three numbers were `read` as another thing than `written`, or without a `factor`."""
 
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_euler(written, _angles(rotation, read))
+    def change(rotation: Rotation) -> Rotation:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
+            found = rotation.as_rotvec() if read == "vector" else rotation.as_euler(read)
+        if written == "vector":
+            return Rotation.from_rotvec(factor * found)
+        return Rotation.from_euler(written, factor * found)
 
-    return undone
-
-
-def _longer_vector(factor: float) -> Callable[[Rotation], Rotation]:
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_rotvec(factor * rotation.as_rotvec())
-
-    return undone
+    return _turned(change)
 
 
-def _other_unit(factor: float, sequence: Sequence) -> Callable[[Rotation], Rotation]:
-    def undone(rotation: Rotation) -> Rotation:
-        return Rotation.from_euler(sequence, factor * _angles(rotation, sequence))
-
-    return undone
-
-
-def _vector_read_as_angles(rotation: Rotation) -> Rotation:
-    return Rotation.from_rotvec(_angles(rotation, "xyz"))
-
-
-def _angles(rotation: Rotation, sequence: Sequence) -> FloatArray:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
-        angles: FloatArray = rotation.as_euler(sequence)
-    return angles
-
-
-HYPOTHESES = (
-    Hypothesis("the poses look inverted (hand_T_world instead of world_T_hand)", _inverted),
-    Hypothesis(
-        "the rotations look inverted (hand_R_world instead of world_R_hand)",
-        _turned(lambda rotation: rotation.inv()),
+HYPOTHESES: dict[str, Undone] = {
+    "the poses look inverted (hand_T_world instead of world_T_hand)": _inverted,
+    "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
+    "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
+    "the positions look like millimetres": _scaled(1e-3, 1.0),
+    "the ranges look like millimetres": _scaled(1.0, 1e-3),
+    "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEGREE),
+    "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEGREE),
+    "the rotation vectors look like radians taken as degrees": _numbers(
+        "vector", "vector", 1.0 / DEGREE
     ),
-    Hypothesis(
-        "the quaternions look like qw qx qy qz written as qx qy qz qw", _turned(_scalar_first)
+    "the angles about x, y, z look like radians taken as degrees": _numbers(
+        "xyz", "xyz", 1.0 / DEGREE
     ),
-    Hypothesis("the positions look like millimetres", _scaled(1e-3, 1.0)),
-    Hypothesis("the ranges look like millimetres", _scaled(1.0, 1e-3)),
-    Hypothesis(
-        "the rotation vectors look like degrees taken as radians",
-        _turned(_longer_vector(DEGREE)),
+    "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)": _numbers(
+        "ZYX", "xyz"
     ),
-    Hypothesis(
-        "the angles about x, y, z look like degrees taken as radians",
-        _turned(_other_unit(DEGREE, "xyz")),
+    "the angles of fixed axes x, y, z look as if read as those of moving axes": _numbers(
+        "xyz", "XYZ"
     ),
-    Hypothesis(
-        "the rotation vectors look like radians taken as degrees",
-        _turned(_longer_vector(1.0 / DEGREE)),
+    "the angles of moving axes x, y, z look as if read as those of fixed axes": _numbers(
+        "XYZ", "xyz"
     ),
-    Hypothesis(
-        "the angles about x, y, z look like radians taken as degrees",
-        _turned(_other_unit(1.0 / DEGREE, "xyz")),
-    ),
-    Hypothesis(
-        "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)",
-        _turned(_other_angles("ZYX", "xyz")),
-    ),
-    Hypothesis(
-        "the angles of fixed axes x, y, z look as if read as those of moving axes",
-        _turned(_other_angles("xyz", "XYZ")),
-    ),
-    Hypothesis(
-        "the angles of moving axes x, y, z look as if read as those of fixed axes",
-        _turned(_other_angles("XYZ", "xyz")),
-    ),
-    Hypothesis(
-        "the rotation vectors look as if read as angles about x, y, z",
-        _turned(_vector_read_as_angles),
-    ),
-)
+    "the rotation vectors look as if read as angles about x, y, z": _numbers("vector", "xyz"),
+}
+"""Mistakes in words, and what undoes them."""

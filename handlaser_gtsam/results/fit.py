@@ -1,7 +1,7 @@
 """How well a solution fits its readings, and what was rejected."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -19,35 +19,12 @@ from .problem import Problem
 from .reports import Fit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FitRows:
-    """Residuals with what they are of, one a row.
-
-    Attributes
-    ----------
-    stations, beams : sequences of str
-        Names of the rows and columns of the table of residuals.
-    station, beam : (N,)
-        Where each residual stands in it.
-    residual : (N,)
-        [m]
-    standardized : (N,)
-        The same in units of its own standard deviation.
-    ranges : (N,)
-        Readings [m]; NaN where they are not known.
-    """
-
-    stations: Sequence[str]
-    beams: Sequence[str]
-    station: IntArray
-    beam: IntArray
-    residual: FloatArray
-    standardized: FloatArray
-    ranges: FloatArray
-
-
 def fit_of_rows(
-    rows: FitRows,
+    names: tuple[Sequence[str], Sequence[str]],
+    at: tuple[IntArray, IntArray],
+    e: FloatArray,
+    standardized: FloatArray,
+    ranges: FloatArray,
     *,
     chi2: float,
     dof: int,
@@ -56,16 +33,23 @@ def fit_of_rows(
     poses: Literal["exact", "marginalised", "estimated"],
     loss: LossName,
 ) -> Fit:
-    """Return the fit of residuals, of which nothing is rejected; see `Fit` for the rest."""
-    e, far, known = rows.residual, np.abs(rows.standardized), rows.ranges[~np.isnan(rows.ranges)]
-    table = np.full((len(rows.stations), len(rows.beams)), np.nan)
-    table[rows.station, rows.beam] = e
+    """Return the fit of residuals e (N,) [m], of which nothing is rejected; see `Fit` for the rest.
+
+    `names` are those of the stations and of the beams, the rows and columns of the table of residuals,
+    and `at` says where in it each residual stands. `standardized` are residuals in units of their own
+    standard deviations, and `ranges` the readings [m], NaN where they are not known.
+    """
+    far, known = np.abs(standardized), ranges[~np.isnan(ranges)]
+    table = np.full((len(names[0]), len(names[1])), np.nan)
+    table[at] = e
     worst, farthest = int(np.abs(e).argmax()), int(far.argmax())
+    pairs = [(int(at[0][row]), int(at[1][row])) for row in (worst, farthest)]
+    places = [(names[0][station], names[1][beam]) for station, beam in pairs]
     return Fit(
         readings=len(e),
         rms=float(np.sqrt(float(e @ e) / len(e))),
         max_residual=float(np.abs(e[worst])),
-        max_residual_at=(rows.stations[rows.station[worst]], rows.beams[rows.beam[worst]]),
+        max_residual_at=places[0],
         chi2=chi2,
         dof=dof,
         sigma0=_sigma0(chi2, dof),
@@ -76,10 +60,7 @@ def fit_of_rows(
         median_reading=float(np.median(known)) if known.size else np.nan,
         typical_range=typical_range(known) if known.size else np.nan,
         max_standardized_residual=float(far[farthest]),
-        max_standardized_residual_at=(
-            rows.stations[rows.station[farthest]],
-            rows.beams[rows.beam[farthest]],
-        ),
+        max_standardized_residual_at=places[1],
         residuals=table,
         rejected=(),
     )
@@ -103,11 +84,12 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
         standardized = e / reading_sigmas(at, used, variances)
     elif sigma > 0.0:
         standardized = e / sigma
-    station, beam = order.stations[used.station], order.beams[used.beam]
-    names = recording.station_names, recording.beam_names
-    rows = FitRows(*names, station, beam, e, standardized, used.distance)
     fit = fit_of_rows(
-        rows,
+        (recording.station_names, recording.beam_names),
+        (order.stations[used.station], order.beams[used.beam]),
+        e,
+        standardized,
+        used.distance,
         chi2=chi2,
         dof=solution.dof,
         range_sigma=sigma,

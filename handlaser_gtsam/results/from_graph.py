@@ -6,11 +6,9 @@ whether the graph determines the beams.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from ..arrays import FloatArray
 from ..checks import require_names
@@ -20,10 +18,11 @@ from ..model.joint import JointCovariance
 from ..observability.rank import ObservabilityOptions
 from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
-from .calibration import Calibration, Determined, Fit, StartReport, Status
-from .graph_fit import fit_of_graph
-from .graph_variables import Variable, variables_of
-from .problem import Estimate
+from .calibration import Calibration
+from .calibration_data import Status, strong_correlations
+from .own_graph import OwnGraph, Variable, fit_of_graph, keys_of
+from .problem import named_estimates
+from .reports import Determined, Fit, StartReport
 
 METHOD = "graph"
 OPTIMAL = 0.1
@@ -73,49 +72,33 @@ def read_graph(
     require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
-    return _estimate(graph, values, beams, planes)
+    return _read(OwnGraph(graph, values, beams, planes))
 
 
-def _estimate(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    beams: Mapping[str, BeamKeys],
-    planes: Mapping[str, int],
-) -> Calibration:
-    """Read beams and planes, eliminate everything else, and judge what is left."""
-    wanted = variables_of(graph, values, beams, planes)
-    linear = graph.linearize(values)
-    unknowns = linear.gradientAtZero().vector().size
-    fit = fit_of_graph(graph, values, beams, planes, unknowns)
-    found = _judged(_information(graph, linear, wanted), wanted, fit)
-    status, message, joint = found.status, found.message, None
-    if status == "converged" and not (_left_to_go(linear) <= OPTIMAL):
-        status = "not_converged"
-        message = "the values are not at the optimum of the graph: optimise further"
-    if status == "converged":
-        joint = _joint(found.covariance, wanted, values, beams, planes)
-    estimate = Estimate(
-        tuple(beams),
-        tuple(planes),
-        parameters_of(values, list(beams.values()), list(planes.values())),
-        tuple(_terms(values, beam) for beam in beams.values()),
-        joint,
-        None,
+def _read(own: OwnGraph) -> Calibration:
+    """Eliminate everything but beams and planes, and judge what is left."""
+    wanted = own.variables()
+    linear = own.graph.linearize(own.values)
+    fit = fit_of_graph(own, linear.gradientAtZero().vector().size)
+    status, message, determined, covariance = _judged(own, linear, wanted, fit)
+    joint = None if covariance is None else _joint(covariance, wanted, own)
+    at = parameters_of(own.values, list(own.beams.values()), list(own.planes.values()))
+    return Calibration(
         status,
         message,
+        _warnings(fit),
+        *named_estimates(tuple(own.beams), tuple(own.planes), at, own.terms(), joint),
         fit,
-        found.determined,
+        determined,
         StartReport(METHOD, ()),
+        iterations=0,
+        covariance=joint,
+        correlations=() if joint is None else strong_correlations(joint),
     )
-    return estimate.calibration(_warnings(fit))
-
-
-def _terms(values: gtsam.Values, beam: BeamKeys) -> int:
-    return 0 if beam.range_error is None else int(values.atVector(beam.range_error).size)
 
 
 def _warnings(fit: Fit) -> tuple[CalibrationWarning, ...]:
-    if fit.dof <= 0 or float(chi2_distribution.sf(fit.chi2, fit.dof)) >= UNLIKELY:
+    if not fit.p_value < UNLIKELY:
         return ()
     words = (
         f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
@@ -124,11 +107,11 @@ def _warnings(fit: Fit) -> tuple[CalibrationWarning, ...]:
 
 
 def _information(
-    graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph, wanted: list[Variable]
+    own: OwnGraph, linear: gtsam.GaussianFactorGraph, wanted: list[Variable]
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the information of what is read, and its right-hand side; None if it has none."""
     keys = [one.key for one in wanted]
-    order = gtsam.Ordering.ColamdConstrainedLastNonlinearFactorGraph(graph, keys)
+    order = gtsam.Ordering.ColamdConstrainedLastNonlinearFactorGraph(own.graph, keys)
     others, last = gtsam.Ordering(), gtsam.Ordering()
     for i in range(order.size() - len(keys)):
         others.push_back(order.at(i))
@@ -158,24 +141,18 @@ def _left_to_go(linear: gtsam.GaussianFactorGraph) -> float:
     return float(np.sqrt(max(decrement, 0.0))) if np.isfinite(decrement) else float("inf")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Judgement:
-    """What the information of beams and planes says of the values; no covariance of what is open."""
-
-    status: Status
-    message: str
-    determined: Determined
-    covariance: FloatArray
-
-
 def _judged(
-    information: tuple[FloatArray, FloatArray] | None, wanted: list[Variable], fit: Fit
-) -> _Judgement:
-    """Judge the values by the information of what is read, in natural units as everywhere."""
-    unknowns = wanted[-1].columns.stop
+    own: OwnGraph, linear: gtsam.GaussianFactorGraph, wanted: list[Variable], fit: Fit
+) -> tuple[Status, str, Determined, FloatArray | None]:
+    """Judge the values by the information of what is read, in natural units as everywhere.
+
+    The covariance is None unless the values are the optimum and everything is determined.
+    """
+    unknowns, information = wanted[-1].columns.stop, _information(own, linear, wanted)
     if information is None:
         words = "the graph leaves variables undetermined"
-        return _undetermined(0, unknowns, words, (words,), ANCHOR)
+        found = Determined(0, unknowns, None, (words,), (ANCHOR,))
+        return "unobservable", f"{words}: {ANCHOR}", found, None
     matrix, vector = information
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.array([power for one in wanted for power in one.powers], dtype=float)
@@ -184,60 +161,47 @@ def _judged(
     if weak.any():
         share = (axes[:, weak] ** 2).sum(axis=1)
         names = tuple(one.words for one in wanted if share[one.columns].sum() > 0.1)
-        words = f"the graph does not determine {', '.join(names)}"
-        return _undetermined(int((~weak).sum()), unknowns, words, names, MOVE_MORE)
-    covariance = (axes / values) @ axes.T * np.outer(unit, unit)
-    away = float((np.abs(covariance @ vector) / np.sqrt(np.diagonal(covariance))).max())
-    determined = Determined(unknowns, unknowns, float(np.sqrt(values[-1] / values[0])))
+        words = f"the graph does not determine {', '.join(names)}: {MOVE_MORE}"
+        found = Determined(int((~weak).sum()), unknowns, None, names, (MOVE_MORE,))
+        return "unobservable", words, found, None
+    S = (axes / values) @ axes.T * np.outer(unit, unit)
+    away = float((np.abs(S @ vector) / np.sqrt(np.diagonal(S))).max())
+    found = Determined(unknowns, unknowns, float(np.sqrt(values[-1] / values[0])))
     if not away <= OPTIMAL:
         words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
-        return _Judgement("not_converged", words, determined, covariance)
-    words = "the values are the optimum of the graph"
-    return _Judgement("converged", words, determined, covariance)
+        return "not_converged", words, found, None
+    if not _left_to_go(linear) <= OPTIMAL:
+        words = "the values are not at the optimum of the graph: optimise further"
+        return "not_converged", words, found, None
+    return "converged", "the values are the optimum of the graph", found, S
 
 
-def _undetermined(
-    rank: int, unknowns: int, words: str, names: tuple[str, ...], remedy: str
-) -> _Judgement:
-    determined = Determined(rank, unknowns, None, names, (remedy,))
-    return _Judgement("unobservable", f"{words}: {remedy}", determined, np.empty((0, 0)))
-
-
-def _joint(
-    S: FloatArray,
-    wanted: list[Variable],
-    values: gtsam.Values,
-    beams: Mapping[str, BeamKeys],
-    planes: Mapping[str, int],
-) -> JointCovariance:
+def _joint(S: FloatArray, wanted: list[Variable], own: OwnGraph) -> JointCovariance:
     """Return the covariance in the order of the names; shared variables stand once for every beam."""
     columns = {one.key: np.arange(one.columns.start, one.columns.stop) for one in wanted}
-    keys = [(b.location, b.direction, b.range_error) for b in beams.values()]
-    own = [np.concatenate([columns[k] for k in three if k is not None]) for three in keys]
-    at = np.concatenate(own)
-    of_planes = [columns[key] for key in planes.values()]
-    p = np.concatenate([np.empty(0, dtype=np.intp), *of_planes])
+    of_beams = [np.concatenate([columns[k] for k in keys_of(b)]) for b in own.beams.values()]
+    at = np.concatenate(of_beams)
+    p = np.array([columns[key] for key in own.planes.values()], dtype=np.intp).ravel()
     unique = np.unique(at)
     expand = (at[:, None] == unique).astype(float)
     inside = np.linalg.inv(S[np.ix_(unique, unique)])
     W = -S[np.ix_(p, unique)] @ inside
     rest = S[np.ix_(p, p)] + W @ S[np.ix_(unique, p)]
-    count = len(of_planes)
+    count = len(own.planes)
     coupling = rest.reshape(count, 3, count, 3).copy()
     each = np.arange(count)
     alone = coupling[each, :, each, :].copy()
     coupling[each, :, each, :] = 0.0
+    normals = [own.values.atOrientedPlane3(key).normal() for key in own.planes.values()]
     return JointCovariance(
-        tuple(beams),
-        tuple(planes),
-        tuple(len(one) - 5 for one in own),
+        tuple(own.beams),
+        tuple(own.planes),
+        own.terms(),
         S[np.ix_(at, at)],
         (W @ np.linalg.pinv(expand)).reshape(count, 3, -1),
         alone,
-        np.array([values.atUnit3(beam.direction).basis() for beam in beams.values()]),
-        np.array(
-            [values.atOrientedPlane3(key).normal().basis() for key in planes.values()]
-        ).reshape(-1, 3, 2),
+        np.array([own.values.atUnit3(beam.direction).basis() for beam in own.beams.values()]),
+        np.array([normal.basis() for normal in normals]).reshape(-1, 3, 2),
         np.zeros((count, 3)),
         coupling,
     )

@@ -5,25 +5,17 @@ the residuals contradict. Then what the spot error is made of: its largest share
 than half; otherwise, and where the residuals alone say how noisy the readings are, more stations.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
 
-from scipy.stats import chi2 as chi2_distribution
+import numpy as np
 
-from ..model.sensor import BY_LIMITS
+from .calibration_data import CalibrationData
 from .limits import LimitCheck
 from .significance import SINGLE_LEVEL
-from .spot_error import freedom
+from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
-from .variance_shares import Quantity, VarianceShares
 from .warnings import MANY_LEFT_OUT
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
-
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""
@@ -38,19 +30,6 @@ MOTIONS: dict[Quantity, str] = {
 }
 """What tells the quantity that is known worst."""
 
-Code = Literal[
-    "systematic",
-    "outliers",
-    "sigmas",
-    "limit-rms",
-    "poses",
-    "range-span",
-    "motion",
-    "more-stations",
-    "more-motion",
-    "recording",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
@@ -59,6 +38,8 @@ class Improvement:
     Attributes
     ----------
     code : str
+        `systematic`, `outliers`, `sigmas`, `limit-rms`, `poses`, `range-span`, `motion`,
+        `more-stations`, `more-motion` or `recording`.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -66,13 +47,13 @@ class Improvement:
         the share of the variance of the spot error, or how many times as many stations.
     """
 
-    code: Code
+    code: str
     words: str
     number: float | None = None
 
 
 def improvement(
-    calibration: Calibration,
+    calibration: CalibrationData,
     shares: VarianceShares | None,
     harmful: SystematicError | None,
     failed: tuple[LimitCheck, ...],
@@ -81,7 +62,7 @@ def improvement(
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationData
     shares : VarianceShares or None
         Of the spot of the worst beam.
     harmful : SystematicError or None
@@ -89,97 +70,60 @@ def improvement(
     failed : tuple of LimitCheck
         Limits that are exceeded.
     """
+    fit = calibration.fit
+    outliers, total = fit.outliers, fit.readings + fit.outliers
+    given = fit.range_sigma_given and not calibration.noise_estimate and fit.dof > 0
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
-    return (
-        _outliers(calibration)
-        or _sigmas(calibration)
-        or _limit_of_residuals(failed)
-        or _largest_share(calibration, shares)
-        or _stations(calibration, failed)
-    )
+    if outliers > MANY_LEFT_OUT * total:
+        words = f"finding the cause of {outliers} outliers among {total} readings"
+        return Improvement("outliers", words, outliers)
+    if given and not SINGLE_LEVEL <= fit.p_value <= 1.0 - SINGLE_LEVEL:
+        times = f"residuals are {fit.sigma0:.2g} times as large as given"
+        return Improvement("sigmas", f"sigmas that fit, or none ({times})", fit.sigma0)
+    if any(one.quantity == "rms" for one in failed):
+        words = "less noise of sensor or robot (more stations do not lower residuals)"
+        return Improvement("limit-rms", words)
+    return _largest_share(calibration, shares) or _stations(calibration, failed)
 
 
-def _outliers(calibration: Calibration) -> Improvement | None:
-    fit = calibration.fit
-    count = sum(one.reason not in BY_LIMITS for one in fit.rejected)
-    total = fit.readings + count
-    if count <= MANY_LEFT_OUT * total:
-        return None
-    words = f"finding the cause of {count} outliers among {total} readings"
-    return Improvement("outliers", words, count)
-
-
-def _sigmas(calibration: Calibration) -> Improvement | None:
-    """Ask for other sigmas where the residuals contradict the given ones."""
-    fit = calibration.fit
-    if not fit.range_sigma_given or calibration.noise_estimate or fit.dof <= 0:
-        return None
-    larger = float(chi2_distribution.sf(fit.chi2, fit.dof))
-    if SINGLE_LEVEL <= larger <= 1.0 - SINGLE_LEVEL:
-        return None
-    return Improvement(
-        "sigmas",
-        f"sigmas that fit, or none (residuals are {fit.sigma0:.2g} times as large as given)",
-        fit.sigma0,
-    )
-
-
-def _limit_of_residuals(failed: tuple[LimitCheck, ...]) -> Improvement | None:
-    if not any(one.quantity == "rms" for one in failed):
-        return None
-    return Improvement(
-        "limit-rms", "less noise of sensor or robot (more stations do not lower residuals)"
-    )
-
-
-def _largest_share(calibration: Calibration, shares: VarianceShares | None) -> Improvement | None:
+def _largest_share(
+    calibration: CalibrationData, shares: VarianceShares | None
+) -> Improvement | None:
+    """Return what would lower the largest share of the spot error, where that is worth it."""
     if shares is None or freedom(calibration) < FEW_DEGREES:
         return None
     condition = calibration.observability.condition
-    poor = condition is not None and condition > WELL_CONDITIONED
-    candidates = (
-        Improvement(
+    weakest = 0.0 if condition is None or condition <= WELL_CONDITIONED else shares.weakest
+    candidates: tuple[tuple[str, str, float], ...] = (
+        (
             "poses",
-            "a better robot calibration or more stations "
-            f"(robot errors cause {_percent(shares.poses)})",
+            "a better robot calibration or more stations (robot errors cause {})",
             shares.poses,
         ),
-        Improvement(
+        (
             "range-span",
-            f"a wider span of ranges (unknown range errors cause {_percent(shares.range_error)})",
+            "a wider span of ranges (unknown range errors cause {})",
             shares.range_error,
         ),
-        Improvement("motion", MOTIONS[shares.weakest_quantity], shares.weakest if poor else 0.0),
+        ("motion", MOTIONS[shares.weakest_quantity], weakest),
     )
-    best = max(candidates, key=_share)
-    return best if _share(best) > DOMINANT else None
+    code, words, share = max(candidates, key=lambda one: np.nan_to_num(one[2], nan=-1.0))
+    if not share > DOMINANT:
+        return None
+    return Improvement(
+        code, words.format(f"{100.0 * min(share, 0.99):.0f} % of the variance"), share
+    )
 
 
-def _share(one: Improvement) -> float:
-    return -1.0 if one.number is None or math.isnan(one.number) else one.number
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * min(share, 0.99):.0f} % of the variance"
-
-
-def _stations(calibration: Calibration, failed: tuple[LimitCheck, ...]) -> Improvement:
+def _stations(calibration: CalibrationData, failed: tuple[LimitCheck, ...]) -> Improvement:
     if failed:
         times = max(one.ratio for one in failed) ** 2
-        return Improvement(
-            "more-stations",
-            f"about {_times(times)} times as many stations (they would meet the limits)",
-            times,
-        )
+        rounded = f"{math.ceil(10.0 * times) / 10.0:.1f}" if times < 10.0 else f"{math.ceil(times)}"
+        words = f"about {rounded} times as many stations (they would meet the limits)"
+        return Improvement("more-stations", words, times)
     if freedom(calibration) < FEW_DEGREES:
-        return Improvement(
-            "more-stations",
-            f"more stations ({calibration.fit.dof} degrees of freedom hardly determine the noise)",
-        )
+        dof = calibration.fit.dof
+        words = f"more stations ({dof} degrees of freedom hardly determine the noise)"
+        return Improvement("more-stations", words)
     return Improvement("more-stations", "more stations (4 times as many halve the error)", 4.0)
-
-
-def _times(value: float) -> str:
-    """Return a factor above 1, rounded up."""
-    return f"{math.ceil(10.0 * value) / 10.0:.1f}" if value < 10.0 else f"{math.ceil(value)}"

@@ -1,24 +1,14 @@
 """Pass or fail: a calibration against the limits its user set."""
 
-from __future__ import annotations
-
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, get_args
 
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
-
+from .calibration_data import CalibrationData
+from .lines import DEG, MM
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]
-WORDS: dict[Quantity, str] = {
-    "rms": "rms",
-    "location_sigma": "location sigma",
-    "direction_sigma": "direction sigma",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +30,7 @@ class Limits:
     direction_sigma: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("rms", "location_sigma", "direction_sigma"):
+        for name in get_args(Quantity):
             value = getattr(self, name)
             if value is not None:
                 require_number(f"limit {name}", value, 0.0, MOST_SIGMA, above=True)
@@ -79,37 +69,34 @@ class LimitCheck:
     def failure(self) -> str:
         """The words for a limit that is exceeded."""
         owner = f"{self.subject}: " if self.subject else ""
-        scale, unit = self._scale
-        return (
-            f"{owner}{WORDS[self.quantity]} {self.value * scale:.4g} {unit} above "
-            f"{self.limit * scale:.4g} {unit}"
-        )
+        scale, unit = self._unit
+        value, limit = self.value * scale, self.limit * scale
+        return f"{owner}{self._name} {value:.4g} {unit} above {limit:.4g} {unit}"
 
     @property
     def comparison(self) -> str:
         """The value beside its limit, in words: "rms 0.11 of 0.2 mm"."""
-        scale, unit = self._scale
-        return f"{WORDS[self.quantity]} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
+        scale, unit = self._unit
+        return f"{self._name} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
 
     @property
-    def _scale(self) -> tuple[float, str]:
-        if self.quantity == "direction_sigma":
-            return 180.0 / math.pi, "deg"
-        return 1e3, "mm"
+    def _name(self) -> str:
+        return self.quantity.replace("_", " ")
+
+    @property
+    def _unit(self) -> tuple[float, str]:
+        return (DEG, "deg") if self.quantity == "direction_sigma" else (MM, "mm")
 
 
-def checked(calibration: Calibration, limits: Limits) -> tuple[LimitCheck, ...]:
+def checked(calibration: CalibrationData, limits: Limits) -> tuple[LimitCheck, ...]:
     """Compare a converged calibration with every limit that is given, beam by beam."""
     found = list(rms_checked("", calibration.fit.rms, limits))
     for beam in calibration.beams.values():
-        location, direction = beam.location_sigma, beam.direction_sigma
-        if location is None or direction is None:
-            continue
-        owner = f"beam {beam.name}"
-        if limits.location_sigma is not None:
+        location, direction, owner = beam.location_sigma, beam.direction_sigma, f"beam {beam.name}"
+        if location is not None and limits.location_sigma is not None:
             value = float(location.max())
             found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma))
-        if limits.direction_sigma is not None:
+        if direction is not None and limits.direction_sigma is not None:
             found.append(LimitCheck("direction_sigma", owner, direction, limits.direction_sigma))
     return tuple(found)
 
@@ -121,13 +108,6 @@ def rms_checked(subject: str, rms: float, limits: Limits) -> tuple[LimitCheck, .
 
 def worst_of_each(checks: tuple[LimitCheck, ...]) -> tuple[LimitCheck, ...]:
     """Return the check nearest to its limit, or furthest beyond, of every quantity."""
-    worst: dict[Quantity, LimitCheck] = {}
-    for one in checks:
-        if one.quantity not in worst or one.ratio > worst[one.quantity].ratio:
-            worst[one.quantity] = one
-    return tuple(worst.values())
-
-
-def exceeded(calibration: Calibration, limits: Limits) -> tuple[str, ...]:
-    """Say which limits a converged calibration exceeds; nothing where it passes."""
-    return tuple(one.failure for one in checked(calibration, limits) if not one.held)
+    quantities = dict.fromkeys(one.quantity for one in checks)
+    alike = [[one for one in checks if one.quantity == quantity] for quantity in quantities]
+    return tuple(max(same, key=lambda one: one.ratio) for same in alike)

@@ -88,13 +88,10 @@ class Mounts(Value):
         require_kind("calibration", calibration, Calibration)
         if calibration.covariance is None or calibration.status != "converged":
             raise InputError(f"a calibration that is {calibration.status}", "a converged one")
-        beams = list(calibration.beams.values())
         return cls(
-            tuple(beam.name for beam in beams),
-            np.array([beam.location for beam in beams]),
-            np.array([beam.direction for beam in beams]),
-            np.array([beam.range_error for beam in beams]),
-            tuple(beam.terms for beam in beams),
+            tuple(calibration.beams),
+            *calibration.parameters().beams,
+            tuple(beam.terms for beam in calibration.beams.values()),
             calibration.covariance.matrix(planes=[]),
             calibration.fit.range_sigma,
             calibration.pose_covariance,

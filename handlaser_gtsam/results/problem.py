@@ -1,5 +1,6 @@
-"""What is to be solved, and what a solver found: the two halves of a calibration."""
+"""What is to be solved, and what a solver found by the names of beams and planes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -10,14 +11,9 @@ from ..data.noise import Noise
 from ..data.ordering import Order
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..errors import CalibrationWarning
 from ..model.joint import JointCovariance
 from ..observability.wording import Names
-from .calibration import Beam, Calibration, Determined, Fit, Plane, StartReport, Status
-from .correlations import strong_correlations
-
-Known = tuple[FloatArray | None, FloatArray | None]
-"""Covariance, if all coordinates are determined, and their standard deviations."""
+from .reports import Beam, Plane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,84 +66,46 @@ class Problem:
         return Parameters(r, v, k, at.normals[p], at.seen_from(-self.origins).offsets[p])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """What a solver found, in the world frame; arrays in the order of the names.
+def named_estimates(
+    beams: tuple[str, ...],
+    planes: tuple[str, ...],
+    at: Parameters,
+    terms: tuple[int, ...],
+    joint: JointCovariance | None,
+    undetermined: tuple[BoolArray, BoolArray] | None = None,
+) -> tuple[Mapping[str, Beam], Mapping[str, Plane]]:
+    """Return the beams and planes of a solution by name; arrays in the order of the names.
 
-    Attributes
+    Parameters
     ----------
     beams, planes : tuple of str
-    parameters : Parameters
+    at : Parameters
+        In the world frame.
     terms : tuple of int
         Range-error terms of each beam.
     joint : JointCovariance or None
         Of what is determined; None where standard deviations would mean nothing.
-    undetermined : (B, 8) and (P, 4) of bool, or None
-        Coordinates that have no standard deviation; None where all have one.
-    status, message : str
-    fit : Fit
-    determined : Determined
-    start : StartReport
-    iterations : int
-    interrupted : bool
+    undetermined : (B, 8) and (P, 4) of bool, optional
+        Coordinates that have no standard deviation; all have one where not given.
     """
-
-    beams: tuple[str, ...]
-    planes: tuple[str, ...]
-    parameters: Parameters
-    terms: tuple[int, ...]
-    joint: JointCovariance | None
-    undetermined: tuple[BoolArray, BoolArray] | None
-    status: Status
-    message: str
-    fit: Fit
-    determined: Determined
-    start: StartReport
-    iterations: int = 0
-    interrupted: bool = False
-
-    def calibration(self, warnings: tuple[CalibrationWarning, ...]) -> Calibration:
-        """Return the result that people see, with what is worth a warning."""
-        masks = self.undetermined or (
-            np.zeros((len(self.beams), 8), dtype=bool),
-            np.zeros((len(self.planes), 4), dtype=bool),
-        )
-        beams, planes = self._beams(masks[0]), self._planes(masks[1])
-        joint = self.joint if self.determined.rank == self.determined.unknowns else None
-        return Calibration(
-            self.status,
-            self.message,
-            warnings,
-            MappingProxyType({beam.name: beam for beam in beams}),
-            MappingProxyType({plane.name: plane for plane in planes}),
-            self.fit,
-            self.determined,
-            self.start,
-            self.iterations,
-            self.interrupted,
-            covariance=joint,
-            correlations=() if joint is None else strong_correlations(joint),
-        )
-
-    def _beams(self, undetermined: BoolArray) -> list[Beam]:
-        known: list[Known] = [(None, None)] * len(self.beams)
-        if self.joint is not None:
-            known = _uncertainties(self.joint.all_beams(), undetermined)
-        rows = zip(self.beams, *self.parameters.beams, self.terms, known, strict=True)
-        return [Beam(name, r, v, k, terms, *own) for name, r, v, k, terms, own in rows]
-
-    def _planes(self, undetermined: BoolArray) -> list[Plane]:
-        known: list[Known] = [(None, None)] * len(self.planes)
-        if self.joint is not None:
-            known = _uncertainties(self.joint.all_planes(), undetermined)
-        at = self.parameters
-        rows = zip(self.planes, at.normals, at.offsets.tolist(), known, strict=True)
-        return [Plane(name, n, b, *own) for name, n, b, own in rows]
+    masks = undetermined or (np.zeros((len(beams), 8), bool), np.zeros((len(planes), 4), bool))
+    of_beams = _known(None if joint is None else joint.all_beams(), masks[0])
+    of_planes = _known(None if joint is None else joint.all_planes(), masks[1])
+    rows = zip(beams, *at.beams, terms, of_beams, strict=True)
+    faces = zip(planes, at.normals, at.offsets.tolist(), of_planes, strict=True)
+    return (
+        MappingProxyType({name: Beam(name, r, v, k, n, *own) for name, r, v, k, n, own in rows}),
+        MappingProxyType({name: Plane(name, n, b, *own) for name, n, b, own in faces}),
+    )
 
 
-def _uncertainties(covariances: list[FloatArray], undetermined: BoolArray) -> list[Known]:
+def _known(
+    covariances: list[FloatArray] | None, undetermined: BoolArray
+) -> list[tuple[FloatArray | None, FloatArray | None]]:
     """Return covariances, where all coordinates are determined, and standard deviations."""
-    found: list[Known] = []
+    if covariances is None:
+        return [(None, None)] * len(undetermined)
+    found: list[tuple[FloatArray | None, FloatArray | None]] = []
     for covariance, mask in zip(covariances, undetermined, strict=True):
         sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         found.append((None if mask.any() else covariance, np.where(mask, np.inf, sigma)))

@@ -26,8 +26,16 @@ class Rows:
 
     Attributes
     ----------
+    at : Parameters
     readings : Readings
+        Those used, sorted, every plane in a frame amid its own stations.
     how : Whitening
+        Of these rows, beam by beam in the order of the beams.
+    prior : (B, 2)
+        Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero
+        where it is not in the model.
+    position : (N,)
+        Order in time of each reading's station in the recording.
     J : (N, 10)
         Derivatives of the residuals by the unknowns of the own beam (7) and plane (3).
     residual : (N,)
@@ -35,8 +43,11 @@ class Rows:
         Of all unknowns.
     """
 
+    at: Parameters
     readings: Readings
     how: Whitening
+    prior: FloatArray
+    position: IntArray
     J: FloatArray
     residual: FloatArray
     normal: NormalEquations
@@ -52,12 +63,14 @@ class Rows:
         return csr_array((self.J.ravel(), columns, starts), shape=(len(readings), size))
 
 
-def linear_rows(at: Parameters, readings: Readings, how: Whitening) -> Rows:
-    """Return the linear problem at a solution; raises GrazingBeamError like the model."""
+def linear_rows(
+    at: Parameters, readings: Readings, how: Whitening, prior: FloatArray, position: IntArray
+) -> Rows:
+    """Return the linear problem at a solution, see `Rows`; raises GrazingBeamError like the model."""
     columns, _ = jacobian_columns(at, readings, 2)
     normal = normal_equations(at, readings, 2, whitening=how)
     J = np.ascontiguousarray(columns[: WIDTH + 3].T)
-    return Rows(readings, how, J, columns[-1], normal)
+    return Rows(at, readings, how, prior, position, J, columns[-1], normal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +99,8 @@ class Projection:
     matter.
     """
 
-    def __init__(self, rows: Rows, prior: FloatArray) -> None:
-        self.J, self.how = rows.sparse(), rows.how
+    def __init__(self, rows: Rows) -> None:
+        self.J, self.how, prior = rows.sparse(), rows.how, rows.prior
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
         self.pull = np.zeros((readings.beams, WIDTH))
         finite = np.isfinite(prior) & (prior > 0.0)
@@ -108,24 +121,22 @@ class Projection:
         self.response[:, :, used] = plane_unit[:, None] * found.plane_response / unit[used]
 
     def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Left:
-        """Return what the unknowns leave of columns (N, q).
+        """Return what the unknowns leave of columns (N, q), `pulled` (7 B, q) in the rows of the prior.
 
         They are projected twice: the second time takes what rounding left the first.
-
-        Parameters
-        ----------
-        columns : (N, q)
-        pulled : (7 B, q), optional
-            In the rows of the prior; zero where not given.
         """
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
         moved = np.zeros_like(pulled)
         pull = self.pull.reshape(-1, 1)
         for _ in range(2):
-            beams, planes = self._gradient(self.how.weighed(rest))
-            x, y = self._solved(beams + pull * pulled, planes)
-            rest -= self._image(x, y)
+            gradient = self.J.T @ self.how.weighed(rest)
+            beams, planes = np.split(gradient, [self.pull.size])
+            planes = planes.reshape(self.readings.planes, 3, -1)
+            beams = beams + pull * pulled - np.einsum("pij,piq->jq", self.response, planes)
+            x = self.beam_inverse @ beams
+            y = self.plane_inverse @ planes - self.response @ x
+            rest -= self.J @ np.concatenate((x, y.reshape(-1, y.shape[2])))
             pulled -= pull * x
             moved += x
         heavy = self.how.weighed(rest)
@@ -137,12 +148,7 @@ class Projection:
     ) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members of a family (m, 7 B), and the squares (m,) that are left.
 
-        Parameters
-        ----------
-        products : (m, B, 10)
-            From `Family.products`.
-        squares : (m,)
-        plane : (m,)
+        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are those of a `Family`.
         """
         own = products[:, :, WIDTH:].sum(axis=1)
         beams = products[:, :, :WIDTH].reshape(len(products), self.pull.size)
@@ -151,17 +157,3 @@ class Projection:
         left = squares - np.einsum("mi,mij,mj->m", own, self.plane_inverse[plane], own)
         left -= (beams * moved).sum(axis=1)
         return moved, left
-
-    def _gradient(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return J'y for columns y (N, q): beams (7 B, q) and planes (P, 3, q)."""
-        both = self.J.T @ y
-        beams = self.pull.size
-        return both[:beams], both[beams:].reshape(self.readings.planes, 3, -1)
-
-    def _solved(self, beams: FloatArray, planes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x = self.beam_inverse @ (beams - np.einsum("pij,piq->jq", self.response, planes))
-        return x, self.plane_inverse @ planes - self.response @ x
-
-    def _image(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        image: FloatArray = self.J @ np.concatenate((x, y.reshape(-1, y.shape[2])))
-        return image

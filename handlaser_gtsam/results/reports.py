@@ -1,19 +1,125 @@
-"""What a calibration reports beside its estimates: fit, noise, scales, rank and start."""
+"""What a calibration reports: beams and planes with their uncertainty, fit, noise, rank and start."""
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
+from scipy.stats import chi2
 
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.value import Value
 from ..model.joint import JointCovariance
 from ..model.losses import LossName
-from ..model.sensor import Rejected
+from ..model.sensor import BY_LIMITS, Rejected
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 
 POOR_SIGMA = 0.5
 """An estimated sigma whose own standard deviation is above this part of it is hardly known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Beam(Value):
+    """The mount of one beam, hand frame.
+
+    Attributes
+    ----------
+    name : str
+    location : (3,)
+        Where the range is zero, r [m].
+    direction : (3,)
+        Unit vector v.
+    range_error : (2,)
+        k1 [1], k2 [1/m]: the true range is d + k1 d + k2 d^2 for a reading d.
+    terms : int
+        How many of k1, k2 are in the model; the others are zero.
+    covariance : (8, 8) or None
+        Over (x, y, z, vx, vy, vz, k1, k2) in SI units, the direction in ambient coordinates (its
+        row along v is zero). None unless all of the beam is determined.
+    sigma : (8,) or None
+        Standard deviations of the same coordinates, infinite where the recording leaves one open;
+        None where nothing is known: a solver that gave up, or a second solution.
+    """
+
+    name: str
+    location: FloatArray
+    direction: FloatArray
+    range_error: FloatArray
+    terms: int
+    covariance: FloatArray | None
+    sigma: FloatArray | None
+
+    @property
+    def coordinates(self) -> FloatArray:
+        """(x, y, z, vx, vy, vz, k1, k2), as in the covariance (8,)."""
+        return np.concatenate((self.location, self.direction, self.range_error))
+
+    @property
+    def location_sigma(self) -> FloatArray | None:
+        """Standard deviations of the location (3,) [m]; infinite where open."""
+        return None if self.sigma is None else self.sigma[:3]
+
+    @property
+    def direction_sigma(self) -> float | None:
+        """Largest standard deviation over the tangent plane [rad]; infinite if open."""
+        return _largest_sigma(self.sigma, self.covariance, slice(3, 6))
+
+    @property
+    def range_error_sigma(self) -> FloatArray | None:
+        """Standard deviations of k1 [1] and k2 [1/m]; zero where not estimated, infinite if open."""
+        return None if self.sigma is None else self.sigma[6:]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plane(Value):
+    """One plane, n . x + b = 0 in the world frame.
+
+    Attributes
+    ----------
+    name : str
+    normal : (3,)
+        Unit vector n; points away from the sensor.
+    offset : float
+        b [m].
+    covariance : (4, 4) or None
+        Over (nx, ny, nz, b), the normal in ambient coordinates. None unless all is determined.
+    sigma : (4,) or None
+        Standard deviations of the same coordinates, infinite where the recording leaves one open.
+    """
+
+    name: str
+    normal: FloatArray
+    offset: float
+    covariance: FloatArray | None
+    sigma: FloatArray | None
+
+    @property
+    def coordinates(self) -> FloatArray:
+        """(nx, ny, nz, b), as in the covariance (4,)."""
+        return np.append(self.normal, self.offset)
+
+    @property
+    def normal_sigma(self) -> float | None:
+        """Largest standard deviation of the normal over its tangent plane [rad]; infinite if open."""
+        return _largest_sigma(self.sigma, self.covariance, slice(3))
+
+    @property
+    def offset_sigma(self) -> float | None:
+        """Standard deviation of the offset [m]; infinite if open."""
+        return None if self.sigma is None else float(self.sigma[3])
+
+
+def _largest_sigma(
+    sigma: FloatArray | None, covariance: FloatArray | None, rows: slice
+) -> float | None:
+    """Return the largest standard deviation of a unit vector over its tangent plane [rad]."""
+    if sigma is None:
+        return None
+    if covariance is None:
+        return float(np.linalg.norm(sigma[rows]))  # an upper bound, infinite if open
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[rows, rows])[-1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -72,6 +178,16 @@ class Fit(Value):
     max_standardized_residual_at: tuple[str, str]
     residuals: FloatArray
     rejected: tuple[Rejected, ...]
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a larger chi2 if the sigmas are right; NaN without degrees of freedom."""
+        return float(chi2.sf(self.chi2, self.dof)) if self.dof > 0 else math.nan
+
+    @property
+    def outliers(self) -> int:
+        """How many readings were rejected because they contradict others, not by a sensor's limits."""
+        return sum(one.reason not in BY_LIMITS for one in self.rejected)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -135,10 +251,6 @@ class BeamMixture(Value):
     sigmas: FloatArray
     members: IntArray
 
-    def grown(self, factor: float) -> "BeamMixture":
-        """Return the mixture spread out about the estimate."""
-        return replace(self, means=factor * self.means, sigmas=factor * self.sigmas)
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ScaledSolution(Value):
@@ -159,7 +271,7 @@ class ScaledSolution(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Determined(Value):
-    """What the readings determine; see `diagnosis.observability`.
+    """What the readings determine; see `observability`.
 
     Attributes
     ----------

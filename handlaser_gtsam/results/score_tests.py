@@ -5,7 +5,7 @@ shows by improbable range errors, and not by residuals, widens that prior until 
 a strained member is judged as if range errors had no prior.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -14,15 +14,11 @@ from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.parameters import Parameters
-from ..data.recording import Readings
-from ..model.weighting import Whitening
-from .alternatives import WHOLE, Family, families, whole_columns
-from .projection import WIDTH, Projection, Rows, linear_rows
+from .alternatives import alternatives
+from .projection import WIDTH, Projection, Rows
+from .significance import FAMILY_LEVEL, holm
 from .wording import WORDING
 
-LEVEL = 0.01
-"""At most this part of recordings without any systematic error shows one."""
 POWER = 0.8
 """Probability with which an error of the detectable size is found."""
 RIGHT = 0.95
@@ -41,37 +37,6 @@ TINY = 1e-14
 """Rounding of what is left where everything is explained."""
 GAUSSIAN_DOF = 1e5
 """With so many degrees of freedom an estimated scale is as good as given."""
-
-
-@dataclass(frozen=True, slots=True)
-class Members:
-    """What each member of every family is.
-
-    Attributes
-    ----------
-    codes : (m,) of str
-    plane, beam, position : (m,)
-        What it concerns: a plane, a beam, and the position in the recording of its first station; -1
-        for all.
-    """
-
-    codes: np.ndarray[tuple[int], np.dtype[np.str_]]
-    plane: IntArray
-    beam: IntArray
-    position: IntArray
-
-
-def members_of(local: tuple[Family, ...]) -> Members:
-    """Return the errors of all readings, and then the members of the families."""
-    counts = [len(family.plane) for family in local]
-    names = WHOLE + tuple(family.code for family in local)
-    everything = np.full(len(WHOLE), -1)
-    return Members(
-        np.array(names).repeat([1] * len(WHOLE) + counts),
-        np.concatenate((everything, *(family.plane for family in local))),
-        np.concatenate((everything, *(family.beam for family in local))),
-        np.concatenate((everything, *(family.position for family in local))),
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +68,13 @@ class ScoreTests:
 
     Attributes
     ----------
-    members : Members
+    rows : Rows
+    dof : int or None
+        Behind the scale of the noise; None where it is given.
+    codes : (m,) of str
+    plane, beam, position : (m,)
+        What each member concerns: a plane, a beam, and the position in the recording of its first
+        station; -1 for all.
     determined, strained : (m,) of bool
     size, sigma, z, p : (m,)
         Estimated size, its standard deviation, their ratio, and the probability after Holm.
@@ -113,92 +84,59 @@ class ScoreTests:
         The |z| from which on an error is found, and the mean of z that exceeds it with `POWER`.
     """
 
-    def __init__(
-        self,
-        at: Parameters,
-        readings: Readings,
-        how: Whitening,
-        prior: FloatArray,
-        position: IntArray,
-        dof: int | None,
-    ) -> None:
-        self.at, self.dof = at, dof
-        rows = linear_rows(at, readings, how)
-        self.whole = whole_columns(at, readings, position)
-        self.families = families(at, readings, position)
-        self.members = members_of(self.families)
-        sums = [(family.plane, *family.products(rows)) for family in self.families]
-        bound = self._remains(rows, Projection(rows, prior), sums)
-        loose = bound
-        if bound.projection.pull.any():
-            free = Projection(rows, np.where(prior > 0.0, np.inf, 0.0))
-            loose = self._remains(rows, free, sums)
-        scale = how.sigma if dof is None else float(np.sqrt(bound.square / dof))
-        self.determined = self._determined(rows, loose, sums, scale)
-        if (prior[:, 0] > 0.0).all():
-            self.determined[WHOLE.index("translation-scale")] = False
-        self.critical, self.delta = needed(LEVEL / max(int(self.determined.sum()), 1), dof)
+    def __init__(self, rows: Rows, dof: int | None) -> None:
+        self.rows, self.dof, prior = rows, dof, rows.prior
+        self.kinds = alternatives(rows)
+        self.codes = np.concatenate([kind.codes for kind in self.kinds])
+        self.plane = np.concatenate([kind.plane for kind in self.kinds])
+        self.beam = np.concatenate([kind.beam for kind in self.kinds])
+        self.position = np.concatenate([kind.position for kind in self.kinds])
+        self._bound = self._loose = self._remains(Projection(rows))
+        if self._bound.projection.pull.any():
+            free = replace(rows, prior=np.where(prior > 0.0, np.inf, 0.0))
+            self._loose = self._remains(Projection(free))
+        bound, loose = self._bound, self._loose
+        scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
+        self.determined = self._determined(scale)
+        self.critical, self.delta = needed(FAMILY_LEVEL / max(int(self.determined.sum()), 1), dof)
         self.strained = loose.left < LEAST_LOOSE * bound.left
-        self._bound, self._loose = bound, loose
         self.left = np.where(self.strained, loose.left, bound.left)
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
         self._test(scale)
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
-        return np.concatenate((self.whole.T @ y, *(family.dot(y) for family in self.families)))
+        return np.concatenate([kind.dot(y) for kind in self.kinds])
 
     def column(self, member: int) -> FloatArray:
         """Return the column (N,) of one member."""
-        if member < len(WHOLE):
-            return np.asarray(self.whole[:, member])
-        member -= len(WHOLE)
-        for family in self.families:
-            if member < len(family.plane):
-                return family.column_of(member)
-            member -= len(family.plane)
-        raise IndexError(member)
+        for kind in self.kinds:
+            if member < len(kind.plane):
+                break
+            member -= len(kind.plane)
+        return kind.column_of(member)
 
-    def _remains(
-        self,
-        rows: Rows,
-        projection: Projection,
-        sums: list[tuple[IntArray, FloatArray, FloatArray]],
-    ) -> Remains:
+    def _remains(self, projection: Projection) -> Remains:
         """Take out of all members, and of the residuals, what the unknowns explain."""
-        found = projection.perpendicular(self.whole)
-        left, moved = [found.squares], [found.moved.T]
-        for plane, products, squares in sums:
-            of_beams, part = projection.members(products, squares, plane)
-            left.append(part)
-            moved.append(of_beams)
+        moved, left = zip(*(kind.left_by(projection) for kind in self.kinds), strict=True)
         pulled = projection.pull.copy()
-        pulled[:, 5:] *= self.at.range_errors
-        rest = projection.perpendicular(rows.residual[:, None], pulled.reshape(-1, 1))
+        pulled[:, 5:] *= self.rows.at.range_errors
+        rest = projection.perpendicular(self.rows.residual[:, None], pulled.reshape(-1, 1))
         score = self.products(rest.heavy)[:, 0]
         return Remains(
-            projection,
-            np.concatenate(left),
-            np.concatenate(moved),
-            score,
-            float(rest.squares[0]),
+            projection, np.concatenate(left), np.concatenate(moved), score, float(rest.squares[0])
         )
 
-    def _determined(
-        self,
-        rows: Rows,
-        loose: Remains,
-        sums: list[tuple[IntArray, FloatArray, FloatArray]],
-        scale: float,
-    ) -> BoolArray:
+    def _determined(self, scale: float) -> BoolArray:
         """Tell which members leave enough, even without the prior, to be known at all."""
-        squares = [(self.whole * rows.how.weighed(self.whole)).sum(axis=0)]
-        whole = np.concatenate((*squares, *(own for _, _, own in sums)))
-        share = loose.left / np.where(whole > 0.0, whole, np.inf)
-        unit = {"m": rows.readings.typical_range(), "1": 1.0}
-        codes = self.members.codes.tolist()
-        most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in codes])
-        return np.asarray((share > LEAST_SHARE) & (loose.left > (scale / most) ** 2))
+        left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
+        share = left / np.where(whole > 0.0, whole, np.inf)
+        unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
+        most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in self.codes.tolist()])
+        found = (share > LEAST_SHARE) & (left > (scale / most) ** 2)
+        if (self.rows.prior[:, 0] > 0.0).all():
+            found &= self.codes != "translation-scale"
+        return np.asarray(found)
 
     def _test(self, scale: float) -> None:
         """Test all members, given the typical scale of noise."""
@@ -216,14 +154,14 @@ class ScoreTests:
         tested = np.flatnonzero(self.determined)
         self.p = np.ones(len(left))
         self.p[tested] = holm(two_sided(self.z[tested], self.dof))
-        if (self.p < LEVEL).any():
+        if (self.p < FAMILY_LEVEL).any():
             scale = float(each[tested].min())
         smallest = self.delta * scale / np.sqrt(left)
         self.detectable = np.where(self.determined, smallest, np.inf)
 
     def shifts(self, members: IntArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return by how much r and v of every beam (m, B, 3) are wrong by members of some sizes."""
-        basis = model.tangent_basis(self.at.directions)
+        basis = model.tangent_basis(self.rows.at.directions)
         sizes = np.where(self.determined[members], sizes, np.nan)
         x = -self.moved[members].reshape(len(members), len(basis), WIDTH) * sizes[:, None, None]
         return x[:, :, :3], np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5])
@@ -232,7 +170,7 @@ class ScoreTests:
         """Return the clearest determined member of every family, the clearest first."""
         tested = np.flatnonzero(self.determined)
         tested = tested[np.argsort(-np.abs(self.z[tested]), kind="stable")]
-        _, first = np.unique(self.members.codes[tested], return_index=True)
+        _, first = np.unique(self.codes[tested], return_index=True)
         return np.asarray(tested[np.sort(first)])
 
     def correlations(self, members: IntArray) -> FloatArray:
@@ -264,20 +202,11 @@ class ScoreTests:
             freedom = max(1.0 - float(r @ solved[:, 0]), TINY)
             alone = (self.z[members[one]] - float(r @ solved[:, 1])) / np.sqrt(freedom)
             if kept and abs(alone) < self.critical:
-                words.append(str(self.members.codes[members[kept[int(np.argmax(np.abs(r)))]]]))
+                words.append(str(self.codes[members[kept[int(np.argmax(np.abs(r)))]]]))
             else:
                 words.append("")
                 kept.append(one)
         return words
-
-
-def holm(p: FloatArray) -> FloatArray:
-    """Return probabilities (m,) corrected for their number (Holm, Scand. J. Statist. 1979)."""
-    order = np.argsort(p, kind="stable")
-    steps = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    corrected = np.empty(len(p))
-    corrected[order] = np.minimum(steps, 1.0)
-    return corrected
 
 
 def two_sided(z: FloatArray, dof: int | None) -> FloatArray:

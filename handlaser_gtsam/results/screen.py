@@ -1,25 +1,20 @@
 """What a person sees of a calibration by default: the verdict first, 30 lines of 100 columns."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
+from .calibration_data import CalibrationData
 from .limits import worst_of_each
 from .lines import DEG, MM, UNDETERMINED, count, decimals, some, with_sigma, wrapped
 from .noise_lines import noise_words, range_error_words
+from .reports import Beam
 from .systematic import SystematicError
-from .verdict import Verdict, spot_error_by, spot_shift
+from .verdict import Verdict, spot_shift
 from .wording import size_in_words
-
-if TYPE_CHECKING:
-    from .calibration import Beam, Calibration
-
 
 LINES = 30
 SHOWN_BEAMS = 8
@@ -33,16 +28,17 @@ NAME = 8
 
 
 def screen_lines(
-    result: Calibration, recording: Recording | None, verdict: Verdict, *, closing: int = 0
+    result: CalibrationData, recording: Recording | None, verdict: Verdict, *, closing: int = 0
 ) -> list[str]:
     """Return the default screen; `closing` lines of the 30 are kept for what follows it.
 
     Without a recording, as for a calibration read from a graph, nothing is said of its stations.
     """
+    beams = list(result.beams.values())
     lines = wrapped(verdict.sentence, 3)
     lines += wrapped(_counts(result, recording), 1)
-    if any(beam.sigma is not None for beam in result.beams.values()):
-        lines += _beam_lines(list(result.beams.values()))
+    if any(beam.sigma is not None for beam in beams):
+        lines += _beam_rows(beams) if len(beams) <= TWO_ROWS else _beam_table(beams)
         lines += wrapped(range_error_words(result), 2)
         lines += wrapped(noise_words(result, brief=True), 2)
     lines += wrapped(_fit(result), 2)
@@ -50,13 +46,13 @@ def screen_lines(
     if verdict.limits:
         lines += wrapped(_limits(verdict), 2)
     if result.status == "converged":
-        lines += wrapped(_systematic(result, verdict.reading), 2)
+        lines += wrapped(_systematic(result.systematic, verdict.reading), 2)
     if result.fit.rejected:
         lines += wrapped(_rejected(result), 1)
     return lines + _warnings(result, LINES - closing - len(lines))
 
 
-def sizes(result: Calibration, recording: Recording | None) -> str:
+def sizes(result: CalibrationData, recording: Recording | None) -> str:
     """Return how much there is of everything: "44 stations, 4 planes, ..."."""
     counts = (
         *(() if recording is None else (count(len(recording.plane_labels), "station"),)),
@@ -68,62 +64,58 @@ def sizes(result: Calibration, recording: Recording | None) -> str:
     return ", ".join(counts)
 
 
-def _counts(result: Calibration, recording: Recording | None) -> str:
+def _counts(result: CalibrationData, recording: Recording | None) -> str:
     words = f"{sizes(result, recording)}; start: {result.start.method}"
     if recording is not None and recording.ignored_columns:
         words += f"; columns not used: {', '.join(recording.ignored_columns)}"
     return words
 
 
-def _beam_lines(beams: list[Beam]) -> Iterator[str]:
-    """Yield the mounts: two rows a beam, or one where there are many."""
-    if len(beams) <= TWO_ROWS:
-        yield "beam      hand frame: location r [mm], unit direction v        range error k1, k2 [1/m]"
-        for beam in beams:
-            yield from _two_rows(beam)
-        return
+def _beam_rows(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of few beams: two rows each, every number with its standard deviation."""
+    yield "beam      hand frame: location r [mm], unit direction v        range error k1, k2 [1/m]"
+    for beam in beams:
+        sigma = _sigma(beam)
+        for k, (symbol, rows, scale, most) in enumerate(
+            (("r", slice(3), MM, 4), ("v", slice(3, 6), 1.0, 6))
+        ):
+            values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
+            digits = _row_decimals(sigmas, most)
+            pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+            cells = "".join(f"{with_sigma(x, s, digits):>21}" for x, s in pairs)
+            error, own = "0", _row_decimals(sigma[6 + k : 7 + k], 6 - 2 * k)
+            if k < beam.terms:
+                error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
+            yield f"{'' if k else _short(beam.name):<{NAME}} {symbol}{cells}  k{k + 1} {error}"
+
+
+def _beam_table(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of many beams: one row each, with the largest standard deviations."""
     yield (
         f"{'beam':<{NAME}}{'x':>9}{'y':>9}{'z [mm]':>9} {'+-':<6}{'vx':>9}{'vy':>9}{'vz':>9} "
         f"{'+- deg':<6}  {'k1':>11} {'k2 [1/m]':>10}"
     )
     for beam in beams[:SHOWN_BEAMS]:
-        yield _one_row(beam)
+        sigma, most = _sigma(beam), float(_sigma(beam)[:3].max()) * MM
+        location = _cells(beam.location * MM, sigma[:3] * MM, 3)
+        direction = _cells(beam.direction, sigma[3:6], 5)
+        turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
+        k1, k2 = (
+            _concise(float(beam.range_error[i]), float(sigma[6 + i]), 4 - i)
+            if i < beam.terms
+            else "0"
+            for i in range(2)
+        )
+        yield (
+            f"{_short(beam.name):<{NAME}}{location} {_size(most):<6}{direction} {_size(turn):<6}  "
+            f"{k1:>11} {k2:>10}"
+        )
     if len(beams) > SHOWN_BEAMS:
         yield f"and {len(beams) - SHOWN_BEAMS} more beams: --verbose"
 
 
-def _two_rows(beam: Beam) -> Iterator[str]:
-    sigma = np.full(8, math.inf) if beam.sigma is None else beam.sigma
-    for symbol, values, sigmas, scale, most, k in (
-        ("r", beam.location, sigma[:3], MM, 4, 0),
-        ("v", beam.direction, sigma[3:6], 1.0, 6, 1),
-    ):
-        digits = _row_decimals(sigmas * scale, most)
-        cells = [
-            f"{with_sigma(x * scale, s * scale, digits):>21}"
-            for x, s in zip(values.tolist(), sigmas.tolist(), strict=True)
-        ]
-        error = "0"
-        if k < beam.terms:
-            own = _row_decimals(sigma[6 + k : 7 + k], 6 - 2 * k)
-            error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
-        name = _short(beam.name) if k == 0 else ""
-        yield f"{name:<{NAME}} {symbol}{''.join(cells)}  k{k + 1} {error}"
-
-
-def _one_row(beam: Beam) -> str:
-    sigma = np.full(8, math.inf) if beam.sigma is None else beam.sigma
-    location = _cells(beam.location * MM, sigma[:3] * MM, 3)
-    direction = _cells(beam.direction, sigma[3:6], 5)
-    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
-    k = [
-        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 4 - i) if i < beam.terms else "0"
-        for i in range(2)
-    ]
-    return (
-        f"{_short(beam.name):<{NAME}}{location} {_size(float(sigma[:3].max()) * MM):<6}{direction} "
-        f"{_size(turn):<6}  {k[0]:>11} {k[1]:>10}"
-    )
+def _sigma(beam: Beam) -> FloatArray:
+    return np.full(8, math.inf) if beam.sigma is None else beam.sigma
 
 
 def _row_decimals(sigmas: FloatArray, most: int) -> int:
@@ -159,7 +151,7 @@ def _short(name: str) -> str:
     return name if len(name) < NAME else name[: NAME - 3] + ".."
 
 
-def _fit(result: Calibration) -> str:
+def _fit(result: CalibrationData) -> str:
     fit = result.fit
     station, beam = fit.max_residual_at
     words = (
@@ -171,7 +163,7 @@ def _fit(result: Calibration) -> str:
     return words + count(fit.dof, "degree") + " of freedom"
 
 
-def _observability(result: Calibration) -> str:
+def _observability(result: CalibrationData) -> str:
     found = result.observability
     if found.condition is None:
         known = f"observability: {found.rank} of {found.unknowns} unknowns determined"
@@ -189,65 +181,50 @@ def _limits(verdict: Verdict) -> str:
     return f"limits held: {', '.join(one.comparison for one in worst_of_each(verdict.limits))}"
 
 
-def _systematic(result: Calibration, reading: float) -> str:
+def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     """Say which systematic errors were found, or the largest that could be there all the same."""
-    tested = result.systematic
     if not tested:
         return "systematic errors: not tested"
     found = sorted((one for one in tested if one.found), key=lambda one: one.p_value)
     if found:
-        return _found(result, found, reading)
+        clear = [
+            f"{one.code} of {size_in_words(one.size, one.unit)} (p = {one.p_value:.1g}), moving a spot "
+            f"by {_moved(one, reading, unnoticed=False) * MM:.2g} mm"
+            for one in found
+            if not one.explained_by
+        ]
+        less = [one.code for one in found if one.explained_by]
+        explained = f"; explained by it: {_codes(less)}" if less else ""
+        return f"systematic errors found: {some(clear, 1)}{explained}"
     sensitive = [one for one in tested if not one.confounded]
     hidden = [one.code for one in tested if one.confounded]
     words = f"systematic errors: none of {count(len(sensitive), 'kind')} found"
-    if hidden:
-        words += f" (confounded: {_codes(hidden)})"
+    words += f" (confounded: {_codes(hidden)})" if hidden else ""
     if not sensitive:
         return words
-    moved = [_largest(spot_shift, one, result, reading) for one in sensitive]
-    most = int(np.argmax(moved))
-    worst = sensitive[most]
+    worst = max(sensitive, key=lambda one: _moved(one, reading, unnoticed=True))
     return (
         f"{words}; the worst unnoticed: {worst.code} below "
-        f"{size_in_words(worst.detectable, worst.unit)}, moving a spot by {moved[most] * MM:.2g} mm"
+        f"{size_in_words(worst.detectable, worst.unit)}, moving a spot by "
+        f"{_moved(worst, reading, unnoticed=True) * MM:.2g} mm"
     )
 
 
-def _found(result: Calibration, found: list[SystematicError], reading: float) -> str:
-    """Name the systematic errors that were found, apart from those that a clearer one explains."""
-    clear = [
-        f"{one.code} of {size_in_words(one.size, one.unit)} (p = {one.p_value:.1g}), moving a spot by "
-        f"{_largest(spot_error_by, one, result, reading) * MM:.2g} mm"
-        for one in found
-        if not one.explained_by
-    ]
-    less = [one.code for one in found if one.explained_by]
-    words = f"systematic errors found: {some(clear, 1)}"
-    return f"{words}; explained by it: {_codes(less)}" if less else words
+def _moved(one: SystematicError, reading: float, *, unnoticed: bool) -> float:
+    """Return how far a systematic error moves the laser spot [m] that it moves most."""
+    return float(np.nan_to_num(spot_shift(one, reading, unnoticed=unnoticed)).max())
 
 
 def _codes(codes: list[str]) -> str:
     return some(codes, len(codes) if len(codes) <= SHOWN_ERRORS else SHOWN_ERRORS - 1)
 
 
-def _largest(
-    effect: Callable[[SystematicError, int, float], float],
-    one: SystematicError,
-    result: Calibration,
-    reading: float,
-) -> float:
-    """Return how far a systematic error moves a laser spot [m], for the beam that it moves most."""
-    return max(
-        float(np.nan_to_num(effect(one, beam, reading))) for beam in range(len(result.beams))
-    )
-
-
-def _rejected(result: Calibration) -> str:
+def _rejected(result: CalibrationData) -> str:
     names = [f"station {one.station} beam {one.beam}" for one in result.fit.rejected]
     return f"rejected: {count(len(names), 'reading')}: {some(names, SHOWN_REJECTED)} (--verbose)"
 
 
-def _warnings(result: Calibration, room: int) -> list[str]:
+def _warnings(result: CalibrationData, room: int) -> list[str]:
     """Return as many warnings as there is room for, whole; the first one is cut if need be."""
     warnings = [f"WARNING: {one}" for one in result.warnings if one.message != result.message]
     lines: list[str] = []

@@ -3,6 +3,10 @@
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
+from ..arrays import FloatArray
+
 FAMILY_LEVEL = 0.01
 """At most so many good recordings have any of several tests contradict them."""
 SINGLE_LEVEL = 1e-3
@@ -19,19 +23,24 @@ LEAST = 1e-9
 """No approximation holds for smaller p-values."""
 
 
-def contradicted(p_values: Mapping[str, float], level: float = FAMILY_LEVEL) -> tuple[str, ...]:
-    """Return the names whose p-values contradict, corrected for their number.
+def holm(p: FloatArray) -> FloatArray:
+    """Return probabilities (m,) corrected for their number.
 
     Holm's step-down procedure (Scandinavian Journal of Statistics 1979, 65-70): the probability that
-    any true hypothesis is contradicted is at most `level`. A NaN is no test.
+    any true hypothesis has a corrected one below a level is at most that level.
     """
-    tested = sorted((p, name) for name, p in p_values.items() if not math.isnan(p))
-    found = []
-    for number, (p, name) in enumerate(tested):
-        if p * (len(tested) - number) >= level:
-            break
-        found.append(name)
-    return tuple(name for name in p_values if name in found)
+    order = np.argsort(p, kind="stable")
+    steps = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    corrected = np.empty(len(p))
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected
+
+
+def contradicted(p_values: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the names whose p-values contradict, corrected for their number; a NaN is no test."""
+    tested = {name: p for name, p in p_values.items() if not math.isnan(p)}
+    corrected = holm(np.array(list(tested.values())))
+    return tuple(name for name, p in zip(tested, corrected, strict=True) if p < FAMILY_LEVEL)
 
 
 def chance(p: float) -> str:

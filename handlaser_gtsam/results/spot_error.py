@@ -1,54 +1,90 @@
-r"""How far the laser spot may be from where the calibration puts it: a radius that holds 95 %.
+r"""Where the laser spot is, how far it may be from there, and what that error is made of.
 
-The squared distance of a Gaussian with covariance S from its mean is a sum of l_i chi2_1 over the
-eigenvalues l_i of S. Satterthwaite (Biometrics Bulletin 1946) replaces it by one that has its mean m
-and its variance:
+A reading d of a beam puts its spot at x = r + g(d) v in the hand frame, with the corrected reading
+g(d) = d + k1 d + k2 d^2, so that
+
+    dx = dr + g dv + (d dk1 + d^2 dk2) v + g'(d) v dd.
+
+The radius around it holds 95 %. The squared distance of a Gaussian with covariance S from its mean is
+a sum of l_i chi2_1 over the eigenvalues l_i of S. Satterthwaite (Biometrics Bulletin 1946) replaces it
+by one that has its mean m and its variance:
 
     m chi2_f / f,    m = sum l_i,    f = m^2 / sum l_i^2.
 
 It is exact where one eigenvalue alone counts and where all that count are equal; in between, the 95 %
 radius is within 1 % of the true one. Where S comes from residuals with q degrees of freedom, the
 ratio chi2_f / f follows F(f, q) instead.
+
+What that error is made of: let V be the trace of the covariance of the spot. It is homogeneous in the
+variances of the readings and of the hand poses: both doubled, V doubles. The shares of the two,
+
+    d ln V / d ln(pose variances)   and   d ln V / d ln(range variances),
+
+therefore add up to 1, and each is what V would lose, to first order, if its cause were smaller.
+Besides, V would fall to the conditional variance if the range errors k of all beams were known, and the
+part of it that lies along the direction in which the solution is known worst would fall with motion
+along it.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag, eigh
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
+from .. import model
 from ..arrays import FloatArray
-from .spots import spot_jacobian
-
-if TYPE_CHECKING:
-    from .calibration import Calibration
-
+from ..checks import require_number
+from ..data.recording import LARGEST, Readings, Recording
+from ..errors import HandlaserError, InputError
+from ..model.joint import beam_lift
+from ..model.weighting import Variances, whitening
+from ..solvers.reduction import normal_equations
+from .calibration_data import CalibrationData
+from .reports import Beam
 
 LEVEL = 0.95
+STEP = 2.0
+"""The pose variances are multiplied and divided by this to take the logarithmic derivative."""
+RANK = 1e-12
+"""Eigenvalues below this part of the largest are rounding, in natural units."""
+
+Quantity = Literal["location", "direction", "range error"]
+ROWS: dict[Quantity, slice] = {
+    "location": slice(0, 3),
+    "direction": slice(3, 6),
+    "range error": slice(6, 8),
+}
 
 
-@dataclass(frozen=True, slots=True)
-class SpotError:
-    """The 95 % radius [m] around the laser spot of a beam."""
+def spot_at(
+    calibration: CalibrationData, beam: Beam, reading: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the spot x (3,) of a reading d [m], dx by the coordinates of the beam (3, 8), and g'(d).
 
-    beam: str
-    radius: float
+    Raises
+    ------
+    InputError
+        A reading that the sensor cannot give: one that is not positive, for most.
+    """
+    require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+    least = 0.0 if calibration.recording is None else calibration.recording.range_min
+    if not (reading > 0.0 or (least < 0.0 and least <= reading)):
+        expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
+        raise InputError(f"a reading of {reading:g} m", expected)
+    k1, k2 = beam.range_error
+    g, v = reading * (1.0 + k1 + k2 * reading), beam.direction[:, None]
+    J = np.hstack((np.eye(3), g * np.eye(3), reading * v, reading**2 * v))
+    return beam.location + g * beam.direction, J, float(1.0 + k1 + 2.0 * k2 * reading)
 
 
-def radius(covariance: FloatArray, dof: float = math.inf, level: float = LEVEL) -> float:
-    """Return the radius [m] that holds a Gaussian of this (3, 3) covariance with probability `level`.
+def radius(covariance: FloatArray, dof: float = math.inf) -> float:
+    """Return the radius [m] that holds a Gaussian of this covariance (3, 3) [m^2] with 95 %.
 
-    Parameters
-    ----------
-    covariance : (3, 3)
-        [m^2]
-    dof : float
-        Degrees of freedom behind the covariance; infinite where it is known.
-    level : float
+    `dof` are the degrees of freedom behind the covariance; infinite where it is known.
     """
     values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
     mean = float(values.sum())
@@ -56,13 +92,13 @@ def radius(covariance: FloatArray, dof: float = math.inf, level: float = LEVEL) 
         return 0.0
     f = float((values / mean).sum() ** 2 / ((values / mean) ** 2).sum())
     if math.isinf(dof):
-        ratio = float(chi2_distribution.ppf(level, f)) / f
+        ratio = float(chi2_distribution.ppf(LEVEL, f)) / f
     else:
-        ratio = float(f_distribution.ppf(level, f, dof))
+        ratio = float(f_distribution.ppf(LEVEL, f, dof))
     return math.sqrt(mean * ratio)
 
 
-def freedom(calibration: Calibration) -> float:
+def freedom(calibration: CalibrationData) -> float:
     """Return the degrees of freedom behind the standard deviations.
 
     Infinite where they are given, and where the covariance holds what their estimates may be off by.
@@ -71,14 +107,112 @@ def freedom(calibration: Calibration) -> float:
     return math.inf if known else float(max(calibration.fit.dof, 1))
 
 
-def spot_errors(calibration: Calibration, reading: float) -> tuple[SpotError, ...]:
-    """Return the 95 % radius of every beam for a reading [m]; nothing without a covariance."""
+def spot_radii(calibration: CalibrationData, reading: float) -> dict[str, float]:
+    """Return the 95 % radius [m] by beam for a reading [m]; nothing without a covariance."""
     if calibration.covariance is None or not math.isfinite(reading):
-        return ()
-    dof = freedom(calibration)
-    found = []
+        return {}
+    found, dof = {}, freedom(calibration)
     for name, beam in calibration.beams.items():
         if beam.covariance is not None:
-            J = spot_jacobian(calibration, name, reading)
-            found.append(SpotError(name, radius(J @ beam.covariance @ J.T, dof)))
-    return tuple(found)
+            _, J, _ = spot_at(calibration, beam, reading)
+            found[name] = radius(J @ beam.covariance @ J.T, dof)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceShares:
+    """Parts of the variance of a laser spot, each between 0 and 1; they overlap.
+
+    Attributes
+    ----------
+    poses : float
+        Of the errors of the hand poses; NaN where no recording tells it.
+    range_error : float
+        Of not knowing k1 and k2.
+    weakest : float
+        Of the direction in which the beams are known worst, in natural units.
+    weakest_quantity : str
+        What takes most of that direction: `location`, `direction` or `range error`.
+    """
+
+    poses: float
+    range_error: float
+    weakest: float
+    weakest_quantity: Quantity = "location"
+
+
+def variance_shares(
+    calibration: CalibrationData, beam: str, reading: float, recording: Recording | None = None
+) -> VarianceShares | None:
+    """Return what the spot error of `beam` at `reading` [m] is made of; None without a covariance.
+
+    The share of the poses needs the recording of the calibration, in its order.
+    """
+    if calibration.covariance is None:
+        return None
+    S = calibration.covariance.matrix(planes=[])
+    rows = 8 * list(calibration.beams).index(beam) + np.arange(8)
+    J = np.zeros((3, len(S)))
+    J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
+    whole = float(np.trace(J @ S @ J.T))
+    if whole <= 0.0:
+        return VarianceShares(0.0, 0.0, 0.0)
+    k = np.flatnonzero(np.arange(len(S)) % 8 >= 6)
+    known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=RANK, hermitian=True) @ S[k]
+    unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // 8)
+    values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
+    along, square = J @ (unit * axes[:, -1]), axes[:, -1].reshape(-1, 8) ** 2
+    return VarianceShares(
+        _pose_share(calibration, J, recording),
+        _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
+        _part(float(values[-1] * (along @ along)) / whole),
+        max(ROWS, key=lambda name: float(square[:, ROWS[name]].sum())),
+    )
+
+
+def _part(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+def _pose_share(calibration: CalibrationData, J: FloatArray, recording: Recording | None) -> float:
+    variances = calibration.variances
+    if variances is None or variances.pose is None or not variances.pose.any():
+        return 0.0 if recording is not None else math.nan
+    if recording is None:
+        return math.nan
+    readings = calibration.used_in(recording).readings()
+    try:
+        low, high = (
+            _spot_variance(
+                calibration, J, readings, replace(variances, pose=factor * variances.pose)
+            )
+            for factor in (1.0 / STEP, STEP)
+        )
+    except HandlaserError:
+        return math.nan
+    if not low > 0.0:
+        return math.nan
+    return _part(math.log(high / low) / (2.0 * math.log(STEP)))
+
+
+def _spot_variance(
+    calibration: CalibrationData, J: FloatArray, readings: Readings, variances: Variances
+) -> float:
+    """Return the trace of the covariance of a spot, for these variances of the readings."""
+    at = calibration.parameters()
+    how = whitening(at, readings, variances)
+    normal = normal_equations(at, readings, 2, whitening=how)
+    inverse = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True)
+    W = inverse @ np.swapaxes(normal.border[0], 1, 2)
+    S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
+    prior, learned = np.zeros((len(calibration.beams), 7)), calibration.range_error_scales
+    if learned is not None:
+        prior[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
+    S = S / how.sigma**2 + np.diag(prior.ravel())
+    active = np.concatenate([np.arange(7) < 5 + b.terms for b in calibration.beams.values()])
+    length = calibration.fit.typical_range
+    unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
+    S = S[np.ix_(active, active)] * np.outer(unit, unit)
+    lift = block_diag(*(beam_lift(basis, 2) for basis in model.tangent_basis(at.directions)))
+    A = (J @ lift)[:, active] * unit
+    return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))

@@ -1,31 +1,23 @@
 r"""What the covariance means at the robot: the laser spot, and a plane measured by all beams at once.
 
-A reading d of a beam puts its spot at x = r + g(d) v in the hand frame, with the corrected reading
-g(d) = d + k1 d + k2 d^2, so that
-
-    dx = dr + g dv + (d dk1 + d^2 dk2) v + g'(d) v dd.
-
 Three or more spots span a plane, n . x + b = 0: the least-squares one through the spots.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_number
-from ..data.recording import LARGEST, Recording
+from ..checks import require_kind
+from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-
-if TYPE_CHECKING:
-    from .calibration import Beam, Calibration
-
+from ..model.joint import JointCovariance
+from .calibration import Calibration
+from .reports import Beam
+from .spot_error import spot_at
 
 LEAST_SPREAD = 1e-6
 """Spots nearer to a line than this part of their extent span no plane."""
@@ -90,11 +82,10 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     InputError
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
-    one = _beam(calibration, beam)
-    joint = calibration.covariance
-    if joint is None or one.direction_sigma is None:
+    (one,), joint = _known(calibration, [beam])
+    if one.direction_sigma is None:
         raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
-    x, J, slope = _spot(calibration, one, reading)
+    x, J, slope = spot_at(calibration, one, reading)
     S = J @ joint.matrix([beam], []) @ J.T
     v = one.direction
     along = float(np.sqrt(max(float(v @ S @ v), 0.0)))
@@ -112,27 +103,23 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     InputError
         Fewer than three beams, spots on one line, or what `spot` refuses.
     """
-    names: list[str] = list(readings)
+    names = list(readings)
     if len(names) < 3:
         raise InputError(f"readings of {len(names)} beams", "three or more: they span the plane")
-    _beam(calibration, names[0])
-    joint = calibration.covariance
-    if joint is None:
-        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
-    spots = [_spot(calibration, _beam(calibration, name), readings[name]) for name in names]
-    X = np.array([x for x, _, _ in spots])
+    beams, joint = _known(calibration, names)
+    spots = [spot_at(calibration, beam, readings[beam.name]) for beam in beams]
+    X, v = np.array([x for x, _, _ in spots]), np.array([beam.direction for beam in beams])
     found = plane_of(X)
     if found is None:
         raise InputError("laser spots on one line", "spots that span a plane")
     (*across, n), middle = found
-    beams = np.array([_beam(calibration, name).direction for name in names])
-    n = n if beams.mean(axis=0) @ n > 0.0 else -n
-    # Rows of the spots' heights above the plane over all coordinates, then of the readings.
+    n = n if v.mean(axis=0) @ n > 0.0 else -n
+    # The heights of the spots above the plane: by all coordinates, and by the readings.
     heights = np.zeros((len(names), 8 * len(names)))
     noise = np.zeros(len(names))
     for i, (name, (_, J, slope)) in enumerate(zip(names, spots, strict=True)):
         heights[i, 8 * i : 8 * i + 8] = n @ J
-        noise[i] = (n @ beams[i]) * slope * _range_sigma(calibration, name)
+        noise[i] = (n @ v[i]) * slope * _range_sigma(calibration, name)
     S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
     basis = np.transpose(across)
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
@@ -181,44 +168,15 @@ def typical_plane(
     return recording.station_names[station], found
 
 
-def spot_jacobian(calibration: Calibration, beam: str, reading: float) -> FloatArray:
-    """Return the derivative (3, 8) of a beam's spot at a reading [m] by its ambient coordinates."""
-    return _spot(calibration, _beam(calibration, beam), reading)[1]
-
-
-def _beam(calibration: Calibration, name: str) -> Beam:
-    if not hasattr(calibration, "beams"):
-        found = f"{type(calibration).__name__} as calibration"
-        raise InputError(found, "handlaser_gtsam.Calibration(...)")
-    if name not in calibration.beams:
-        raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")
-    return calibration.beams[name]
-
-
-def _require_reading(calibration: Calibration, reading: float) -> None:
-    least = 0.0 if calibration.recording is None else calibration.recording.range_min
-    if not (np.isfinite(reading) and (reading > 0.0 or (least <= reading and least < 0.0))):
-        expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
-        raise InputError(f"a reading of {reading:g} m", expected)
-
-
-def _spot(
-    calibration: Calibration, beam: Beam, reading: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the spot (3,), its derivative (3, 8) by the ambient coordinates, and g'(d)."""
-    require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
-    _require_reading(calibration, reading)
-    k1, k2 = beam.range_error
-    g = reading * (1.0 + k1 + k2 * reading)
-    J = np.hstack(
-        (
-            np.eye(3),
-            g * np.eye(3),
-            reading * beam.direction[:, None],
-            reading**2 * beam.direction[:, None],
-        )
-    )
-    return beam.location + g * beam.direction, J, float(1.0 + k1 + 2.0 * k2 * reading)
+def _known(calibration: Calibration, names: list[str]) -> tuple[list[Beam], JointCovariance]:
+    """Return the named beams of a calibration, and its covariance."""
+    require_kind("calibration", calibration, Calibration)
+    for name in names:
+        if name not in calibration.beams:
+            raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")
+    if calibration.covariance is None:
+        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
+    return [calibration.beams[name] for name in names], calibration.covariance
 
 
 def _range_sigma(calibration: Calibration, name: str) -> float:

@@ -21,14 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..data.parameters import Parameters
-from ..data.recording import Readings
+from ..arrays import FloatArray
 from ..data.value import Value
-from ..model.weighting import Whitening
 from ..observability.wording import Names
-from .score_tests import LEVEL, ScoreTests, alike
-from .wording import BY_NATURE, WORDING
+from .projection import Rows
+from .score_tests import ScoreTests, alike
+from .significance import FAMILY_LEVEL
+from .wording import WORDING
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -47,7 +46,7 @@ class SystematicError(Value):
     p_value : float
         Of that member, corrected for all members of all families (Holm).
     found : bool
-        Whether it is below `LEVEL`.
+        Whether it is below `FAMILY_LEVEL`.
     explained_by : str
         Code of a clearer error that explains this one too; empty where there is none.
     detectable : float
@@ -92,83 +91,42 @@ class SystematicError(Value):
 
 
 def systematic_errors(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    prior: FloatArray,
-    position: IntArray,
-    names: Names,
-    *,
-    known: bool,
-    dof: int,
-    stations: Sequence[str] | None = None,
+    rows: Rows, names: Names, stations: Sequence[str], *, known: bool, dof: int
 ) -> tuple[SystematicError, ...]:
     """Test the residuals at a solution for systematic errors; the clearest come first.
 
     Parameters
     ----------
-    at : Parameters
-    readings : Readings
-        Those used, sorted, every plane in a frame amid its own stations.
-    how : Whitening
-        Of these rows, beam by beam in the order of the beams.
-    prior : (B, 2)
-        Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero
-        where it is not in the model.
-    position : (N,)
-        Order in time of each reading's station in the recording.
+    rows : Rows
     names : Names
+    stations : sequence of str
+        Names of the stations by position.
     known : bool
         Whether the size of the noise was given; else a common factor was estimated.
     dof : int
-    stations : sequence of str, optional
-        Names of the stations by position; their numbers from 1 where not given.
 
     Returns
     -------
     tuple of SystematicError
-        Empty where there is no redundancy. Errors that no recording can show come last.
+        Empty where there is no redundancy. Those tested come first, then those confounded, and those
+        that no recording can show come last.
     """
     if dof < (1 if known else 2):
         return ()
-    found = ScoreTests(at, readings, how, prior, position, None if known else dof)
-    if stations is None:
-        stations = [str(j + 1) for j in range(int(position.max()) + 1)]
-    return (*_reports(found, names, stations), *_by_nature(readings.beams))
-
-
-def _by_nature(beams: int) -> list[SystematicError]:
-    """Return the errors that no recording can show."""
-    return [_confounded(code, *words, beams) for code, words in BY_NATURE.items()]
-
-
-def _reports(found: ScoreTests, names: Names, stations: Sequence[str]) -> list[SystematicError]:
-    """Return one report a kind: those tested, the clearest first, then those confounded."""
-    first = found.representatives()
-    reports = []
+    found = ScoreTests(rows, None if known else dof)
+    first, reports = found.representatives(), []
     if first.size:
         rho = found.correlations(first)
         explained = found.explained(first, rho)
         same = alike(rho, found.delta) & found.determined
         for number, member in enumerate(first.tolist()):
-            codes = dict.fromkeys(found.members.codes[same[number]].tolist())
-            others = tuple(code for code in codes if code != found.members.codes[member])
+            codes = dict.fromkeys(found.codes[same[number]].tolist())
+            others = tuple(code for code in codes if code != found.codes[member])
             subject = _subject(found, member, names, stations)
             reports.append(_report(found, member, subject, explained[number], others, names))
     tested = {report.code for report in reports}
-    for code, words in WORDING.items():
-        if code not in tested:
-            what = words.phrase.replace(" by {size}", "").replace(" of {size}", "")
-            what = what.format(subject=words.anywhere)
-            reports.append(
-                _confounded(
-                    code,
-                    f"{what} cannot be told from {words.confounded}",
-                    words.remedy,
-                    len(found.at.locations),
-                )
-            )
-    return reports
+    untold = [code for code in WORDING if code not in tested]
+    return (*reports, *(_confounded(code, rows.readings.beams) for code in untold))
 
 
 def _report(
@@ -179,18 +137,15 @@ def _report(
     others: tuple[str, ...],
     names: Names,
 ) -> SystematicError:
-    code = str(found.members.codes[member])
-    words = WORDING[code]
-    family = np.flatnonzero((found.members.codes == code) & found.determined)
+    code, p, size = str(found.codes[member]), float(found.p[member]), float(found.size[member])
+    words, beams, clear = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
+    family = np.flatnonzero((found.codes == code) & found.determined)
     detectable = float(found.detectable[family].max())
     shift, turn = (_worst(x) for x in found.shifts(family, found.detectable[family]))
     error, twist = (x[0] for x in found.shifts(np.array([member]), found.size[[member]]))
-    p = float(found.p[member])
-    clear = p < LEVEL
-    beams = names.sorted_beams()
     if clear:
         effect = _effect(error, twist, beams, "wrong by")
-        phrase = words.with_size(float(found.size[member]), subject)
+        phrase = words.with_size(size, subject)
         message = f"the readings show {phrase} (p = {p:.1g}), which makes {effect}"
         message += f"; it is explained by what is found as {explained}" if explained else ""
         message += f"; it may also be {' or '.join(others)}" if others and not explained else ""
@@ -201,20 +156,45 @@ def _report(
         code,
         subject,
         words.unit,
-        float(found.size[member]),
+        size,
         float(found.sigma[member]),
         p,
-        clear,
-        explained if clear else "",
-        detectable,
-        shift,
-        turn,
-        error,
-        twist,
-        others,
-        False,
-        message,
-        words.remedy,
+        found=clear,
+        explained_by=explained if clear else "",
+        detectable=detectable,
+        location_shift=shift,
+        direction_shift=turn,
+        location_error=error,
+        direction_error=twist,
+        alike=others,
+        confounded=False,
+        message=message,
+        remedy=words.remedy,
+    )
+
+
+def _confounded(code: str, beams: int) -> SystematicError:
+    """Return the report of an error that the recording cannot show."""
+    words, unknown = WORDING[code], np.full((beams, 3), np.nan)
+    message = f"{words.without_size()} cannot be told from {words.confounded}"
+    return SystematicError(
+        code,
+        subject="",
+        unit=words.unit,
+        size=np.nan,
+        sigma=np.nan,
+        p_value=1.0,
+        found=False,
+        explained_by="",
+        detectable=np.inf,
+        location_shift=unknown,
+        direction_shift=unknown,
+        location_error=unknown,
+        direction_error=unknown,
+        alike=(),
+        confounded=True,
+        message=message,
+        remedy=words.remedy,
     )
 
 
@@ -234,33 +214,11 @@ def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: st
 
 
 def _subject(found: ScoreTests, member: int, names: Names, stations: Sequence[str]) -> str:
-    if found.members.plane[member] < 0:
+    """Return in words which plane, beam or station a member concerns."""
+    number, beam = int(found.plane[member]), int(found.beam[member])
+    if number < 0:
         return ""
-    plane = f"plane {names.sorted_planes()[found.members.plane[member]]}"
-    if found.members.beam[member] >= 0:
-        return f"beam {names.sorted_beams()[found.members.beam[member]]} on {plane}"
-    return f"{plane} from station {stations[found.members.position[member]]} on"
-
-
-def _confounded(code: str, message: str, remedy: str, beams: int) -> SystematicError:
-    unknown = np.full((beams, 3), np.nan)
-    unit = WORDING[code].unit if code in WORDING else "m"
-    return SystematicError(
-        code,
-        "",
-        unit,
-        np.nan,
-        np.nan,
-        1.0,
-        False,
-        "",
-        np.inf,
-        unknown,
-        unknown,
-        unknown,
-        unknown,
-        (),
-        True,
-        message,
-        remedy,
-    )
+    plane = f"plane {names.sorted_planes()[number]}"
+    if beam >= 0:
+        return f"beam {names.sorted_beams()[beam]} on {plane}"
+    return f"{plane} from station {stations[found.position[member]]} on"

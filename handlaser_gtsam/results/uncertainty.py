@@ -13,16 +13,10 @@ from ..estimation.solution import Solution
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
-from .calibration import (
-    BeamMixture,
-    Calibration,
-    Fit,
-    NoiseComponent,
-    RangeErrorScales,
-    ScaledSolution,
-)
+from .calibration import Calibration
 from .fit import robust_sigma
 from .problem import Problem
+from .reports import BeamMixture, Fit, NoiseComponent, RangeErrorScales, ScaledSolution
 
 
 def joint_covariance(problem: Problem, solution: Solution, fit: Fit) -> JointCovariance:
@@ -89,7 +83,7 @@ def with_scales(
         joint_covariance(problem, alone, fit),
         solution.prior,
     )
-    mixture = _mixture(problem, found).grown(growth)
+    mixture = _mixture(problem, found, growth)
     return replace(result, mixture=mixture, at_scales=at_scales)
 
 
@@ -151,10 +145,11 @@ def _range_error_scales(found: Posterior) -> RangeErrorScales | None:
     return RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
 
 
-def _mixture(problem: Problem, found: Posterior) -> BeamMixture:
-    """Return the mixture of the beams, in the order of the recording."""
+def _mixture(problem: Problem, found: Posterior, growth: float) -> BeamMixture:
+    """Return the mixture of the beams, in the order of the recording, spread out by a factor."""
     beams = np.argsort(problem.order.beams)
     means, sigmas = (
-        array.reshape(len(found.weight), -1, 8)[:, beams] for array in (found.means, found.sigmas)
+        growth * array.reshape(len(found.weight), -1, 8)[:, beams]
+        for array in (found.means, found.sigmas)
     )
     return BeamMixture(found.weight, means, sigmas, found.members)

@@ -1,35 +1,21 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from textwrap import shorten
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..data.recording import Recording
+from .calibration_data import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, worst_of_each
-from .spot_error import SpotError, spot_errors
+from .lines import count
+from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
-from .variance_shares import VarianceShares, variance_shares
 
-if TYPE_CHECKING:
-    from .calibration import Calibration
-
-
-Code = Literal[
-    "usable",
-    "usable-with-care",
-    "outside-limits",
-    "systematic-error",
-    "contradicted",
-    "undetermined",
-    "not-converged",
-]
-OPENING: dict[Code, str] = {
+OPENING = {
     "usable": "Usable",
     "usable-with-care": "Usable with care",
     "outside-limits": "Not usable, outside the limits",
@@ -38,7 +24,7 @@ OPENING: dict[Code, str] = {
     "undetermined": "Not usable, undetermined",
     "not-converged": "Not usable, no calibration",
 }
-USABLE: tuple[Code, ...] = ("usable", "usable-with-care")
+"""How a sentence begins, by the code of its verdict."""
 LONGEST = 90
 """Characters of a message of another module that a verdict quotes."""
 
@@ -59,9 +45,11 @@ class Verdict:
         What would improve it most.
     reading : float
         The working distance [m].
-    worst_spot : SpotError or None
-        The laser spot that is known worst, from the calibration alone; None where there is no
-        covariance.
+    spot_beam : str
+        The beam whose laser spot is known worst; empty where there is no covariance.
+    spot_error : float or None
+        The radius [m] around its stated place that holds that spot with 95 %, from the calibration
+        alone.
     harmful : SystematicError or None
         The systematic error found that moves a laser spot most.
     limits : tuple of LimitCheck
@@ -74,11 +62,12 @@ class Verdict:
         The planes that were left out and do not.
     """
 
-    code: Code
+    code: str
     findings: tuple[str, ...]
     best: Improvement
     reading: float
-    worst_spot: SpotError | None = None
+    spot_beam: str = ""
+    spot_error: float | None = None
     harmful: SystematicError | None = None
     limits: tuple[LimitCheck, ...] = ()
     shares: VarianceShares | None = None
@@ -88,34 +77,14 @@ class Verdict:
     @property
     def usable(self) -> bool:
         """Whether the calibration can be used."""
-        return self.code in USABLE
+        return self.code in ("usable", "usable-with-care")
 
     @property
     def sentence(self) -> str:
         """All of it in one sentence."""
-        planes = f"{self.confirmed_by} plane" + ("" if self.confirmed_by == 1 else "s")
-        confirmed = f", confirmed by {planes} left out" if self.confirmed_by else ""
+        planes = f", confirmed by {count(self.confirmed_by, 'plane')} left out"
+        confirmed = planes if self.confirmed_by else ""
         return f"{OPENING[self.code]}{confirmed}: {'; '.join(self.findings)}."
-
-    @property
-    def spot_error(self) -> float | None:
-        """The radius [m] around its stated place that holds the worst laser spot with 95 %."""
-        return None if self.worst_spot is None else self.worst_spot.radius
-
-    @property
-    def spot_beam(self) -> str:
-        """The beam of that spot; empty where there is none."""
-        return "" if self.worst_spot is None else self.worst_spot.beam
-
-    @property
-    def improvement(self) -> str:
-        """What would improve it most, in words."""
-        return self.best.words
-
-    @property
-    def improvement_code(self) -> str:
-        """The code of what would improve it most."""
-        return self.best.code
 
     @property
     def exceeded(self) -> tuple[str, ...]:
@@ -124,7 +93,7 @@ class Verdict:
 
 
 def verdict(
-    calibration: Calibration,
+    calibration: CalibrationData,
     recording: Recording | None = None,
     limits: Limits | None = None,
     reading: float | None = None,
@@ -133,7 +102,7 @@ def verdict(
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : CalibrationData
     recording : Recording, optional
         The one behind it, in its order: tells how much robot errors contribute.
     limits : Limits, optional
@@ -144,55 +113,50 @@ def verdict(
     reading = calibration.fit.median_reading if reading is None else reading
     if calibration.status != "converged":
         return _none(calibration, reading)
-    spots = spot_errors(calibration, reading)
-    worst = max(spots, key=lambda one: one.radius, default=None)
+    radii = spot_radii(calibration, reading)
+    beam = max(radii, key=lambda name: radii[name], default="")
     checks = checked(calibration, limits or Limits())
-    harmful, excess = _most_harmful(calibration, spots, reading)
-    shares = None
-    if worst is not None:
-        shares = variance_shares(calibration, worst.beam, reading, recording)
     failed = tuple(one for one in checks if not one.held)
-    careful = harmful is not None or bool(calibration.warnings)
-    code: Code = "usable-with-care" if careful else "usable"
+    harmful, excess = _most_harmful(calibration, radii, reading)
+    shares = variance_shares(calibration, beam, reading, recording) if beam else None
+    code = "usable-with-care" if harmful or calibration.warnings else "usable"
     if failed:
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
     best = improvement(calibration, shares, harmful, failed)
-    found = Verdict(code, (), best, reading, worst, harmful, checks, shares)
+    found = Verdict(code, (), best, reading, beam, radii.get(beam), harmful, checks, shares)
     return replace(found, findings=tuple(_findings(found, len(calibration.warnings))))
 
 
-def spot_shift(one: SystematicError, beam: int, reading: float) -> float:
-    """Return how far a systematic error that goes unnoticed moves a spot [m]; NaN if unknown."""
-    shift = one.location_shift[beam] + reading * one.direction_shift[beam]
-    return float(np.linalg.norm(shift))
+def spot_shift(one: SystematicError, reading: float, *, unnoticed: bool) -> FloatArray:
+    """Return how far a systematic error moves the spots (B,) [m]; NaN if unknown.
 
-
-def spot_error_by(one: SystematicError, beam: int, reading: float) -> float:
-    """Return how far a systematic error of the size estimated moves a spot [m]; NaN if unknown."""
-    error = one.location_error[beam] + reading * one.direction_error[beam]
-    return float(np.linalg.norm(error))
+    One of the size that goes `unnoticed`, or of the size estimated.
+    """
+    location, direction = one.location_error, one.direction_error
+    if unnoticed:
+        location, direction = one.location_shift, one.direction_shift
+    shift: FloatArray = np.linalg.norm(location + reading * direction, axis=1)
+    return shift
 
 
 def _most_harmful(
-    calibration: Calibration, spots: tuple[SpotError, ...], reading: float
+    calibration: CalibrationData, radii: dict[str, float], reading: float
 ) -> tuple[SystematicError | None, float]:
     """Return the found systematic error that moves a spot most, in units of the spot's 95 % radius.
 
     Errors that a clearer one explains do not count; one of unknown effect counts with zero.
     """
-    names = list(calibration.beams)
     worst, most = None, -1.0
     for one in calibration.systematic:
         if not one.found or one.explained_by:
             continue
-        ratios = [
-            spot_error_by(one, names.index(spot.beam), reading) / spot.radius
-            for spot in spots
-            if spot.radius > 0.0
-        ]
-        ratio = max((x for x in ratios if np.isfinite(x)), default=0.0)
+        shifts = dict(
+            zip(calibration.beams, spot_shift(one, reading, unnoticed=False), strict=True)
+        )
+        ratios = [shifts[beam] / radius for beam, radius in radii.items() if radius > 0.0]
+        ratio = max((float(x) for x in ratios if np.isfinite(x)), default=0.0)
         if ratio > most:
             worst, most = one, ratio
     return worst, max(most, 0.0)
@@ -200,14 +164,13 @@ def _most_harmful(
 
 def _findings(found: Verdict, warnings: int) -> Iterator[str]:
     """Yield the parts of the sentence on what converged."""
-    worst = found.worst_spot
     if found.code == "outside-limits":
         yield failures(found.limits)
     if found.code == "systematic-error" and found.harmful is not None:
         yield _short(found.harmful.message)
-    elif worst is not None:
-        at = f"beam {worst.beam} at {_mm(found.reading)} mm"
-        yield f"laser spot within {_mm(worst.radius)} mm (95 %, {at})"
+    elif found.spot_error is not None:
+        at = f"beam {found.spot_beam} at {_mm(found.reading)} mm"
+        yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
     if found.usable and found.limits:
         nearest = max(found.limits, key=lambda one: one.ratio)
         yield f"within the limits ({nearest.comparison})"
@@ -221,20 +184,19 @@ def best_improvement(best: Improvement) -> str:
     return f"best improvement: {_short(best.words)}"
 
 
-def _none(calibration: Calibration, reading: float) -> Verdict:
+def _none(calibration: CalibrationData, reading: float) -> Verdict:
     """Return the verdict on what did not converge."""
     found = calibration.observability
     if calibration.status != "unobservable":
         best = Improvement("recording", "look into the recording")
         return Verdict("not-converged", (_short(calibration.message),), best, reading)
-    best = Improvement(
-        "more-motion", found.advice[0] if found.advice else "look into the recording"
-    )
+    words = found.advice[0] if found.advice else "look into the recording"
     what = calibration.message
     if found.undetermined:
         first, *more = found.undetermined
         what = first + (f", and {len(more)} more" if more else "")
-    return Verdict("undetermined", (_short(what), _short(best.words)), best, reading)
+    best = Improvement("more-motion", words)
+    return Verdict("undetermined", (_short(what), _short(words)), best, reading)
 
 
 def failures(checks: tuple[LimitCheck, ...]) -> str:

@@ -10,10 +10,11 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import CalibrationWarning
+from ..estimation.solution import Solution
 from ..model.equation import plausible_range_errors
 from ..model.sensor import BY_LIMITS
-from ..model.weighting import Variances
 from .reports import Fit
+from .significance import SINGLE_LEVEL
 
 SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
 """An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
@@ -29,8 +30,6 @@ FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
-UNLIKELY = 1e-3
-"""Probability below which chi2 contradicts the given range sigma."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 LONG_RANGE = 100.0
@@ -44,16 +43,7 @@ CHECKS = (
 def misfit(
     recording: Recording, readings: Readings, parameters: Parameters, fit: Fit
 ) -> CalibrationWarning | None:
-    """Say that the readings do not fit at all, where that is so; None otherwise.
-
-    Parameters
-    ----------
-    recording : Recording
-    readings : Readings
-        Those that were used.
-    parameters : Parameters
-    fit : Fit
-    """
+    """Say that the readings that were used do not fit at all, where that is so; None otherwise."""
     lost = _lost_beam(recording, fit)
     if lost is not None:
         return lost
@@ -106,39 +96,35 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
 
 
 def fit_warnings(
-    readings: Readings,
-    parameters: Parameters,
-    fit: Fit,
-    noise: Noise,
-    variances: Variances | None,
-    names: Sequence[str],
+    readings: Readings, fit: Fit, noise: Noise, solution: Solution, names: Sequence[str]
 ) -> tuple[CalibrationWarning, ...]:
-    """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first."""
+    """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first.
+
+    `names` are those of the beams in the order of the readings.
+    """
+    parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
     return (
-        *_many_outliers(fit),
-        *_lengths(readings, parameters),
+        *_of_the_file(readings, parameters, fit),
         *_same_mounts(parameters, fit, names),
         *_wrong_sigmas(fit, treated=treated),
-        *_pose_errors(fit, noise, treated=treated),
-        *_far_reading(fit),
+        *(() if treated else _pose_errors(fit, noise)),
+        *_of_the_noise(fit, solution.redundancy),
     )
 
 
-def _many_outliers(fit: Fit) -> Iterator[CalibrationWarning]:
-    rejected = sum(r.reason not in BY_LIMITS for r in fit.rejected)
-    total = fit.readings + rejected
-    if rejected > MANY_LEFT_OUT * total:
+def _of_the_file(
+    readings: Readings, parameters: Parameters, fit: Fit
+) -> Iterator[CalibrationWarning]:
+    """Yield warnings of many outliers, and of lengths that look like millimetres."""
+    outliers, total = fit.outliers, fit.readings + fit.outliers
+    if outliers > MANY_LEFT_OUT * total:
         yield CalibrationWarning(
             "many-outliers",
-            f"{rejected} of {total} readings were left out as outliers: look "
+            f"{outliers} of {total} readings were left out as outliers: look "
             "for their cause before you use the result",
-            {"rejected": rejected, "readings": total},
+            {"rejected": outliers, "readings": total},
         )
-
-
-def _lengths(readings: Readings, parameters: Parameters) -> Iterator[CalibrationWarning]:
-    """Yield warnings of lengths that look like millimetres."""
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         words = f"the median reading is {median:.0f} m; is the file in millimetres?"
@@ -171,17 +157,6 @@ def _same_mounts(
                 )
 
 
-def few_readings(redundancy: int, fit: Fit) -> tuple[CalibrationWarning, ...]:
-    """Warn where the noise is estimated from few readings more than there are unknowns."""
-    if fit.range_sigma_given or redundancy >= FEW:
-        return ()
-    words = (
-        f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
-        "neither are the standard deviations; add stations, or give the range sigma"
-    )
-    return (CalibrationWarning("few-readings", words, {"redundancy": redundancy}),)
-
-
 def noise_advice(fit: Fit) -> str:
     """Say what to do where the motion would be enough, but not for residuals of this size."""
     return (
@@ -194,9 +169,8 @@ def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
     """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted."""
     if not (fit.range_sigma_given and fit.dof > 0):
         return
-    larger = float(chi2_distribution.sf(fit.chi2, fit.dof))
-    smaller = float(chi2_distribution.cdf(fit.chi2, fit.dof))
-    if larger < UNLIKELY:
+    larger, smaller = fit.p_value, float(chi2_distribution.cdf(fit.chi2, fit.dof))
+    if larger < SINGLE_LEVEL:
         remedy = "" if treated else "state the robot's sigmas or "
         yield CalibrationWarning(
             "sigmas-too-small",
@@ -205,7 +179,7 @@ def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
             f"too small; {remedy}estimate the noise",
             {"sigma0": fit.sigma0, "p_value": larger},
         )
-    elif smaller < UNLIKELY:
+    elif smaller < SINGLE_LEVEL:
         yield CalibrationWarning(
             "sigmas-too-large",
             f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 "
@@ -214,10 +188,8 @@ def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
         )
 
 
-def _pose_errors(fit: Fit, noise: Noise, *, treated: bool) -> Iterator[CalibrationWarning]:
-    """Warn of errors of the robot where they are not `treated`, that is counted."""
-    if treated:
-        return
+def _pose_errors(fit: Fit, noise: Noise) -> Iterator[CalibrationWarning]:
+    """Warn of errors of the robot where they are not counted."""
     together = _going_together(fit)
     if together > FAR_TOGETHER:
         yield CalibrationWarning(
@@ -251,12 +223,20 @@ def _going_together(fit: Fit) -> float:
     return products / (variance * float(np.sqrt(pairs)))
 
 
-def _far_reading(fit: Fit) -> Iterator[CalibrationWarning]:
-    if fit.dof > 0 and fit.max_standardized_residual > FAR_READING:
+def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
+    """Yield warnings of one reading that is far off, and of a noise that is hardly determined."""
+    far = fit.max_standardized_residual
+    if fit.dof > 0 and far > FAR_READING:
         station, beam = fit.max_standardized_residual_at
         yield CalibrationWarning(
             "far-reading",
-            f"the reading of beam {beam} at station {station} is {fit.max_standardized_residual:.1f} "
-            "sigmas off; leave it out if it is an outlier",
-            {"station": station, "beam": beam, "sigmas": fit.max_standardized_residual},
+            f"the reading of beam {beam} at station {station} is {far:.1f} sigmas off; leave it out if "
+            "it is an outlier",
+            {"station": station, "beam": beam, "sigmas": far},
         )
+    if not fit.range_sigma_given and redundancy < FEW:
+        words = (
+            f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
+            "neither are the standard deviations; add stations, or give the range sigma"
+        )
+        yield CalibrationWarning("few-readings", words, {"redundancy": redundancy})

@@ -24,7 +24,6 @@ from ..estimation.options import CalibrationOptions, RangeError
 from ..estimation.solve import solve
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
-from ..results.used import used_recording
 from ..simulation.simulate import read_back
 from ..solvers.progress import Listener, tell, told_to
 
@@ -122,7 +121,7 @@ class _Source:
 
     @classmethod
     def of(cls, calibration: Calibration, recording: Recording, noise: Noise) -> "_Source":
-        readings = used_recording(calibration, recording).readings()
+        readings = calibration.used_in(recording).readings()
         origins = readings.plane_means(readings.world_t_hand)
         variances = calibration.variances
         if variances is None:

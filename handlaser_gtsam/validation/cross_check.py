@@ -13,7 +13,6 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
-from ..results.used import used_recording
 from ..solvers.reference import ReferenceNoise, ReferenceSolution, solve_reference
 from ..starts import find_start
 
@@ -59,7 +58,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
-    used = used_recording(calibration, recording)
+    used = calibration.used_in(recording)
     start = find_start(used.readings()).parameters
     terms = tuple(beam.terms for beam in calibration.beams.values())
     variances, noise = calibration.variances, None

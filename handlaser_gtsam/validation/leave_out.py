@@ -22,7 +22,6 @@ from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spots import plane_of
-from ..results.used import used_recording
 from ..solvers.progress import Listener, tell, told_to
 from .hold_out import HoldOut, hold_out
 
@@ -142,7 +141,7 @@ def _validated(
     whole = _calibrated(recording, noise, options)
     if whole.status != "converged":
         raise SolverError(f"no calibration to validate: {whole.message}")
-    kept = used_recording(whole, recording)
+    kept = whole.used_in(recording)
     keep = replace(options, outliers="keep")
     left_out = []
     for number, plane in enumerate(planes):

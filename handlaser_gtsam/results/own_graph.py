@@ -1,0 +1,209 @@
+"""Somebody else's graph: the variables of beams and planes in it, and how its range factors fit."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from ..keys import BeamKeys
+from .fit import fit_of_rows
+from .reports import Fit
+
+LEAST_OBLIQUE = 1e-6
+"""Squared sine of the incidence below which a row says nothing of its range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of variable: how it is read, its type in words, and its natural units.
+
+    The units are powers of the typical range.
+    """
+
+    words: str
+    read: Callable[[gtsam.Values, int], object]
+    expected: str
+    powers: tuple[int, ...]
+
+
+LOCATION = Kind("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1))
+DIRECTION = Kind("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0))
+RANGE_ERROR = Kind(
+    "range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)
+)
+PLANE = Kind("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable that is read: what it is, its key, and its columns among all that are read.
+
+    `powers` are the natural units of the columns, as powers of the typical range.
+    """
+
+    words: str
+    key: int
+    columns: slice
+    powers: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnGraph:
+    """A graph at some values, and the names of the beams and planes among its variables."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    beams: Mapping[str, BeamKeys]
+    planes: Mapping[str, int]
+
+    def factors(self) -> list[tuple[int, gtsam.NonlinearFactor]]:
+        """Return the factors that there are, with their numbers."""
+        return [(i, self.graph.at(i)) for i in range(self.graph.size()) if self.graph.exists(i)]
+
+    def terms(self) -> tuple[int, ...]:
+        """Return how many range-error terms each beam has."""
+        keys = [beam.range_error for beam in self.beams.values()]
+        return tuple(0 if key is None else int(self.values.atVector(key).size) for key in keys)
+
+    def variables(self) -> list[Variable]:
+        """Return the variables to be read, each once.
+
+        Raises
+        ------
+        InputError
+            No beams, or a key without a value of the right type, or that is not in the graph.
+        """
+        if not self.beams:
+            raise InputError("no beams", "a name and BeamKeys for each")
+        inside = set(self.graph.keyVector())
+        for key in inside:
+            if not self.values.exists(key):
+                expected = "one for every variable of the graph"
+                raise InputError(f"no value of {key_name(key)}", expected)
+        asked = [
+            (kind, f"{kind.words} {name}", key)
+            for name, beam in self.beams.items()
+            for kind, key in zip((LOCATION, DIRECTION, RANGE_ERROR), keys_of(beam), strict=False)
+        ]
+        asked += [(PLANE, f"{PLANE.words} {name}", key) for name, key in self.planes.items()]
+        found: dict[int, Variable] = {}
+        first = 0
+        for kind, words, key in asked:
+            if key not in inside:
+                raise InputError(f"{words} under {key_name(key)}", "a variable of the graph")
+            dim = self._dimension(kind, words, key)
+            if key not in found:
+                found[key] = Variable(words, key, slice(first, first + dim), kind.powers[:dim])
+                first += dim
+        return list(found.values())
+
+    def _dimension(self, kind: Kind, words: str, key: int) -> int:
+        """Return the dimension of a variable; raises InputError where it is of another type."""
+        try:
+            value = kind.read(self.values, key)
+        except RuntimeError as error:
+            found = f"another type under {key_name(key)}, {words}"
+            raise InputError(found, f"a {kind.expected}") from error
+        dim = np.asarray(value).size if kind is RANGE_ERROR else len(kind.powers)
+        if not 1 <= dim <= len(kind.powers):
+            raise InputError(f"{dim} numbers as {words}", f"a {kind.expected}")
+        return dim
+
+
+def keys_of(beam: BeamKeys) -> tuple[int, ...]:
+    """Return the keys that a beam has: location, direction, and range error if it is estimated."""
+    keys = (beam.location, beam.direction, beam.range_error)
+    return tuple(key for key in keys if key is not None)
+
+
+def key_name(key: int) -> str:
+    """Return a key as people write it: x3, or the number."""
+    return str(gtsam.DefaultKeyFormatter(key))
+
+
+def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
+    """Return how the rows of the range factors fit; chi2 and dof are those of the whole graph.
+
+    Raises
+    ------
+    InputError
+        A beam without a range factor to these planes, two names for one beam, or an error that is no
+        number.
+    """
+    if len({keys_of(beam) for beam in own.beams.values()}) < len(own.beams):
+        raise InputError("two names for one beam", "different variables for every beam")
+    found = list(_factors(own))
+    for i, name in enumerate(own.beams):
+        if all(beam != i for _, _, beam, _ in found):
+            raise InputError(f"no range factor of beam {name} to these planes", "at least one")
+    chi2 = 2.0 * own.graph.error(own.values)
+    dof = sum(factor.dim() for _, factor in own.factors()) - unknowns
+    if not np.isfinite(chi2):
+        raise InputError(f"an error of the graph of {chi2}", "values that are finite numbers")
+    errors = [np.atleast_1d(one.unwhitenedError(own.values)) for one, *_ in found]
+    counts = [len(e) for e in errors]
+    labels = [
+        label if count == 1 else f"{label} row {row + 1}"
+        for (_, label, *_), count in zip(found, counts, strict=True)
+        for row in range(count)
+    ]
+    e, beam = np.concatenate(errors), np.repeat([i for _, _, i, _ in found], counts)
+    sigma = np.concatenate([_sigmas(one.noiseModel(), one.dim()) for one, *_ in found])
+    s = np.concatenate([_ranges(one, own.values) for one, *_ in found])
+    return fit_of_rows(
+        (labels, tuple(own.beams)),
+        (np.arange(len(e)), beam),
+        e,
+        e / sigma,
+        s,
+        chi2=chi2,
+        dof=dof,
+        range_sigma=float(np.median(sigma)),
+        given=True,
+        poses="estimated" if any(posed for *_, posed in found) else "exact",
+        loss="gaussian",
+    )
+
+
+def _factors(own: OwnGraph) -> Iterator[tuple[gtsam.CustomFactor, str, int, bool]]:
+    """Yield the range factors of these beams and planes.
+
+    Each with the name of its pose or its number, the number of its beam, and whether it has a pose.
+    """
+    owner = {keys_of(beam): i for i, beam in enumerate(own.beams.values())}
+    planes = set(own.planes.values())
+    for i, factor in own.factors():
+        if not isinstance(factor, gtsam.CustomFactor):
+            continue
+        *keys, last = factor.keys()
+        posed = last not in planes
+        plane = keys.pop() if posed else last
+        if tuple(keys) in owner and plane in planes:
+            name = key_name(last) if posed else f"factor {i}"
+            yield factor, name, owner[tuple(keys)], posed
+
+
+def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
+    """Return the ranges (N,) of a range factor [m]; NaN where a beam is perpendicular to its plane.
+
+    A factor does not give its readings away, but its derivatives do: with the range s and the tangent
+    basis B of the direction, de/dv = s de/dr B. Weights of rows cancel.
+    """
+    jacobian, _ = factor.linearize(values).jacobian()
+    by_location, by_direction = jacobian[:, :3], jacobian[:, 3:5]
+    across = by_location @ values.atUnit3(list(factor.keys())[1]).basis()
+    square = (across**2).sum(axis=1)
+    seen = square > LEAST_OBLIQUE * (by_location**2).sum(axis=1)
+    product = (by_direction * across).sum(axis=1)
+    found: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
+    return found
+
+
+def _sigmas(model: gtsam.noiseModel.Base, rows: int) -> FloatArray:
+    """Return the standard deviations of a noise model, those of the inner one where it is robust."""
+    inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
+    sigmas = inner.sigmas() if hasattr(inner, "sigmas") else np.ones(rows)
+    return np.asarray(sigmas, dtype=np.float64)
