@@ -20,6 +20,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.readings import Readings
+from ..model.weighting import Whitening
 
 LONGEST = 32
 """Slots of a chunk; a plane with more stations has several, so that unequal planes waste little."""
@@ -201,11 +202,43 @@ class Grid:
         cosine = along[:, 0, self.beams :]
         if counted is not None:
             cosine = np.where(counted, cosine, 1.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            c = -1.0 / cosine
+        # What grazes is told by its cosine; here it only has to stay finite.
+        c = -1.0 / np.where(np.abs(cosine) < model.GRAZING_LIMIT, model.GRAZING_LIMIT, cosine)
         height = off[:, 0] + at.offsets.reshape(copies, -1)[:, self.plane]
         s = (along[:, 0, : self.beams] + height[:, None]) * c
         return _Seen(turned, along, off, c, s, cosine)
+
+
+@dataclass(frozen=True, slots=True)
+class Weighing:
+    """How the readings of K problems, or of all alike, weigh on a grid.
+
+    Attributes
+    ----------
+    root : (K, B, cells) or None
+        Roots of weights of independent readings; zero for those that do not count.
+    matrix : (K, cells, B, B) or None
+        Weights of the readings of a station, where they are correlated.
+    """
+
+    root: FloatArray | None = None
+    matrix: FloatArray | None = None
+
+    def picked(self, rows: IntArray) -> "Weighing":
+        """Return the weighing of some problems."""
+        of = (self.root, self.matrix)
+        return Weighing(*(a if a is None or len(a) == 1 else a[rows] for a in of))
+
+
+def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
+    """Return the weighing of whitenings, one a problem, or one for all."""
+    if not whitenings[0].is_coupled:
+        weights = np.array([how.squares() for how in whitenings])
+        return Weighing(np.sqrt(grid.spread(weights)))
+    matrix = np.zeros((len(whitenings), grid.cells, grid.beams, grid.beams))
+    for k, how in enumerate(whitenings):
+        matrix[k, grid.place] = (how.root @ how.root)[how.station]
+    return Weighing(matrix=matrix)
 
 
 def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:

@@ -16,8 +16,8 @@ from ..arrays import BoolArray, FloatArray
 from ..factors import Evaluation
 from ..model.losses import GAUSSIAN
 from .graph import CalibrationGraph
-from .grid import Grid
-from .reduction import NormalEquations, Weighing, summed_equations, weighing_of
+from .grid import Grid, Weighing, weighing_of
+from .reduction import NormalEquations, summed_equations
 from .steps import damped_step
 
 BEAMS = gtsam.symbol("B", 0)

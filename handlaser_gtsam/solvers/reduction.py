@@ -28,7 +28,7 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.weighting import Whitening
 from .elimination import ReducedInformation, eliminated
-from .grid import FREE, Grid
+from .grid import FREE, Grid, Weighing, weighing_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,38 +213,6 @@ def normal_equations(
     if not worst >= model.GRAZING_LIMIT:
         raise GrazingBeamError(worst, model.GRAZING_LIMIT)
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class Weighing:
-    """How the readings of K problems, or of all alike, weigh on a grid.
-
-    Attributes
-    ----------
-    root : (K, B, cells) or None
-        Roots of weights of independent readings; zero for those that do not count.
-    matrix : (K, cells, B, B) or None
-        Weights of the readings of a station, where they are correlated.
-    """
-
-    root: FloatArray | None = None
-    matrix: FloatArray | None = None
-
-    def picked(self, rows: IntArray) -> "Weighing":
-        """Return the weighing of some problems."""
-        of = (self.root, self.matrix)
-        return Weighing(*(a if a is None or len(a) == 1 else a[rows] for a in of))
-
-
-def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
-    """Return the weighing of whitenings, one a problem, or one for all."""
-    if not whitenings[0].is_coupled:
-        weights = np.array([how.squares() for how in whitenings])
-        return Weighing(np.sqrt(grid.spread(weights)))
-    matrix = np.zeros((len(whitenings), grid.cells, grid.beams, grid.beams))
-    for k, how in enumerate(whitenings):
-        matrix[k, grid.place] = (how.root @ how.root)[how.station]
-    return Weighing(matrix=matrix)
 
 
 def grid_normal_equations(

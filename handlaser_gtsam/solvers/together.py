@@ -17,9 +17,9 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
 from ..model.weighting import Whitening
-from .grid import Grid
+from .grid import Grid, Weighing, weighing_of
 from .levenberg import LevenbergOptions
-from .reduction import NormalEquations, Weighing, grid_normal_equations, weighing_of
+from .reduction import NormalEquations, grid_normal_equations
 from .refine import joined, parted, picked
 from .steps import apply_step, damped_step
 from .stopping import COST_RESOLUTION
