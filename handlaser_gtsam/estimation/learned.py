@@ -1,5 +1,6 @@
 """Learning unknown scales of noise and range errors from readings about a solution."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,12 +139,11 @@ class ScaleProblem:
         self.base, self.linearity = base, linearity
         self.length = length or readings.typical_range()
         self.k = at.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
-        beams = readings.beams if members is None else len(members)
-        self.wide = widest_grid(linearity or 1.0, 0 if linearity is None else terms, beams)
-        self.rows = self._rows(readings)
+        self.wide = self._widest(readings.beams)
+        self.rows = LinearReadings(at, readings, terms, self.length, base)
         self._last: _Last | None = None
-        part = part_of(readings)
-        self._part = self.rows if len(part) == len(readings) else self._rows(part)
+        alike = known is None and members is None and scales.common
+        self._part = self if self._is_small(alike=alike) else self._smaller(few_beams=alike)
 
     def mode(self, start: FloatArray) -> FloatArray:
         """Return the most probable logarithms of the scales of the noise."""
@@ -187,7 +187,7 @@ class ScaleProblem:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
         if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
             return self._last[1][1], self._last[2]
-        return self._beams(self.rows, points)
+        return self._beams(points)
 
     def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far beams (n,) and planes (P, 3) are from their optimum for known scales.
@@ -199,26 +199,50 @@ class ScaleProblem:
         mean, _ = beams.conditional(scale)
         return mean, planes.step[0] - planes.response[0] @ mean
 
-    def _rows(self, readings: Readings) -> LinearReadings:
-        return LinearReadings(self.at, readings, self.terms, self.length, self.base)
+    def _is_small(self, *, alike: bool) -> bool:
+        """Tell whether all readings are looked at wherever the scales are searched for."""
+        few = self.readings.beams <= MOST_BEAMS or not alike
+        return few and len(self.readings) <= ENOUGH
 
-    def _beams(
-        self, rows: LinearReadings, points: FloatArray
-    ) -> tuple[BeamPosterior, PlaneResponse]:
-        information, planes = rows.information([self.scales.noise(u) for u in points])
+    def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
+        """Return the same of a part of the readings, of `MOST_BEAMS` beams alone if they are alike."""
+        readings, at = self.readings, self.at
+        if few_beams and readings.beams > MOST_BEAMS:
+            chosen = np.linspace(0, readings.beams - 1, MOST_BEAMS).round().astype(np.intp)
+            rows = np.flatnonzero(np.isin(readings.beam, chosen))
+            readings = readings.subset(rows)
+            beam = np.searchsorted(chosen, readings.beam)
+            readings = replace(readings, beam=beam, beams=MOST_BEAMS)
+            at = at.part(chosen, np.arange(readings.planes))
+        part = copy(self)
+        part.at, part.readings = at, part_of(readings)
+        part.k = at.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
+        part.rows = LinearReadings(at, part.readings, self.terms, self.length, self.base)
+        part.wide = self._widest(readings.beams)
+        return part
+
+    def _widest(self, beams: int) -> RangeErrorGrid:
+        """Return a grid for so many beams, or for those that have the prior."""
+        count = beams if self.members is None else len(self.members)
+        return widest_grid(
+            self.linearity or 1.0, 0 if self.linearity is None else self.terms, count
+        )
+
+    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+        information, planes = self.rows.information([self.scales.noise(u) for u in points])
         if self.known is not None:
             information = information + self.known
         widest = widest_scale(self.linearity)
         return BeamPosterior(information, self.k, widest, self.members), planes
 
     def _log_posterior(self, points: FloatArray) -> FloatArray:
-        found = self._beams(self._part, points)[0]
-        return found.log_marginal(self.wide) + self.scales.log_prior(points)
+        found = self._part._beams(points)[0]
+        return found.log_marginal(self._part.wide) + self.scales.log_prior(points)
 
     def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
         if self._last is not None and np.array_equal(self._last[0], mode):
             return self._last[1]
-        beams, planes = self._beams(self.rows, mode[None])
+        beams, planes = self._beams(mode[None])
         evidence = beams.log_evidence_of(self.wide)[0]
         fine = refined_grid(self.wide, evidence, self.linearity or 1.0)
         found = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams

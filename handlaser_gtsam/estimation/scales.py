@@ -118,6 +118,11 @@ class Scales(Value):
         return NoiseSet(ranges, pose)
 
     @property
+    def common(self) -> bool:
+        """Whether all beams have one range sigma."""
+        return not np.ptp(self.range_sigma) and all(one.beam is None for one in self.unknown)
+
+    @property
     def bounds(self) -> FloatArray:
         """Of the logarithms of the unknown scales, (d, 2)."""
         return np.array([scale.bounds for scale in self.unknown]).reshape(-1, 2)
