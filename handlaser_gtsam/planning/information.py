@@ -62,6 +62,7 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     readings = replace(readings, distance=d)
     J = _derivatives(belief, readings).reshape(count, beams, -1)
     how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
+    how = how.by_station(how.station, readings.beam, beams)
     rows = (how.root @ J) / how.sigma
     spread = np.einsum("mbu,uw,mbw->mb", J, belief.covariance, J)
     noise = np.linalg.inv(how.root @ how.root) * how.sigma**2
