@@ -1,5 +1,6 @@
-"""What is known of a mount and a plate before any reading: bounds."""
+"""What is known of the mounts and of a plate before any reading: bounds."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,62 +11,65 @@ from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST
+from ..data.value import Value
 from ..errors import InputError
+from ..model.sensor import Sensor
 from ..model.weighting import Variances
-from .belief import Belief
+from .belief import UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
+from .plate import STEEPEST_TILT, Plate, directions, vectors
 
-UNIFORM = 1.0 / np.sqrt(3.0)
+UNIFORM = 1.0 / math.sqrt(3.0)
 """Standard deviation of a uniform number over its half-width."""
+LEAST = 1e-9
+"""Standard deviation of what is known exactly."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bounds(Value):
     """Where B beams and a plate roughly are.
 
     Attributes
     ----------
     locations : (B, 3)
         Middle of the box in which each beam's location lies, hand frame [m].
+    directions : (B, 3)
+        Axis of the cone in which each beam's direction lies, hand frame; scaled to a length of one.
+    plate : Plate
+        World frame.
     location_within : float
         Half the width of the box [m].
-    directions : (B, 3)
-        Axis of the cone in which each beam's direction lies, hand frame.
     cone : float
-        Half its opening angle [rad].
-    plate_point, plate_normal : (3,)
-        A point of the plate [m] and its normal away from the sensor, world frame.
-    plate_within, plate_tilt : float
-        By how much the plate is nearer or farther [m], and tilted to any side [rad], at most.
+        Half the opening angle of the cone [rad].
+
+    Raises
+    ------
+    InputError
+        Arrays that do not belong together, or numbers beyond sense.
     """
 
     locations: FloatArray
-    location_within: float
     directions: FloatArray
-    cone: float
-    plate_point: FloatArray
-    plate_normal: FloatArray
-    plate_within: float
-    plate_tilt: float
+    plate: Plate
+    location_within: float = 0.005
+    cone: float = math.radians(10.0)
 
     def __post_init__(self) -> None:
-        require_number("location_within", self.location_within, 0.0, LARGEST)
-        require_number("plate_within", self.plate_within, 0.0, LARGEST)
-        for name in ("cone", "plate_tilt"):
-            require_number(name, getattr(self, name), 0.0, np.pi / 3.0)
-        if len(self.locations) != len(self.directions) or not len(self.locations):
-            found = f"{len(self.locations)} locations and {len(self.directions)} directions"
+        locations = vectors("locations", self.locations)
+        axes = directions("directions", self.directions)
+        if len(locations) != len(axes) or not len(locations):
+            found = f"{len(locations)} locations and {len(axes)} directions"
             raise InputError(found, "one of each for every beam")
-        for name in ("directions", "plate_normal"):
-            lengths = np.linalg.norm(np.atleast_2d(getattr(self, name)), axis=1)
-            if not (np.isfinite(lengths) & (lengths > 0.0)).all():
-                raise InputError(f"{name} without a length", "a direction")
+        object.__setattr__(self, "locations", locations)
+        object.__setattr__(self, "directions", axes)
+        require_number("location_within", self.location_within, 0.0, LARGEST, unit="m")
+        require_number("cone", self.cone, 0.0, STEEPEST_TILT, unit="rad")
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and a plate within the bounds, without range errors."""
-        beams = len(self.locations)
+        beams, plate = len(self.locations), self.plate
         box = rng.uniform(-1.0, 1.0, (beams, 3)) * self.location_within
-        n = tilted(self.plate_normal[None], self.plate_tilt, rng)[0]
-        point = self.plate_point + rng.uniform(-1.0, 1.0) * self.plate_within * n
+        n = tilted(plate.normal[None], plate.tilt, rng)[0]
+        point = plate.point + rng.uniform(-1.0, 1.0) * plate.within * n
         return Parameters(
             self.locations + box,
             tilted(self.directions, self.cone, rng),
@@ -74,22 +78,28 @@ class Bounds:
             np.array([-n @ point]),
         )
 
-    def belief(self, at: Parameters, variances: Variances, linearity: float) -> Belief:
-        """Return a Gaussian as wide as the bounds about some beams and a plate."""
-        d = float(np.linalg.norm(self.plate_point)) or 1.0
-        beam = np.array([self.location_within] * 3 + [self.cone] * 2 + [linearity, linearity / d])
-        plane = np.array([self.plate_tilt, self.plate_tilt, self.plate_within])
-        beam[:3] *= UNIFORM
-        plane[2] *= UNIFORM
-        sigma = np.concatenate((np.tile(beam, len(self.locations)), plane))
+    def belief(self, at: Parameters, variances: Variances, sensor: Sensor) -> Belief:
+        """Return what a calibration would start from about some beams and a plate: next to nothing.
+
+        It does not use the bounds; they are the `spread`.
+        """
+        k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), LEAST)])
+        box, plate = self.location_within * UNIFORM, self.plate
+        known = np.concatenate(([box] * 3, [0.5 * self.cone] * 2, k))
+        placed = [0.5 * plate.tilt, 0.5 * plate.tilt, UNIFORM * plate.within]
+        unknown = np.concatenate(([UNKNOWN_LENGTH] * 3, [UNKNOWN_ANGLE] * 2, k))
+        beams = len(self.locations)
+        spread = np.concatenate((np.tile(known, beams), placed))
+        sigma = np.concatenate((np.tile(unknown, beams), UNKNOWN_PLANE))
         return Belief(
             at,
-            np.diag(np.maximum(sigma, 1e-9) ** 2),
+            np.diag(sigma**2),
             model.tangent_basis(at.directions),
             model.tangent_basis(at.normals),
-            self.plate_point[None],
+            plate.point[None],
             variances,
             ("plate",),
+            np.diag(np.maximum(spread, LEAST) ** 2),
         )
 
 

@@ -64,7 +64,7 @@ def choose(
     rows : (K, N, B, U)
         Whitened rows of every candidate, at the mean of the belief first and then at draws of it: the
         gain is averaged over all.
-    covariance : (U, U)
+    covariance : (U, U) or (K, U, U)
         Before the first station.
     weight : (W, U)
         What is to become small: covariance of `weight @ x`.
@@ -98,7 +98,7 @@ class _Search:
         self, rows: FloatArray, covariance: FloatArray, weight: FloatArray, criterion: Criterion
     ) -> None:
         self.rows, self.weight, self.criterion = rows, weight, criterion
-        self.C = np.tile(covariance, (len(rows), 1, 1))
+        self.C = np.broadcast_to(covariance, (len(rows), *covariance.shape[-2:])).copy()
         self.AC = rows @ self.C[:, None]
         self.chosen: list[int] = []
         self.identity = np.eye(rows.shape[2])
@@ -152,7 +152,8 @@ def _ordered(
 ) -> Chosen:
     """Return a choice in the order in which greedy choice takes the same stations."""
     taken = np.array(search.chosen, dtype=np.intp)
-    again = _Search(rows[:1, taken], covariance, weight, search.criterion)
+    first = covariance if covariance.ndim == 2 else covariance[0]
+    again = _Search(rows[:1, taken], first, weight, search.criterion)
     values = [again.value()]
     for _ in taken:
         again.take(again.best())

@@ -34,7 +34,7 @@ class Outlook:
     reading, cosine : (M, B)
         Predicted readings [m] and cosines of the incidence.
     reading_sigma, cosine_sigma : (M, B)
-        What the belief leaves uncertain of them, and the noise of the reading.
+        What the spread of the belief leaves uncertain of them; noise and robot errors included.
     """
 
     rows: FloatArray
@@ -64,10 +64,10 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
     how = how.by_station(how.station, readings.beam, beams)
     rows = (how.root @ J) / how.sigma
-    spread = np.einsum("mbu,uw,mbw->mb", J, belief.covariance, J)
+    spread = ((J @ belief.spread) * J).sum(axis=2)
     noise = np.linalg.inv(how.root @ how.root) * how.sigma**2
     tilt = _cosine_derivatives(belief, readings).reshape(count, beams, -1)
-    doubt = np.einsum("mbu,uw,mbw->mb", tilt, belief.covariance, tilt)
+    doubt = ((tilt @ belief.spread) * tilt).sum(axis=2) + _turn_variance(belief.variances)
     return Outlook(
         rows,
         stations.plane,
@@ -97,6 +97,13 @@ def _readings(stations: Stations, beams: int, planes: int) -> Readings:
         beams,
         planes,
     )
+
+
+def _turn_variance(variances: Variances) -> float:
+    """Return the largest variance of a hand's rotation about any axis [rad^2]."""
+    if variances.pose is None:
+        return 0.0
+    return float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
 
 
 def _of_stations(variances: Variances, count: int) -> Variances:

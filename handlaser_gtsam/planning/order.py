@@ -1,5 +1,7 @@
 """Order stations so that the way between them is short."""
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -7,7 +9,7 @@ from ..arrays import FloatArray, IntArray
 from ..simulation.simulate import Stations
 
 
-def shortest(stations: Stations, length: float, first: int | None = None) -> IntArray:
+def shortest(stations: Stations, length: float) -> IntArray:
     """Return an order (M,) of stations with a short way: plane by plane, nearest first, uncrossed.
 
     Parameters
@@ -29,6 +31,36 @@ def way(stations: Stations, order: IntArray, length: float) -> float:
     """Return the length of the way [m], turns included."""
     cost = _distances(stations, order, length)
     return float(np.diagonal(cost, 1).sum())
+
+
+def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray]:
+    """Return stations with others between them wherever a step is longer than `largest_step` [m].
+
+    Returns
+    -------
+    Stations
+    origin : (M,)
+        Index of each among those given, -1 where it was put between.
+    """
+    R, t, planes, origin = [], [], [], []
+    for index in range(len(stations.plane)):
+        here, turn = stations.world_t_hand[index], stations.world_R_hand[index]
+        if index:
+            step = here - stations.world_t_hand[index - 1]
+            before = stations.world_R_hand[index - 1]
+            vector = Rotation.from_matrix(before.T @ turn).as_rotvec()
+            parts = math.ceil(float(np.linalg.norm(step)) / largest_step - 1e-9)
+            for share in np.arange(1, parts) / max(parts, 1):
+                R.append(before @ Rotation.from_rotvec(share * vector).as_matrix())
+                t.append(here - (1.0 - share) * step)
+                planes.append(stations.plane[index])
+                origin.append(-1)
+        R.append(turn)
+        t.append(here)
+        planes.append(stations.plane[index])
+        origin.append(index)
+    way = Stations(np.array(R), np.array(t), np.array(planes, dtype=np.intp))
+    return way, np.array(origin, dtype=np.intp)
 
 
 def _distances(stations: Stations, rows: IntArray, length: float) -> FloatArray:

@@ -1,183 +1,146 @@
 """Plan the next stations of a calibration."""
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from .. import model
-from ..arrays import FloatArray, IntArray
-from ..checks import require_count
+from ..arrays import FloatArray
+from ..checks import require_count, require_kind
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from ..simulation.simulate import Stations
-from .belief import BEAM, Belief, belief_of
-from .choice import Criterion, choose
-from .information import outlook, updated
-from .order import shortest
+from .belief import Belief, belief_of
+from .choice import choose
+from .goal import Goal
+from .information import outlook
+from .plate import Placement, Plate, standing
+from .route import Plan, forecast_of, goal_rows, planned
+from .turning import placed
 from .workspace import Workspace, candidates, joined, picked, workspace_of
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
+MOST_STATIONS = 1000
 DRAWS = 4
 """Draws of the belief over which the gain is averaged beside its mean."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlanOptions:
-    """What to plan for.
-
-    Attributes
-    ----------
-    criterion : str
-        "A": the sum of the variances of locations and directions in units of the goal; "D": the
-        volume of their confidence region; "E": the direction known worst; "spot": the laser spots at
-        the working distance.
-    location_sigma, direction_sigma : float
-        The goal of every beam [m], [rad]; their ratio decides what counts how much.
-    working_distance : float, optional
-        For "spot" [m]; the middle of the sensor's range where not given.
-    """
-
-    criterion: Criterion = "A"
-    location_sigma: float = 1e-4
-    direction_sigma: float = math.radians(0.1)
-    working_distance: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """Largest standard deviations over the beams after so many further stations.
-
-    Attributes
-    ----------
-    location_sigma : (M + 1,)
-        Of one coordinate [m].
-    direction_sigma : (M + 1,)
-        [rad]
-    """
-
-    location_sigma: FloatArray
-    direction_sigma: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Stations to measure next, in an order that shortens the way.
-
-    Attributes
-    ----------
-    stations : Stations
-    planes : tuple of str
-        The plane of each station.
-    forecast : Forecast
-        If they were measured in the order in which they matter.
-    """
-
-    stations: Stations
-    planes: tuple[str, ...]
-    forecast: Forecast
-
-
 def plan(
-    calibration: Calibration,
-    count: int,
+    calibration: Calibration | Mounts,
+    stations: int,
     sensor: Sensor,
     workspace: Workspace | None = None,
-    options: PlanOptions | None = None,
+    goal: Goal | None = None,
+    *,
+    plates: Mapping[str, Plate] | None = None,
+    placement: Placement | None = None,
     rng: np.random.Generator | None = None,
 ) -> Plan:
-    """Choose the stations that determine the beams best, before planes that stand where they stood.
+    """Choose the stations that determine the beams best, given what a calibration knows so far.
+
+    They lie before the planes of the calibration, which stand where they stood. With `plates` or a
+    `placement` these are gone, and the stations lie before the plates, or before the placements of the
+    plate in the orientations that tell most; the plate to be turned is the last one.
 
     Parameters
     ----------
-    calibration : Calibration
-        So far, with a covariance.
-    count : int
-        How many stations.
+    calibration : Calibration or Mounts
+        So far, with a covariance. Mounts know no planes: `plates` says where there are some.
+    stations : int
+        How many at most; fewer where fewer reach what the goal states.
     sensor : Sensor
         Its range is needed.
     workspace : Workspace, optional
         Around the stations so far, where not given.
-    options : PlanOptions, optional
+    goal : Goal, optional
+    plates : mapping of names to Plate, optional
+    placement : Placement, optional
     rng : numpy.random.Generator, optional
         Draws the candidates; a fixed one where not given.
 
     Raises
     ------
     InputError
-        The calibration has no covariance, the sensor's range is not stated, or no station is safe.
+        The calibration has no covariance, it is not known where a plane or the workspace is, the
+        sensor's range is not stated, or no station is safe.
     """
-    options = PlanOptions() if options is None else options
+    goal = Goal() if goal is None else goal
     rng = np.random.default_rng(0) if rng is None else rng
-    require_count("stations to plan", count, 1, POOL)
-    belief = belief_of(calibration)
+    require_kind("sensor", sensor, Sensor)
+    require_count("stations to plan", stations, 1, MOST_STATIONS)
+    task = _task(calibration, sensor, workspace)
+    put: Mapping[str, Plate] = {}
+    if plates is not None:
+        task = _Task(task.belief.before(plates, only=True), task.workspace, task.taken)
+    if not task.belief.plane_names:
+        raise InputError("no plane to plan stations before", "where a plate stands roughly")
+    if placement is not None:
+        put = _placements(task, placement, sensor, goal, stations, rng)
+        task = _Task(task.belief.before(put, only=True), task.workspace, task.taken)
+    pool, rows = _pool(task, sensor, stations, rng)
+    weight = goal_rows(task.belief, goal, goal.distance(sensor))
+    chosen = choose(rows, task.belief.covariance, weight, stations, goal.criterion).candidates
+    forecast = forecast_of(task.belief, rows[0], chosen, goal.distance(sensor))
+    enough = forecast.reaches(goal) if goal.stated else None
+    if enough is not None:
+        chosen = chosen[: max(enough, 1)]
+        forecast = forecast_of(task.belief, rows[0], chosen, goal.distance(sensor))
+    return planned(
+        task.belief,
+        picked(pool, chosen),
+        goal,
+        task.workspace,
+        forecast,
+        task.taken,
+        plates=put or plates,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is known, where the hand may go, and the names of the stations so far."""
+
+    belief: Belief
+    workspace: Workspace
+    taken: tuple[str, ...]
+
+
+def _task(
+    calibration: Calibration | Mounts, sensor: Sensor, workspace: Workspace | None
+) -> _Task:
+    recording = calibration.recording if isinstance(calibration, Calibration) else None
     if workspace is None:
-        if calibration.recording is None:
-            raise InputError("a calibration without its recording", "a workspace")
-        workspace = workspace_of(calibration.recording)
+        if recording is None:
+            raise InputError("no recording that shows the workspace", "a workspace")
+        workspace = workspace_of(recording)
+    belief = belief_of(calibration)
+    return _Task(belief, workspace, () if recording is None else recording.station_names)
+
+
+def _placements(
+    task: _Task,
+    placement: Placement,
+    sensor: Sensor,
+    goal: Goal,
+    stations: int,
+    rng: np.random.Generator,
+) -> Mapping[str, Plate]:
+    last = len(task.belief.plane_names) - 1
+    plate = standing(task.belief.mean, last, task.belief.origins[last])
+    share = max(stations // placement.count, 1)
+    return placed(task.belief, plate, placement, task.workspace, sensor, goal, share, rng)
+
+
+def _pool(
+    task: _Task, sensor: Sensor, count: int, rng: np.random.Generator
+) -> tuple[Stations, FloatArray]:
+    """Return the candidates before all planes, and their rows at the mean and at draws."""
+    belief = task.belief
     planes = range(len(belief.plane_names))
     share = max(POOL // len(planes), 2 * count)
-    pool = joined([candidates(belief, p, workspace, sensor, share, rng)[0] for p in planes])
-    rows = np.stack([outlook(one, pool).rows for one in _drawn(belief, rng)])
-    weight = goal_weight(belief, options, sensor)
-    chosen = choose(rows, belief.covariance, weight, count, options.criterion)
-    return _plan(belief, pool, rows[0], chosen.candidates, options, workspace)
-
-
-def goal_weight(belief: Belief, options: PlanOptions, sensor: Sensor) -> FloatArray:
-    """Return what is to become small (W, U): the beams in units of the goal, or their spots [m]."""
-    unknowns = len(belief.covariance)
-    if options.criterion != "spot":
-        unit = np.repeat([options.location_sigma, options.direction_sigma], (3, 2))
-        weight = np.zeros((5 * belief.beams, unknowns))
-        for i in range(belief.beams):
-            weight[5 * i + np.arange(5), BEAM * i + np.arange(5)] = 1.0 / unit
-        return weight
-    d = options.working_distance or 0.5 * (sensor.range_min + sensor.range_max)
-    weight = np.zeros((3 * belief.beams, unknowns))
-    for i, (v, k) in enumerate(zip(belief.mean.directions, belief.mean.range_errors, strict=True)):
-        s = float(model.corrected(np.array([d]), k[None])[0])
-        spot = np.hstack((np.eye(3), s * belief.beam_bases[i], np.outer(v, [d, d * d])))
-        weight[3 * i : 3 * i + 3, BEAM * i : BEAM * (i + 1)] = spot
-    return weight
-
-
-def _drawn(belief: Belief, rng: np.random.Generator) -> list[Belief]:
-    """Return the belief, and the same about some draws of it."""
-    return [belief, *(belief.about(belief.draw(rng)) for _ in range(DRAWS))]
-
-
-def _plan(
-    belief: Belief,
-    pool: Stations,
-    rows: FloatArray,
-    chosen: IntArray,
-    options: PlanOptions,
-    workspace: Workspace,
-) -> Plan:
-    location, direction = [], []
-    C = belief.covariance
-    for step in range(len(chosen) + 1):
-        found = beam_sigmas(belief, C)
-        location.append(found[0])
-        direction.append(found[1])
-        if step < len(chosen):
-            C = updated(C, rows[chosen[step]])
-    stations = picked(pool, chosen)
-    length = options.location_sigma / options.direction_sigma
-    stations = picked(stations, shortest(stations, length))
-    names = tuple(belief.plane_names[p] for p in stations.plane)
-    return Plan(stations, names, Forecast(np.array(location), np.array(direction)))
-
-
-def beam_sigmas(belief: Belief, covariance: FloatArray) -> tuple[float, float]:
-    """Return the largest sigmas over the beams of a coordinate [m] and along the tangent [rad]."""
-    blocks = [
-        covariance[np.ix_(at, at)]
-        for at in (BEAM * i + np.arange(5) for i in range(belief.beams))
-    ]
-    location = max(float(np.sqrt(np.diagonal(C)[:3].max())) for C in blocks)
-    direction = max(float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1])) for C in blocks)
-    return location, direction
+    pool = joined([candidates(belief, p, task.workspace, sensor, share, rng)[0] for p in planes])
+    drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(DRAWS))]
+    return pool, np.stack([outlook(one, pool).rows for one in drawn])

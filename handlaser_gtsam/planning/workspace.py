@@ -9,12 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.recording import Recording
+from ..checks import number_array, require_number
+from ..data.recording import LARGEST, Recording
+from ..data.recording_checks import check_poses
+from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..simulation.simulate import Stations
 from .belief import Belief
 from .information import Outlook, outlook
+from .plate import vectors
 
 MARGIN = 4.0
 """Readings and angles stay so many standard deviations inside their limits: of a hundred readings at
@@ -25,14 +29,16 @@ ROOMY = 0.25
 """A workspace that is not stated is that of the stations so far, and this part of it more."""
 LEAST_TURN = math.radians(20.0)
 """Hands that have not turned may turn so far all the same."""
+LEAST_ROOM = 1e-3
+"""Hands that have not moved may move so far [m]."""
 TRIES = 40
 """Rounds of as many poses as are wanted, before giving up."""
 LEAST_CANDIDATES = 10
 """So few are no choice."""
 
 
-@dataclass(frozen=True, slots=True)
-class Workspace:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Workspace(Value):
     """Where the hand may go.
 
     Attributes
@@ -45,13 +51,32 @@ class Workspace:
         [rad]
     largest_step : float
         Between stations [m]; longer ways are divided.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, a box that is none, or numbers beyond sense.
     """
 
     low: FloatArray
     high: FloatArray
     home: FloatArray
-    largest_turn: float
+    largest_turn: float = math.radians(30.0)
     largest_step: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            object.__setattr__(self, name, vectors(name, getattr(self, name), 1)[0])
+        if not (self.low < self.high).all():
+            raise InputError(f"a workspace from {self.low} to {self.high} m", "low below high")
+        home = number_array("home", self.home)
+        if home.shape != (3, 3):
+            raise InputError(f"home of shape {home.shape}", "a rotation matrix (3, 3)")
+        check_poses(home[None], np.zeros((1, 3)), ["home"])
+        object.__setattr__(self, "home", home)
+        require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
+        if self.largest_step != math.inf:  # which says that there is no limit
+            require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")
 
     def holds(self, stations: Stations) -> BoolArray:
         """Tell which stations (M,) lie within."""
@@ -66,7 +91,7 @@ def workspace_of(recording: Recording) -> Workspace:
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()
     turn = max(float((home.inv() * R).magnitude().max()), LEAST_TURN)
-    room = ROOMY * float(np.ptp(t, axis=0).max())
+    room = max(ROOMY * float(np.ptp(t, axis=0).max()), LEAST_ROOM)
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
 
 
@@ -85,8 +110,7 @@ def candidates(
     InputError
         The sensor's range is not stated, or there is hardly a station.
     """
-    if not math.isfinite(sensor.range_max):
-        raise InputError("no range of the sensor", "range_mm in the table [sensor] of the rig file")
+    require_range(sensor)
     kept: list[Stations] = []
     for _ in range(TRIES):
         tried = _drawn(belief, plane, workspace, sensor, count, rng)
@@ -104,6 +128,17 @@ def candidates(
         )
     found = picked(found, np.arange(min(count, len(found.plane))))
     return found, outlook(belief, found)
+
+
+def require_range(sensor: Sensor) -> None:
+    """Refuse a sensor whose range is not stated.
+
+    Raises
+    ------
+    InputError
+    """
+    if not math.isfinite(sensor.range_max):
+        raise InputError("no range of the sensor", "range_mm in the table [sensor] of the rig file")
 
 
 def safe(ahead: Outlook, sensor: Sensor) -> BoolArray:
