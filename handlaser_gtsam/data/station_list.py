@@ -43,7 +43,10 @@ class StationList(Value):
         store = object.__setattr__
         for name in ("world_R_hand", "world_t_hand"):
             store(self, name, number_array(name, getattr(self, name)))
-        for name, kind in (("plane_labels", "the label of a plane"), ("station_names", "a station")):
+        for name, kind in (
+            ("plane_labels", "the label of a plane"),
+            ("station_names", "a station"),
+        ):
             store(self, name, names_of(kind, getattr(self, name)))
         if not self.station_names:
             store(self, "station_names", numbered(len(self.plane_labels)))
@@ -63,7 +66,11 @@ class StationList(Value):
     def matrices(self) -> FloatArray:
         """Return the poses world_T_hand (M, 4, 4)."""
         poses = np.zeros((len(self), 4, 4))
-        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = self.world_R_hand, self.world_t_hand, 1.0
+        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = (
+            self.world_R_hand,
+            self.world_t_hand,
+            1.0,
+        )
         return poses
 
     def recording(self, ranges: ArrayLike, beam_names: tuple[str, ...] = ()) -> Recording:

@@ -6,8 +6,9 @@
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
+    [workspace], [blind], [goal], [placement]: for plans, see `rig_planning`
 
-Every table and field is optional.
+Every table is optional, and so is every field but those that say where something is.
 """
 
 import math
@@ -17,22 +18,23 @@ from pathlib import Path
 from typing import overload
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..planning.bounds import Bounds
+from ..planning.goal import Goal
+from ..planning.plate import Placement
+from ..planning.workspace import Workspace
 from ..results.limits import Limits
 from ..text import shown
+from .rig_planning import BlindTable, GoalTable, PlacementTable, Table, WorkspaceTable
 from .writing import path_of, write_text
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Noise(_Table):
+class _Noise(Table):
     range_sigma_mm: float | None = None
     incidence_sigma_mm: float | None = None
     pose_translation_sigma_mm: float | None = None
@@ -42,31 +44,54 @@ class _Noise(_Table):
     pose_rotation_prior_deg: float | None = None
 
 
-class _Sensor(_Table):
+class _Sensor(Table):
     range_mm: list[float] | None = None
     max_incidence_deg: float | None = None
     linearity_percent: float | None = None
 
 
-class _Limits(_Table):
+class _Limits(Table):
     rms_mm: float | None = None
     location_sigma_mm: float | None = None
     direction_sigma_deg: float | None = None
 
 
-class _Rig(_Table):
+class _Rig(Table):
     noise: _Noise = _Noise()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
+    workspace: WorkspaceTable | None = None
+    blind: BlindTable | None = None
+    goal: GoalTable = GoalTable()
+    placement: PlacementTable = PlacementTable()
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig file in SI units."""
+    """A rig file in SI units.
+
+    Attributes
+    ----------
+    noise : Noise
+    sensor : Sensor
+    limits : Limits
+    workspace : Workspace or None
+        Where the hand may go.
+    bounds : Bounds or None
+        Where beams and plate roughly are, before any reading.
+    goal : Goal
+        What to plan for; the limits stand in it where it states nothing else.
+    placement : Placement
+        How the plate can be put anew.
+    """
 
     noise: Noise = field(default_factory=Noise)
     sensor: Sensor = field(default_factory=Sensor)
     limits: Limits = field(default_factory=Limits)
+    workspace: Workspace | None = None
+    bounds: Bounds | None = None
+    goal: Goal = field(default_factory=Goal)
+    placement: Placement = field(default_factory=Placement)
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -107,6 +132,11 @@ def _to_si(rig: _Rig) -> Rig:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
     given = Noise(), Sensor()
     linearity = rig.sensor.linearity_percent
+    limits = Limits(
+        scaled(rig.limits.rms_mm, mm),
+        scaled(rig.limits.location_sigma_mm, mm),
+        scaled(rig.limits.direction_sigma_deg, deg),
+    )
     return Rig(
         Noise(
             scaled(rig.noise.range_sigma_mm, mm),
@@ -123,11 +153,11 @@ def _to_si(rig: _Rig) -> Rig:
             math.radians(90.0 if incidence is None else incidence),
             given[1].linearity if linearity is None else 0.01 * linearity,
         ),
-        Limits(
-            scaled(rig.limits.rms_mm, mm),
-            scaled(rig.limits.location_sigma_mm, mm),
-            scaled(rig.limits.direction_sigma_deg, deg),
-        ),
+        limits,
+        None if rig.workspace is None else rig.workspace.to_si(),
+        None if rig.blind is None else rig.blind.to_si(),
+        rig.goal.to_si().within(limits),
+        rig.placement.to_si(),
     )
 
 
@@ -175,8 +205,16 @@ def _first_fault(error: ValidationError, path: Path) -> InputError:
     fault = error.errors()[0]
     field = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":
-        tables: dict[str, type[_Table]] = {"noise": _Noise, "sensor": _Sensor, "limits": _Limits}
-        table: type[_Table] = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
+        tables: dict[str, type[Table]] = {
+            "noise": _Noise,
+            "sensor": _Sensor,
+            "limits": _Limits,
+            "workspace": WorkspaceTable,
+            "blind": BlindTable,
+            "goal": GoalTable,
+            "placement": PlacementTable,
+        }
+        table: type[Table] = _Rig if len(fault["loc"]) == 1 else tables[str(fault["loc"][0])]
         names = ", ".join(table.model_fields)
         return InputError(f"the unknown field {shown(field)[1:-1]}", f"one of {names}", path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)

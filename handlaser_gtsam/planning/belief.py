@@ -1,5 +1,6 @@
 """What is known of beams and planes before the next stations: a Gaussian about a calibration."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -9,9 +10,11 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..errors import InputError
+from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
+from .bounds import Bounds
 from .plate import Plate
 
 BEAM, PLANE = 7, 3
@@ -20,6 +23,10 @@ UNKNOWN_LENGTH, UNKNOWN_ANGLE = 0.1, 0.5
 """Standard deviations of what the readings alone have to determine [m], [rad]: so large that they
 tell nothing, so small that rounding does not matter."""
 UNKNOWN_PLANE = (UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH)
+UNIFORM = 1.0 / math.sqrt(3.0)
+"""Standard deviation of a uniform number over its half-width."""
+LEAST = 1e-9
+"""Standard deviation of what is known exactly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,9 +190,7 @@ def _of_mounts(mounts: Mounts) -> Belief:
     pose = None if mounts.pose_covariance is None else mounts.pose_covariance[None]
     nothing = np.empty((0, 3))
     return Belief(
-        Parameters(
-            mounts.locations, mounts.directions, mounts.range_errors, nothing, np.empty(0)
-        ),
+        Parameters(mounts.locations, mounts.directions, mounts.range_errors, nothing, np.empty(0)),
         covariance,
         bases,
         np.empty((0, 3, 2)),
@@ -211,3 +216,27 @@ def _noise(calibration: Calibration) -> Variances:
     if found is None:
         return Variances(np.full(len(calibration.beams), calibration.fit.range_sigma), pose=pose)
     return Variances(found.range_sigma, found.incidence_sigma, pose)
+
+
+def belief_about(bounds: Bounds, at: Parameters, variances: Variances, sensor: Sensor) -> Belief:
+    """Return what a calibration would start from about some beams and a plate: next to nothing.
+
+    It does not use the bounds; they are the `spread`.
+    """
+    k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), LEAST)])
+    plate, beams = bounds.plate, len(bounds.locations)
+    known = [UNIFORM * bounds.location_within] * 3 + [0.5 * bounds.cone] * 2 + [*k]
+    placed = [0.5 * plate.tilt, 0.5 * plate.tilt, UNIFORM * plate.within]
+    unknown = [UNKNOWN_LENGTH] * 3 + [UNKNOWN_ANGLE] * 2 + [*k]
+    spread = np.concatenate((np.tile(known, beams), placed))
+    sigma = np.concatenate((np.tile(unknown, beams), UNKNOWN_PLANE))
+    return Belief(
+        at,
+        np.diag(sigma**2),
+        model.tangent_basis(at.directions),
+        model.tangent_basis(at.normals),
+        plate.point[None],
+        variances,
+        ("plate",),
+        np.diag(np.maximum(spread, LEAST) ** 2),
+    )

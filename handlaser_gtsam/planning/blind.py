@@ -23,14 +23,14 @@ from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..simulation.simulate import Stations, plane_name
-from .belief import Belief
+from .belief import Belief, belief_about
 from .bounds import Bounds
 from .choice import choose, value
 from .goal import Goal
 from .information import outlook, updated
 from .plate import MOST_PLANES
 from .route import Plan, forecast_of, goal_rows, planned
-from .workspace import STEEPEST, Workspace, joined, picked, require_range
+from .workspace import STEEPEST, Workspace, inside, joined, picked, require_range
 
 MOUNTS = 2000
 """Mounts drawn from the bounds: no station leaves the sensor's limits at any of them."""
@@ -56,6 +56,21 @@ PART_OF_RANGE = 1e-3
 """Of its range, a sensor whose noise is not known errs by so much."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    """What is known of mounts, plate, sensor and robot."""
+
+    bounds: Bounds
+    sensor: Sensor
+    workspace: Workspace
+    variances: Variances
+
+    @property
+    def middle(self) -> float:
+        """The middle of the sensor's range [m]."""
+        return 0.5 * (self.sensor.range_min + self.sensor.range_max)
+
+
 def blind_motion(
     bounds: Bounds,
     sensor: Sensor,
@@ -77,20 +92,18 @@ def blind_motion(
         Its range is needed.
     workspace : Workspace
     noise : Noise, optional
-        Tells how far the hand has to move; a thousandth of the range where not known.
     stations : int, optional
         Before each plane, 11 at least; as many as the mounts need where not given.
     planes : int
         How many times the plate is put within its bounds: the motion is the same before each.
     goal : Goal, optional
-        Its working distance; the forecast is beside what it states.
     rng : numpy.random.Generator, optional
         Draws the mounts at which motions are tried; a fixed one where not given.
 
     Raises
     ------
     InputError
-        The sensor's range is not stated, or no motion is safe for nearly all mounts and determines them.
+        The sensor's range is not stated, or no safe motion determines the mounts.
     """
     require_kind("bounds", bounds, Bounds)
     require_kind("sensor", sensor, Sensor)
@@ -99,22 +112,26 @@ def blind_motion(
         require_count("stations before each plane", stations, LEAST_STATIONS, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLANES)
     require_range(sensor)
-    goal = Goal() if goal is None else goal
     rng = np.random.default_rng(0) if rng is None else rng
     variances = expected_noise(Noise() if noise is None else noise, sensor, len(bounds.locations))
     cell = _Cell(bounds, sensor, workspace, variances)
-    motion = _motion(cell, stations, rng)
-    belief = _middle(cell)
+    return _plan(cell, _motion(cell, stations, rng), planes, Goal() if goal is None else goal, rng)
+
+
+def _plan(cell: _Cell, motion: Stations, planes: int, goal: Goal, rng: np.random.Generator) -> Plan:
+    """Return a plan of the same motion before each plane."""
+    bounds = cell.bounds
     plates = {plane_name(p): bounds.plate for p in range(planes)}
-    belief = belief.before(plates, only=True)
+    belief = _middle(cell).before(plates, only=True)
     each = np.zeros(len(motion.plane), dtype=np.intp)
     every = joined([replace(motion, plane=each + p) for p in range(planes)])
     order = np.arange(len(every.plane))
-    forecast = forecast_of(belief, outlook(belief, every).rows, order, goal.distance(sensor))
-    others = [bounds.draw(rng) for _ in range(MOUNTS)]
-    safe = float(safe_stations(others, motion, sensor).all(axis=1).mean())
+    distance = goal.distance(cell.sensor)
+    forecast = forecast_of(belief, outlook(belief, every).rows, order, distance)
+    others = bounds.draw(rng, MOUNTS)
+    safe = float(safe_stations(others, motion, cell.sensor).all(axis=1).mean())
     return planned(
-        belief, every, goal, workspace, forecast, ordered=True, plates=plates, safe=safe
+        belief, every, goal, cell.workspace, forecast, ordered=True, plates=plates, safe=safe
     )
 
 
@@ -135,21 +152,6 @@ def expected_noise(noise: Noise, sensor: Sensor, beams: int) -> Variances:
     return Variances(np.full(beams, sigma), noise.incidence_sigma, pose[None] if errs else None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Cell:
-    """What is known of mounts, plate, sensor and robot."""
-
-    bounds: Bounds
-    sensor: Sensor
-    workspace: Workspace
-    variances: Variances
-
-    @property
-    def middle(self) -> float:
-        """The middle of the sensor's range [m]."""
-        return 0.5 * (self.sensor.range_min + self.sensor.range_max)
-
-
 def _middle(cell: _Cell) -> Belief:
     """Return the belief about the middle of the bounds."""
     bounds, plate = cell.bounds, cell.bounds.plate
@@ -158,21 +160,22 @@ def _middle(cell: _Cell) -> Belief:
     at = Parameters(
         bounds.locations, bounds.directions, zero, plate.normal[None], np.array([offset])
     )
-    return bounds.belief(at, cell.variances, cell.sensor)
+    return belief_about(bounds, at, cell.variances, cell.sensor)
 
 
 def _motion(cell: _Cell, count: int | None, rng: np.random.Generator) -> Stations:
     """Return translations and turns that are safe for all mounts drawn, and determine them."""
-    mounts = [cell.bounds.draw(rng) for _ in range(MOUNTS)]
+    mounts = cell.bounds.draw(rng, MOUNTS)
     base = _facing(cell)
     first = _translations(cell, base, mounts)
     turns = _turns(cell, base, rng)
-    good = np.flatnonzero(cell.workspace.holds(turns))
+    good = np.flatnonzero(inside(cell.workspace, turns))
     good = good[safe_stations(mounts, picked(turns, good), cell.sensor).all(axis=0)]
     turns = picked(turns, good)
     number = LEAST_STATIONS if count is None else count
+    judged = [cell.bounds.draw(rng) for _ in range(JUDGED)]
     while len(good) >= number - len(first.plane):
-        chosen, known = _chosen(cell, mounts[:JUDGED], first, turns, number - len(first.plane))
+        chosen, known = _chosen(cell, judged, first, turns, number - len(first.plane))
         if known <= KNOWN:
             return joined([first, picked(turns, chosen)])
         if count is not None or number + MORE > MOST_BLIND:
@@ -191,7 +194,7 @@ def _chosen(
     """Return turns that leave the least of what is known worst, and that standard deviation."""
     rows, before = [], []
     for at in mounts:
-        belief = cell.bounds.belief(at, cell.variances, cell.sensor)
+        belief = belief_about(cell.bounds, at, cell.variances, cell.sensor)
         C = belief.covariance
         for one in outlook(belief, first).rows:
             C = updated(C, one)
@@ -208,7 +211,7 @@ def _chosen(
     return found.candidates, worst
 
 
-def _translations(cell: _Cell, base: FloatArray, mounts: list[Parameters]) -> Stations:
+def _translations(cell: _Cell, base: FloatArray, mounts: Parameters) -> Stations:
     """Return four positions that span space, as far apart as is safe at all mounts."""
     span = cell.sensor.range_max - cell.sensor.range_min
     n = cell.bounds.plate.normal
@@ -217,7 +220,7 @@ def _translations(cell: _Cell, base: FloatArray, mounts: list[Parameters]) -> St
         depth, move = 0.5 * span * share[0] * n, span * share[1] * across
         shift = TETRAHEDRON[:, :2] @ move + TETRAHEDRON[:, 2:] * depth
         stations = _about(cell, base, np.zeros((4, 3)), shift)
-        safe = cell.workspace.holds(stations).all()
+        safe = inside(cell.workspace, stations).all()
         if safe and safe_stations(mounts, stations, cell.sensor).all():
             return stations
     raise InputError(
@@ -265,14 +268,15 @@ def _facing(cell: _Cell) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(axis / size * angle).as_matrix() @ home)
 
 
-def safe_stations(mounts: list[Parameters], stations: Stations, sensor: Sensor) -> BoolArray:
-    """Tell at which stations all readings of each mount are within the sensor's limits, (K, M)."""
+def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> BoolArray:
+    """Tell at which stations all readings of each mount are within the sensor's limits, (K, M).
+
+    `mounts` are K draws from bounds: as many beams each, and a plane.
+    """
     R, t = stations.world_R_hand, stations.world_t_hand
-    v = np.stack([one.directions for one in mounts])
-    n = np.concatenate([one.normals for one in mounts])
-    b = np.concatenate([one.offsets for one in mounts])
-    r = np.stack([one.locations for one in mounts])
-    n_hand = (n @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(len(mounts), -1, 3)
+    n, b = mounts.normals, mounts.offsets
+    r, v = (one.reshape(len(n), -1, 3) for one in (mounts.locations, mounts.directions))
+    n_hand = (n @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(len(n), -1, 3)
     cosine = n_hand @ np.swapaxes(v, 1, 2)
     height = n_hand @ np.swapaxes(r, 1, 2) + (n @ t.T + b[:, None])[..., None]
     with np.errstate(all="ignore"):

@@ -13,15 +13,7 @@ from ..data.parameters import Parameters
 from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import InputError
-from ..model.sensor import Sensor
-from ..model.weighting import Variances
-from .belief import UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .plate import STEEPEST_TILT, Plate, directions, vectors
-
-UNIFORM = 1.0 / math.sqrt(3.0)
-"""Standard deviation of a uniform number over its half-width."""
-LEAST = 1e-9
-"""Standard deviation of what is known exactly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -64,42 +56,21 @@ class Bounds(Value):
         require_number("location_within", self.location_within, 0.0, LARGEST, unit="m")
         require_number("cone", self.cone, 0.0, STEEPEST_TILT, unit="rad")
 
-    def draw(self, rng: np.random.Generator) -> Parameters:
-        """Return beams and a plate within the bounds, without range errors."""
-        beams, plate = len(self.locations), self.plate
-        box = rng.uniform(-1.0, 1.0, (beams, 3)) * self.location_within
-        n = tilted(plate.normal[None], plate.tilt, rng)[0]
-        point = plate.point + rng.uniform(-1.0, 1.0) * plate.within * n
-        return Parameters(
-            self.locations + box,
-            tilted(self.directions, self.cone, rng),
-            np.zeros((beams, 2)),
-            n[None],
-            np.array([-n @ point]),
-        )
+    def draw(self, rng: np.random.Generator, count: int = 1) -> Parameters:
+        """Return beams and plates within the bounds, without range errors.
 
-    def belief(self, at: Parameters, variances: Variances, sensor: Sensor) -> Belief:
-        """Return what a calibration would start from about some beams and a plate: next to nothing.
-
-        It does not use the bounds; they are the `spread`.
+        The beams of one draw after those of the other, (count B), and one plane each, (count).
         """
-        k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), LEAST)])
-        box, plate = self.location_within * UNIFORM, self.plate
-        known = np.concatenate(([box] * 3, [0.5 * self.cone] * 2, k))
-        placed = [0.5 * plate.tilt, 0.5 * plate.tilt, UNIFORM * plate.within]
-        unknown = np.concatenate(([UNKNOWN_LENGTH] * 3, [UNKNOWN_ANGLE] * 2, k))
-        beams = len(self.locations)
-        spread = np.concatenate((np.tile(known, beams), placed))
-        sigma = np.concatenate((np.tile(unknown, beams), UNKNOWN_PLANE))
-        return Belief(
-            at,
-            np.diag(sigma**2),
-            model.tangent_basis(at.directions),
-            model.tangent_basis(at.normals),
-            plate.point[None],
-            variances,
-            ("plate",),
-            np.diag(np.maximum(spread, LEAST) ** 2),
+        beams, plate = count * len(self.locations), self.plate
+        box = rng.uniform(-1.0, 1.0, (beams, 3)) * self.location_within
+        n = tilted(np.tile(plate.normal, (count, 1)), plate.tilt, rng)
+        point = plate.point + rng.uniform(-1.0, 1.0, (count, 1)) * plate.within * n
+        return Parameters(
+            np.tile(self.locations, (count, 1)) + box,
+            tilted(np.tile(self.directions, (count, 1)), self.cone, rng),
+            np.zeros((beams, 2)),
+            n,
+            -(n * point).sum(axis=1),
         )
 
 

@@ -122,7 +122,8 @@ class _Search:
 
     def _gains(self, draw: int, candidates: IntArray) -> FloatArray:
         AC, A = self.AC[draw, candidates], self.rows[draw, candidates]
-        toward = AC @ (self.weight.T @ _root(self.C[draw], self.weight, self.criterion))
+        along = self.weight.T @ _root(self.C[draw], self.weight, self.criterion)
+        toward = (AC.reshape(-1, AC.shape[-1]) @ along).reshape(*AC.shape[:2], -1)
         S = self.identity + AC @ np.swapaxes(A, 1, 2)
         G = toward @ np.swapaxes(toward, 1, 2)
         if self.criterion == "D":
@@ -142,7 +143,8 @@ class _Search:
         V = self.AC[:, candidate].copy()
         S = self.identity + sign * (V @ np.swapaxes(self.rows[:, candidate], 1, 2))
         step = sign * np.linalg.solve(S, V)
-        self.AC -= (self.rows @ np.swapaxes(V, 1, 2)[:, None]) @ step[:, None]
+        flat = self.rows.reshape(len(self.rows), -1, self.rows.shape[-1])
+        self.AC -= ((flat @ np.swapaxes(V, 1, 2)) @ step).reshape(self.AC.shape)
         C = self.C - np.swapaxes(V, 1, 2) @ step
         self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
 

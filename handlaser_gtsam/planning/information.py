@@ -62,7 +62,7 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     readings = replace(readings, distance=d)
     J = _derivatives(belief, readings).reshape(count, beams, -1)
     how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
-    how = how.by_station(how.station, readings.beam, beams)
+    how = how.by_station(readings.station, readings.beam, beams)
     rows = (how.root @ J) / how.sigma
     spread = ((J @ belief.spread) * J).sum(axis=2)
     noise = np.linalg.inv(how.root @ how.root) * how.sigma**2
@@ -135,9 +135,7 @@ def _cosine_derivatives(belief: Belief, readings: Readings) -> FloatArray:
     return _placed(belief, readings, beam, plane)
 
 
-def _placed(
-    belief: Belief, readings: Readings, beam: FloatArray, plane: FloatArray
-) -> FloatArray:
+def _placed(belief: Belief, readings: Readings, beam: FloatArray, plane: FloatArray) -> FloatArray:
     """Return rows (N, U) from the columns of each reading's own beam (N, 7) and plane (N, 3)."""
     rows = np.zeros((len(readings), len(belief.covariance)))
     each = np.arange(len(readings))[:, None]

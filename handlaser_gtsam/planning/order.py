@@ -94,9 +94,7 @@ def _uncrossed(path: list[int], cost: FloatArray) -> IntArray:
             before = cost[order[i - 1], order[i]] + np.append(
                 cost[order[j[:-1]], order[j[:-1] + 1]], 0.0
             )
-            after = cost[order[i - 1], order[j]] + np.append(
-                cost[order[i], order[j[:-1] + 1]], 0.0
-            )
+            after = cost[order[i - 1], order[j]] + np.append(cost[order[i], order[j[:-1] + 1]], 0.0)
             best = int(np.argmin(after - before))
             if after[best] < before[best] - 1e-12:
                 order[i : j[best] + 1] = order[i : j[best] + 1][::-1]

@@ -1,7 +1,7 @@
 """Plan the next stations of a calibration."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,15 @@ DRAWS = 4
 """Draws of the belief over which the gain is averaged beside its mean."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is known, where the hand may go, and the names of the stations so far."""
+
+    belief: Belief
+    workspace: Workspace
+    taken: tuple[str, ...]
+
+
 def plan(
     calibration: Calibration | Mounts,
     stations: int,
@@ -41,9 +50,9 @@ def plan(
 ) -> Plan:
     """Choose the stations that determine the beams best, given what a calibration knows so far.
 
-    They lie before the planes of the calibration, which stand where they stood. With `plates` or a
-    `placement` these are gone, and the stations lie before the plates, or before the placements of the
-    plate in the orientations that tell most; the plate to be turned is the last one.
+    They lie before the planes of the calibration, which stand where they stood, and before `plates`.
+    With a `placement` all these are gone: the plate, that of the last of them, is put anew, in the
+    orientations that tell most.
 
     Parameters
     ----------
@@ -57,9 +66,10 @@ def plan(
         Around the stations so far, where not given.
     goal : Goal, optional
     plates : mapping of names to Plate, optional
+        Where plates stand of which nothing was read yet.
     placement : Placement, optional
     rng : numpy.random.Generator, optional
-        Draws the candidates; a fixed one where not given.
+        Draws the candidates.
 
     Raises
     ------
@@ -71,52 +81,50 @@ def plan(
     rng = np.random.default_rng(0) if rng is None else rng
     require_kind("sensor", sensor, Sensor)
     require_count("stations to plan", stations, 1, MOST_STATIONS)
-    task = _task(calibration, sensor, workspace)
-    put: Mapping[str, Plate] = {}
-    if plates is not None:
-        task = _Task(task.belief.before(plates, only=True), task.workspace, task.taken)
-    if not task.belief.plane_names:
-        raise InputError("no plane to plan stations before", "where a plate stands roughly")
+    task = _task(calibration, workspace, plates)
     if placement is not None:
-        put = _placements(task, placement, sensor, goal, stations, rng)
-        task = _Task(task.belief.before(put, only=True), task.workspace, task.taken)
+        plates = _placements(task, placement, sensor, goal, stations, rng)
+        task = replace(task, belief=task.belief.before(plates, only=True))
+    return _best(task, sensor, goal, stations, plates, rng)
+
+
+def _best(
+    task: _Task,
+    sensor: Sensor,
+    goal: Goal,
+    stations: int,
+    plates: Mapping[str, Plate] | None,
+    rng: np.random.Generator,
+) -> Plan:
+    """Return the plan of the best stations before all planes of a belief."""
+    belief, distance = task.belief, goal.distance(sensor)
     pool, rows = _pool(task, sensor, stations, rng)
-    weight = goal_rows(task.belief, goal, goal.distance(sensor))
-    chosen = choose(rows, task.belief.covariance, weight, stations, goal.criterion).candidates
-    forecast = forecast_of(task.belief, rows[0], chosen, goal.distance(sensor))
+    weight = goal_rows(belief, goal, distance)
+    chosen = choose(rows, belief.covariance, weight, stations, goal.criterion).candidates
+    forecast = forecast_of(belief, rows[0], chosen, distance)
     enough = forecast.reaches(goal) if goal.stated else None
     if enough is not None:
         chosen = chosen[: max(enough, 1)]
-        forecast = forecast_of(task.belief, rows[0], chosen, goal.distance(sensor))
-    return planned(
-        task.belief,
-        picked(pool, chosen),
-        goal,
-        task.workspace,
-        forecast,
-        task.taken,
-        plates=put or plates,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """What is known, where the hand may go, and the names of the stations so far."""
-
-    belief: Belief
-    workspace: Workspace
-    taken: tuple[str, ...]
+        forecast = forecast_of(belief, rows[0], chosen, distance)
+    found = picked(pool, chosen)
+    return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=plates)
 
 
 def _task(
-    calibration: Calibration | Mounts, sensor: Sensor, workspace: Workspace | None
+    calibration: Calibration | Mounts,
+    workspace: Workspace | None,
+    plates: Mapping[str, Plate] | None,
 ) -> _Task:
     recording = calibration.recording if isinstance(calibration, Calibration) else None
     if workspace is None:
         if recording is None:
-            raise InputError("no recording that shows the workspace", "a workspace")
+            raise InputError("no recording that shows the workspace", "a workspace: [workspace] in a rig file")
         workspace = workspace_of(recording)
     belief = belief_of(calibration)
+    if plates is not None:
+        belief = belief.before(plates)
+    if not belief.plane_names:
+        raise InputError("no plane to plan stations before", "where a plate stands roughly")
     return _Task(belief, workspace, () if recording is None else recording.station_names)
 
 

@@ -112,6 +112,32 @@ def standing(at: Parameters, plane: int, point: FloatArray) -> Plate:
     return Plate(point - (n @ point + b) * n, n)
 
 
+def plate_of(
+    normal: object,
+    offset: float,
+    near: FloatArray,
+    sigma: tuple[float | None, float | None] | None = None,
+) -> Plate:
+    """Return a plane n . x + b = 0 as a plate, about the foot of a point (3,) on it.
+
+    Parameters
+    ----------
+    normal : (3,)
+    offset : float
+        b [m].
+    near : (3,)
+    sigma : (float or None, float or None), optional
+        Standard deviations of b [m] and of the normal [rad]; None for what is not known, which counts
+        as for a plate that a person has put there.
+    """
+    n = directions("a normal", normal, 1)[0]
+    shift, turn = (None, None) if sigma is None else sigma
+    known = Plate(near - (n @ near + offset) * n, n)
+    within = known.within if shift is None else 2.0 * shift
+    tilt = known.tilt if turn is None else 2.0 * turn
+    return Plate(known.point, n, within, min(tilt, STEEPEST_TILT))
+
+
 def unused_names(taken: tuple[str, ...], count: int) -> list[str]:
     """Return names A, B, ... for planes that have none yet."""
     names = (plane_name(index) for index in range(count + len(taken)))

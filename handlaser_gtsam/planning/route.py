@@ -106,23 +106,21 @@ def planned(
     )
 
 
-def forecast_of(
-    belief: Belief, rows: FloatArray, chosen: IntArray, distance: float
-) -> Forecast:
+def forecast_of(belief: Belief, rows: FloatArray, chosen: IntArray, distance: float) -> Forecast:
     """Return what will be known after each of the chosen stations, given by their whitened rows."""
     C, found = belief.covariance, []
     for step in range(len(chosen) + 1):
         found.append((*beam_sigmas(belief, C), spot_radius(belief, C, distance)))
         if step < len(chosen):
             C = updated(C, rows[chosen[step]])
-    return Forecast(*np.array(found).T, distance)
+    location, direction, spot = np.array(found).T
+    return Forecast(location, direction, spot, distance)
 
 
 def beam_sigmas(belief: Belief, covariance: FloatArray) -> tuple[float, float]:
     """Return the largest sigmas over the beams of a coordinate [m] and along the tangent [rad]."""
     blocks = [
-        covariance[np.ix_(at, at)]
-        for at in (BEAM * i + np.arange(5) for i in range(belief.beams))
+        covariance[np.ix_(at, at)] for at in (BEAM * i + np.arange(5) for i in range(belief.beams))
     ]
     location = max(float(np.sqrt(np.diagonal(C)[:3].max())) for C in blocks)
     direction = max(float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1])) for C in blocks)

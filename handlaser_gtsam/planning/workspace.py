@@ -31,6 +31,8 @@ LEAST_TURN = math.radians(20.0)
 """Hands that have not turned may turn so far all the same."""
 LEAST_ROOM = 1e-3
 """Hands that have not moved may move so far [m]."""
+ROUNDING = 1e-9
+"""Of a turn [rad]."""
 TRIES = 40
 """Rounds of as many poses as are wanted, before giving up."""
 LEAST_CANDIDATES = 10
@@ -78,12 +80,13 @@ class Workspace(Value):
         if self.largest_step != math.inf:  # which says that there is no limit
             require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")
 
-    def holds(self, stations: Stations) -> BoolArray:
-        """Tell which stations (M,) lie within."""
-        t = stations.world_t_hand
-        turn = Rotation.from_matrix(self.home.T @ stations.world_R_hand).magnitude()
-        inside = ((t >= self.low) & (t <= self.high)).all(axis=1)
-        return inside & (turn <= self.largest_turn + 1e-9)
+
+def inside(workspace: Workspace, stations: Stations) -> BoolArray:
+    """Tell which stations (M,) lie within a workspace."""
+    t = stations.world_t_hand
+    turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
+    within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
+    return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
 
 
 def workspace_of(recording: Recording) -> Workspace:
@@ -114,7 +117,7 @@ def candidates(
     kept: list[Stations] = []
     for _ in range(TRIES):
         tried = _drawn(belief, plane, workspace, sensor, count, rng)
-        good = np.flatnonzero(workspace.holds(tried))
+        good = np.flatnonzero(inside(workspace, tried))
         if good.size:
             tried = picked(tried, good)
             kept.append(picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor))))
@@ -152,9 +155,7 @@ def safe(ahead: Outlook, sensor: Sensor) -> BoolArray:
 
 def picked(stations: Stations, rows: IntArray) -> Stations:
     """Return some of the stations."""
-    return Stations(
-        stations.world_R_hand[rows], stations.world_t_hand[rows], stations.plane[rows]
-    )
+    return Stations(stations.world_R_hand[rows], stations.world_t_hand[rows], stations.plane[rows])
 
 
 def joined(parts: Sequence[Stations]) -> Stations:
