@@ -34,6 +34,8 @@ from .workspace import STEEPEST, Workspace, inside, joined, picked, require_rang
 
 MOUNTS = 2000
 """Mounts drawn from the bounds: no station leaves the sensor's limits at any of them."""
+FEW = 50
+"""Of them, at which every turn is tried first."""
 JUDGED = 4
 """Mounts at which stations are compared by what they tell."""
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
@@ -50,6 +52,8 @@ MORE = 4
 KNOWN = 0.05
 """Largest standard deviation after a first motion: of a direction [rad], and of a location as a part
 of the middle of the sensor's range. A calibration calls undetermined what is known half as well."""
+BARELY_KNOWN = 0.08
+"""The same where the number of stations is given."""
 LEAST_SINE = 1e-12
 """Of the angle between beams and normal: below, they are parallel."""
 PART_OF_RANGE = 1e-3
@@ -169,14 +173,15 @@ def _motion(cell: _Cell, count: int | None, rng: np.random.Generator) -> Station
     base = _facing(cell)
     first = _translations(cell, base, mounts)
     turns = _turns(cell, base, rng)
-    good = np.flatnonzero(inside(cell.workspace, turns))
-    good = good[safe_stations(mounts, picked(turns, good), cell.sensor).all(axis=0)]
-    turns = picked(turns, good)
+    turns = picked(turns, np.flatnonzero(inside(cell.workspace, turns)))
+    for some in (cell.bounds.draw(rng, FEW), mounts):  # most turns fail at a few mounts already
+        safe = safe_stations(some, turns, cell.sensor).all(axis=0)
+        turns = picked(turns, np.flatnonzero(safe))
     number = LEAST_STATIONS if count is None else count
     judged = [cell.bounds.draw(rng) for _ in range(JUDGED)]
-    while len(good) >= number - len(first.plane):
+    while len(turns.plane) >= number - len(first.plane):
         chosen, known = _chosen(cell, judged, first, turns, number - len(first.plane))
-        if known <= KNOWN:
+        if known <= (KNOWN if count is None else BARELY_KNOWN):
             return joined([first, picked(turns, chosen)])
         if count is not None or number + MORE > MOST_BLIND:
             break

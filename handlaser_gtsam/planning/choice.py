@@ -56,6 +56,7 @@ def choose(
     criterion: Criterion = "A",
     *,
     exchange: bool = True,
+    start: IntArray | None = None,
 ) -> Chosen:
     """Choose stations among candidates.
 
@@ -74,10 +75,12 @@ def choose(
         "A" and "spot" differ by `weight` only.
     exchange : bool
         Whether to exchange stations afterwards.
+    start : (count,), optional
+        Candidates to start the exchange from, instead of those that greedy choice takes.
     """
     search = _Search(rows, covariance, weight, criterion)
-    for _ in range(min(count, rows.shape[1])):
-        search.take(search.best())
+    for step in range(min(count, rows.shape[1])):
+        search.take(search.best() if start is None else int(start[step]))
     for _ in range(PASSES if exchange else 0):
         before = search.value()
         for place in range(len(search.chosen)):

@@ -31,6 +31,8 @@ LEAST_TURN = math.radians(20.0)
 """Hands that have not turned may turn so far all the same."""
 LEAST_ROOM = 1e-3
 """Hands that have not moved may move so far [m]."""
+ENDS = 0.4
+"""Both exponents of the beta distribution of where in the range candidates read: below one, the ends."""
 ROUNDING = 1e-9
 """Of a turn [rad]."""
 TRIES = 40
@@ -177,7 +179,8 @@ def _drawn(
 ) -> Stations:
     """Return random stations of the workspace, moved along the normal until the beams can read."""
     axis = model.normalized(rng.standard_normal((count, 3)))
-    angle = workspace.largest_turn * np.cbrt(rng.uniform(size=count))
+    # Stations that tell most turn far, and read near an end of the range.
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / 9.0)
     R = workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
     t = rng.uniform(workspace.low, workspace.high, (count, 3))
     n, b = belief.mean.normals[plane], belief.mean.offsets[plane]
@@ -193,6 +196,6 @@ def _drawn(
     nearest = ((low - s) * cosine).max(axis=1)
     farthest = ((high - s) * cosine).min(axis=1)
     fits = np.flatnonzero(farthest > nearest)
-    share = rng.uniform(size=len(fits))
+    share = rng.beta(ENDS, ENDS, size=len(fits))
     back = nearest[fits] + share * (farthest - nearest)[fits]
     return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(fits), plane))
