@@ -102,7 +102,7 @@ class _Search:
     ) -> None:
         self.rows, self.weight, self.criterion = rows, weight, criterion
         self.C = np.broadcast_to(covariance, (len(rows), *covariance.shape[-2:])).copy()
-        self.AC = rows @ self.C[:, None]
+        self.AC = rows[0] @ self.C[0]  # at the mean; at draws only the best are looked at
         self.chosen: list[int] = []
         self.identity = np.eye(rows.shape[2])
 
@@ -124,7 +124,8 @@ class _Search:
         return int(short[total.argmax()])
 
     def _gains(self, draw: int, candidates: IntArray) -> FloatArray:
-        AC, A = self.AC[draw, candidates], self.rows[draw, candidates]
+        A = self.rows[draw, candidates]
+        AC = A @ self.C[draw] if draw else self.AC[candidates]
         along = self.weight.T @ _root(self.C[draw], self.weight, self.criterion)
         toward = (AC.reshape(-1, AC.shape[-1]) @ along).reshape(*AC.shape[:2], -1)
         S = self.identity + AC @ np.swapaxes(A, 1, 2)
@@ -143,11 +144,12 @@ class _Search:
         self._update(self.chosen.pop(place), -1.0)
 
     def _update(self, candidate: int, sign: float) -> None:
-        V = self.AC[:, candidate].copy()
-        S = self.identity + sign * (V @ np.swapaxes(self.rows[:, candidate], 1, 2))
+        A = self.rows[:, candidate]
+        V = A @ self.C
+        S = self.identity + sign * (V @ np.swapaxes(A, 1, 2))
         step = sign * np.linalg.solve(S, V)
-        flat = self.rows.reshape(len(self.rows), -1, self.rows.shape[-1])
-        self.AC -= ((flat @ np.swapaxes(V, 1, 2)) @ step).reshape(self.AC.shape)
+        flat = self.rows[0].reshape(-1, self.rows.shape[-1])
+        self.AC -= ((flat @ V[0].T) @ step[0]).reshape(self.AC.shape)
         C = self.C - np.swapaxes(V, 1, 2) @ step
         self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
 

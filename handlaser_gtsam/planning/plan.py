@@ -17,6 +17,7 @@ from .choice import choose
 from .goal import Goal
 from .information import outlook
 from .plate import Placement, Plate, standing
+from .refine import refined
 from .route import Plan, forecast_of, goal_rows, planned
 from .turning import placed
 from .workspace import Workspace, candidates, joined, picked, workspace_of
@@ -100,13 +101,23 @@ def _best(
     belief, distance = task.belief, goal.distance(sensor)
     pool, rows = _pool(task, sensor, stations, rng)
     weight = goal_rows(belief, goal, distance)
-    chosen = choose(rows, belief.covariance, weight, stations, goal.criterion).candidates
-    forecast = forecast_of(belief, rows[0], chosen, distance)
+    count = stations
+    if goal.stated:  # how many are enough, before these are chosen with more care
+        quick = choose(
+            rows[:1], belief.covariance, weight, stations, goal.criterion, exchange=False
+        ).candidates
+        enough = forecast_of(belief, rows[0], quick, distance).reaches(goal)
+        count = stations if enough is None else max(enough, 1)
+    chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
+    found = refined(
+        belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng
+    )
+    every = np.arange(count)
+    forecast = forecast_of(belief, outlook(belief, found).rows, every, distance)
     enough = forecast.reaches(goal) if goal.stated else None
     if enough is not None:
-        chosen = chosen[: max(enough, 1)]
-        forecast = forecast_of(belief, rows[0], chosen, distance)
-    found = picked(pool, chosen)
+        found = picked(found, every[: max(enough, 1)])
+        forecast = forecast.part(max(enough, 1))
     return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=plates)
 
 
