@@ -65,17 +65,13 @@ class Cell:
         named = zip(PLANES, self.plates, strict=False)
         return {name: one for name, one in named if name not in recording.plane_names}
 
-    def measured(
-        self, plan: hl.Plan, rng: np.random.Generator, first: int = 0
-    ) -> hl.Recording:
+    def measured(self, plan: hl.Plan, rng: np.random.Generator, first: int = 0) -> hl.Recording:
         """Return what the sensors read at the stations of a plan, named from `first` on."""
         stations = plan.stations
         names = stations.station_names
         rows = [j for j, name in enumerate(names) if not name.startswith(VIA)]
         index = [PLANES.index(stations.plane_labels[j]) for j in rows]
-        poses = Stations(
-            stations.world_R_hand[rows], stations.world_t_hand[rows], np.array(index)
-        )
+        poses = Stations(stations.world_R_hand[rows], stations.world_t_hand[rows], np.array(index))
         seen = sorted(set(index))
         truth = replace(
             self.truth,

@@ -147,3 +147,14 @@ def test_faults_of_the_tables(tmp_path, text, words):
     with pytest.raises(hl.InputError, match="rig.toml") as caught:
         hl.read_rig(path)
     assert words in str(caught.value)
+
+
+def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
+    for verb in ("check", "calibrate"):
+        code, text, err = handlaser(verb, RECORDING, "--rig", rig)
+        assert (code, err) == (0, "")
+        assert "next best stations" in text
+        assert text.count("before plane") == 3
+        assert len(text.splitlines()) <= 30
+    assert "next best" not in handlaser("calibrate", RECORDING)[1]  # no range of the sensor
+    assert "next best" not in handlaser("calibrate", RECORDING, "--rig", rig, "-q")[1]

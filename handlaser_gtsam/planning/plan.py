@@ -109,9 +109,7 @@ def _best(
         enough = forecast_of(belief, rows[0], quick, distance).reaches(goal)
         count = stations if enough is None else max(enough, 1)
     chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
-    found = refined(
-        belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng
-    )
+    found = refined(belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng)
     every = np.arange(count)
     forecast = forecast_of(belief, outlook(belief, found).rows, every, distance)
     enough = forecast.reaches(goal) if goal.stated else None
@@ -129,7 +127,9 @@ def _task(
     recording = calibration.recording if isinstance(calibration, Calibration) else None
     if workspace is None:
         if recording is None:
-            raise InputError("no recording that shows the workspace", "a workspace: [workspace] in a rig file")
+            raise InputError(
+                "no recording that shows the workspace", "a workspace: [workspace] in a rig file"
+            )
         workspace = workspace_of(recording)
     belief = belief_of(calibration)
     if plates is not None:
