@@ -39,7 +39,7 @@ session.add(recording)
 taken = len(recording.station_names)
 print(f"first motion: {taken} stations, safe for {motion.safe:.1%} of the mounts")
 
-for turn in range(10):
+for _ in range(10):
     calibration = session.calibration()
     beams = calibration.beams.values()
     location = max(float(beam.sigma[:3].max()) for beam in beams)

@@ -144,7 +144,7 @@ def test_an_input_is_not_replaced(handlaser, rig):
 def test_faults_of_the_tables(tmp_path, text, words):
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    with pytest.raises(hl.InputError, match="rig.toml") as caught:
+    with pytest.raises(hl.InputError, match=r"rig\.toml") as caught:
         hl.read_rig(path)
     assert words in str(caught.value)
 

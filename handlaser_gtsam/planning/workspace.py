@@ -32,7 +32,7 @@ LEAST_TURN = math.radians(20.0)
 LEAST_ROOM = 1e-3
 """Hands that have not moved may move so far [m]."""
 ENDS = 0.4
-"""Both exponents of the beta distribution of where in the range candidates read: below one, the ends."""
+"""Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
 ROUNDING = 1e-9
 """Of a turn [rad]."""
 TRIES = 40
