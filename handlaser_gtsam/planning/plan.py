@@ -51,32 +51,28 @@ def plan(
 ) -> Plan:
     """Choose the stations that determine the beams best, given what a calibration knows so far.
 
-    They lie before the planes of the calibration, which stand where they stood, and before `plates`.
-    With a `placement` all these are gone: the plate, that of the last of them, is put anew, in the
-    orientations that tell most.
+    They lie before the planes of the calibration, which stand where they stood, and before `plates`;
+    with a `placement` before the last of these planes only, put anew as tells most.
 
     Parameters
     ----------
     calibration : Calibration or Mounts
-        So far, with a covariance. Mounts know no planes: `plates` says where there are some.
+        Mounts know no planes: `plates` says where there are some.
     stations : int
-        How many at most; fewer where fewer reach what the goal states.
+        At most; fewer where fewer reach what the goal states.
     sensor : Sensor
-        Its range is needed.
     workspace : Workspace, optional
         Around the stations so far, where not given.
     goal : Goal, optional
     plates : mapping of names to Plate, optional
-        Where plates stand of which nothing was read yet.
+        Of which nothing was read yet.
     placement : Placement, optional
     rng : numpy.random.Generator, optional
-        Draws the candidates.
 
     Raises
     ------
     InputError
-        The calibration has no covariance, it is not known where a plane or the workspace is, the
-        sensor's range is not stated, or no station is safe.
+        No covariance, plane, workspace or sensor's range is known, or no station is safe.
     """
     goal = Goal() if goal is None else goal
     rng = np.random.default_rng(0) if rng is None else rng

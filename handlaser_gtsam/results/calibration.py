@@ -169,6 +169,8 @@ class Calibration(Value):
     def summary(self, limits: "Limits | None" = None, reading: float | None = None) -> str:
         """Return what `handlaser calibrate` prints: the verdict first, 30 lines of 100 columns.
 
+        But for the next best stations, which `hl.plan` chooses.
+
         Parameters
         ----------
         limits : Limits, optional
