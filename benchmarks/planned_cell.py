@@ -2,8 +2,8 @@
 
 Four beams and four planes as in `scenes.paper`, with its errors. Before any reading the mounts are
 known to within 3.1 mm and 17 degrees, and the planes to within 2 mm and 2 degrees. The hand's origin
-may move by 10 cm along each axis, and turn by 40 degrees to any side; beams meet the planes at 60
-degrees or steeper.
+may move by 10 cm along each axis, and turn by 45 degrees to any side, which is how far the incidences
+of the paper's own motion go; beams meet the planes at 60 degrees of incidence at most.
 """
 
 import math
@@ -23,7 +23,7 @@ BASE = np.array([0.6, 0.1, 0.4])
 CIRCLE = 0.015
 """Radius on which the beams start [m]."""
 SENSOR = hl.Sensor(0.0, 0.030, math.radians(60.0))
-LARGEST_TURN = math.radians(40.0)
+LARGEST_TURN = math.radians(45.0)
 WITHIN, TILT = 0.002, math.radians(2.0)
 """How well a plane is known before any reading [m], [rad]."""
 ROOM = 0.1
