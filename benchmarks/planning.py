@@ -14,8 +14,8 @@ and at how many all readings are within the range.
 `loop`: a robot that errs less, its first motion, and then plan, measure, update in turns of 4 stations
 until 95 % intervals of all coordinates are within 0.1 mm and 0.1 deg; random stations beside it.
 
-`speed`: greedy choice of 44 stations from 1,200 candidates, 4 beams and 4 planes, at the estimate and at 4
-draws of the posterior; CPU time, best of five.
+`speed`: greedy choice of 44 stations from 1,200 candidates, 4 beams and 4 planes, at the estimate and
+at 4 draws of the posterior; CPU time, best of five.
 
 What misses a limit is named at the end of a line.
 """

@@ -211,7 +211,7 @@ def test_planned_stations_beat_random_ones(belief, pool):
 
 
 def test_the_choice_is_quick():
-    """44 of 1,200 candidates with 4 beams and 4 planes, at the mean and 4 draws: a second of CPU time."""
+    """44 of 1,200 candidates, 4 beams and 4 planes, at the mean and 4 draws: a second of CPU time."""
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((5, 1200, 4, 40))
     weight = np.eye(40)[:20]
@@ -304,6 +304,17 @@ def test_a_calibration_without_a_covariance_is_no_guide(recorded):
     few = hl.calibrate(recording.part([0, 1, 2]), NOISE, RANGE_ERRORS)
     with pytest.raises(hl.InputError, match="plan without a calibration"):
         hl.plan(few, 5, SENSOR, WORKSPACE)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("a file", 5, SENSOR), (None, 5, SENSOR), (None, 0, SENSOR), (None, 5, "sensor")],
+)
+def test_what_is_no_basis_is_refused_in_one_line(recorded, arguments):
+    calibration = recorded[2] if arguments[1:] != (5, SENSOR) else arguments[0]
+    with pytest.raises(hl.InputError) as caught:
+        hl.plan(calibration, *arguments[1:])
+    assert "\n" not in str(caught.value)
 
 
 def test_a_sensor_without_a_range_is_no_basis(recorded):

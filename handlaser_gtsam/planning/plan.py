@@ -120,6 +120,10 @@ def _task(
     workspace: Workspace | None,
     plates: Mapping[str, Plate] | None,
 ) -> _Task:
+    if not isinstance(calibration, Mounts):
+        require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
+    if workspace is not None:
+        require_kind("workspace", workspace, Workspace)
     recording = calibration.recording if isinstance(calibration, Calibration) else None
     if workspace is None:
         if recording is None:
