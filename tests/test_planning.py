@@ -322,6 +322,17 @@ def test_a_sensor_without_a_range_is_no_basis(recorded):
         hl.plan(recorded[2], 5, hl.Sensor(), WORKSPACE)
 
 
+def test_planes_out_of_reach_are_passed_over(recorded):
+    _, _, first = recorded
+    n, b = first.planes["A"].normal, first.planes["A"].offset
+    foot = np.array([0.6, 0.1, 0.4])
+    foot = foot - (n @ foot + b) * n
+    far = {"far": hl.Plate(foot + 5.0 * n, n)}
+    plan = hl.plan(first, 4, SENSOR, WORKSPACE, plates=far)
+    assert set(plan.stations.plane_labels) <= {"A", "B"}
+    assert not plan.plates  # a person need not put what stands
+
+
 def test_a_workspace_out_of_reach_is_said(recorded):
     far = hl.Workspace([2.0, 2.0, 2.0], [2.1, 2.1, 2.1], np.eye(3))
     with pytest.raises(hl.InputError, match="no station before plane A"):

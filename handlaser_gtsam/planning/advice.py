@@ -12,14 +12,12 @@ from .choice import choose
 from .goal import Goal
 from .information import outlook
 from .route import Plan, forecast_of, goal_rows, planned
-from .workspace import Workspace, candidates, joined, picked, workspace_of
+from .workspace import Workspace, picked, reachable, workspace_of
 
 FEW = 3
 """Stations that are named."""
 TRIED = 240
 """Candidates of all planes together."""
-MOST_PLANES = 12
-"""The last of the planes; the plate of earlier ones may be gone."""
 MOST_BEAMS = 16
 """With more, a plan takes longer than a word of advice may."""
 
@@ -43,9 +41,7 @@ def next_stations(
     workspace = workspace_of(recording) if workspace is None else workspace
     try:
         belief = belief_of(calibration)
-        planes = range(len(belief.plane_names))[-MOST_PLANES:]
-        share = TRIED // len(planes)
-        pool = joined([candidates(belief, p, workspace, sensor, share, rng)[0] for p in planes])
+        pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
         rows = outlook(belief, pool).rows
         distance = goal.distance(sensor)
         weight = goal_rows(belief, goal, distance)

@@ -23,6 +23,8 @@ UNKNOWN_LENGTH, UNKNOWN_ANGLE = 0.1, 0.5
 """Standard deviations of what the readings alone have to determine [m], [rad]: so large that they
 tell nothing, so small that rounding does not matter."""
 UNKNOWN_PLANE = (UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH)
+MOST_PLANES = 16
+"""Of a calibration, before which stations are planned."""
 UNIFORM = 1.0 / math.sqrt(3.0)
 """Standard deviation of a uniform number over its half-width."""
 LEAST = 1e-9
@@ -147,7 +149,8 @@ def _extended(covariance: FloatArray, sigma: FloatArray) -> FloatArray:
 def belief_of(calibration: Calibration | Mounts) -> Belief:
     """Return what a calibration knows of beams and planes, and the noise it found or was given.
 
-    Mounts know no planes.
+    Of the last `MOST_PLANES` planes: the plate of earlier ones has hardly stayed where it was. Mounts
+    know no planes.
 
     Raises
     ------
@@ -162,17 +165,20 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
             f"a calibration that is {calibration.status.replace('_', ' ')}",
             "a converged one; plan without a calibration for a first motion",
         )
-    keep = _kept(joint.terms, len(joint.plane_names))
-    covariance = np.zeros((BEAM * len(joint.terms) + PLANE * len(joint.plane_names),) * 2)
-    covariance[np.ix_(keep, keep)] = joint.matrix(ambient=False)
+    names = joint.plane_names[-MOST_PLANES:]
+    keep = _kept(joint.terms, len(names))
+    covariance = np.zeros((BEAM * len(joint.terms) + PLANE * len(names),) * 2)
+    covariance[np.ix_(keep, keep)] = joint.matrix(planes=names, ambient=False)
+    at = calibration.parameters()
+    last = slice(len(joint.plane_names) - len(names), None)
     return Belief(
-        calibration.parameters(),
+        replace(at, normals=at.normals[last], offsets=at.offsets[last]),
         covariance,
         joint.beam_bases,
-        joint.plane_bases,
-        joint.origins,
+        joint.plane_bases[last],
+        joint.origins[last],
         _noise(calibration),
-        joint.plane_names,
+        names,
         covariance,
     )
 

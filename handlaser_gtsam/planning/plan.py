@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_count, require_kind
-from ..errors import InputError
+from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
@@ -20,7 +20,7 @@ from .plate import Placement, Plate, standing
 from .refine import refined
 from .route import Plan, forecast_of, goal_rows, planned
 from .turning import placed
-from .workspace import Workspace, candidates, joined, picked, workspace_of
+from .workspace import Workspace, picked, reachable, workspace_of
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
@@ -79,10 +79,10 @@ def plan(
     require_kind("sensor", sensor, Sensor)
     require_count("stations to plan", stations, 1, MOST_STATIONS)
     task = _task(calibration, workspace, plates)
-    if placement is not None:
-        plates = _placements(task, placement, sensor, goal, stations, rng)
-        task = replace(task, belief=task.belief.before(plates, only=True))
-    return _best(task, sensor, goal, stations, plates, rng)
+    put = _placements(task, placement, sensor, goal, stations, rng)
+    if put:
+        task = replace(task, belief=task.belief.before(put, only=True))
+    return _best(task, sensor, goal, stations, put, rng)
 
 
 def _best(
@@ -90,7 +90,7 @@ def _best(
     sensor: Sensor,
     goal: Goal,
     stations: int,
-    plates: Mapping[str, Plate] | None,
+    put: Mapping[str, Plate],
     rng: np.random.Generator,
 ) -> Plan:
     """Return the plan of the best stations before all planes of a belief."""
@@ -112,7 +112,7 @@ def _best(
     if enough is not None:
         found = picked(found, every[: max(enough, 1)])
         forecast = forecast.part(max(enough, 1))
-    return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=plates)
+    return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=put)
 
 
 def _task(
@@ -141,12 +141,15 @@ def _task(
 
 def _placements(
     task: _Task,
-    placement: Placement,
+    placement: Placement | None,
     sensor: Sensor,
     goal: Goal,
     stations: int,
     rng: np.random.Generator,
 ) -> Mapping[str, Plate]:
+    """Return where the last plate is to be put; nothing where it is not."""
+    if placement is None:
+        return {}
     last = len(task.belief.plane_names) - 1
     plate = standing(task.belief.mean, last, task.belief.origins[last])
     share = max(stations // placement.count, 1)
@@ -158,8 +161,12 @@ def _pool(
 ) -> tuple[Stations, FloatArray]:
     """Return the candidates before all planes, and their rows at the mean and at draws."""
     belief = task.belief
-    planes = range(len(belief.plane_names))
-    share = max(POOL // len(planes), 2 * count)
-    pool = joined([candidates(belief, p, task.workspace, sensor, share, rng)[0] for p in planes])
-    drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(DRAWS))]
-    return pool, np.stack([outlook(one, pool).rows for one in drawn])
+    share = max(POOL // len(belief.plane_names), 2 * count)
+    pool = reachable(belief, task.workspace, sensor, share, rng)
+    rows = [outlook(belief, pool).rows]
+    for _ in range(DRAWS):
+        try:
+            rows.append(outlook(belief.about(belief.draw(rng)), pool).rows)
+        except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
+            continue
+    return pool, np.stack(rows)

@@ -135,6 +135,27 @@ def candidates(
     return found, outlook(belief, found)
 
 
+def reachable(
+    belief: Belief, workspace: Workspace, sensor: Sensor, count: int, rng: np.random.Generator
+) -> Stations:
+    """Return up to `count` safe stations before each plane; some planes may be out of reach.
+
+    Raises
+    ------
+    InputError
+        The sensor's range is not stated, or all planes are out of reach.
+    """
+    found, refusal = [], None
+    for plane in range(len(belief.plane_names)):
+        try:
+            found.append(candidates(belief, plane, workspace, sensor, count, rng)[0])
+        except InputError as error:
+            refusal = refusal or error
+    if refusal is not None and not found:
+        raise refusal
+    return joined(found)
+
+
 def require_range(sensor: Sensor) -> None:
     """Refuse a sensor whose range is not stated.
 
