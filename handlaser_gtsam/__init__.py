@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .data.recording import Recording as Recording
     from .data.recording import join as join
     from .data.recording_checks import HasMatrix as HasMatrix
+    from .data.station_list import StationList as StationList
     from .errors import CalibrationWarning as CalibrationWarning
     from .errors import GrazingBeamError as GrazingBeamError
     from .errors import HandlaserError as HandlaserError
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
+    from .files.stations_csv import read_stations as read_stations
+    from .files.stations_csv import write_stations as write_stations
     from .files.study_folder import StudyFolder as StudyFolder
     from .files.study_picture import write_study_picture as write_study_picture
     from .files.study_toml import DeclaredStudy as DeclaredStudy
@@ -58,6 +61,15 @@ if TYPE_CHECKING:
     from .observability.rank import ObservabilityOptions as ObservabilityOptions
     from .observability.wording import OpenPart as OpenPart
     from .pipeline import calibrate as calibrate
+    from .planning.blind import blind_motion as blind_motion
+    from .planning.bounds import Bounds as Bounds
+    from .planning.goal import Forecast as Forecast
+    from .planning.goal import Goal as Goal
+    from .planning.plan import plan as plan
+    from .planning.plate import Placement as Placement
+    from .planning.plate import Plate as Plate
+    from .planning.route import Plan as Plan
+    from .planning.workspace import Workspace as Workspace
     from .results.calibration import Calibration as Calibration
     from .results.calibration_data import Coordinate as Coordinate
     from .results.calibration_data import Correlation as Correlation
@@ -126,6 +138,7 @@ _NAMES = {
     "data.readings": "Readings",
     "data.recording": "Recording join",
     "data.recording_checks": "HasMatrix",
+    "data.station_list": "StationList",
     "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError SolverError",
     "estimation.information": "NoiseSet",
     "estimation.learned": "LearnedScales",
@@ -140,6 +153,7 @@ _NAMES = {
     "files.study_folder": "StudyFolder",
     "files.study_picture": "write_study_picture",
     "files.study_toml": "DeclaredStudy read_study",
+    "files.stations_csv": "read_stations write_stations",
     "keys": "BeamKeys",
     "model.joint": "JointCovariance",
     "model.losses": "Loss",
@@ -148,6 +162,13 @@ _NAMES = {
     "observability.rank": "Indices ObservabilityOptions",
     "observability.wording": "OpenPart",
     "pipeline": "calibrate",
+    "planning.blind": "blind_motion",
+    "planning.bounds": "Bounds",
+    "planning.goal": "Forecast Goal",
+    "planning.plan": "plan",
+    "planning.plate": "Placement Plate",
+    "planning.route": "Plan",
+    "planning.workspace": "Workspace",
     "results.calibration": "Calibration",
     "results.calibration_data": "Coordinate Correlation",
     "results.from_graph": "read_graph",

@@ -16,6 +16,7 @@ from .working import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..planning.route import Plan
     from ..results.calibration import Calibration
     from ..results.verdict import Verdict
     from ..validation.cross_check import CrossCheck
@@ -108,6 +109,7 @@ class _Outcome:
     verdict: "Verdict"
     check: "CrossCheck | None"
     fed: "PlaneByPlane | None"
+    advice: "Plan | None"
 
 
 def calibrate(
@@ -137,6 +139,7 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
     from ..files.calibration_json import calibration_text
     from ..files.recording_csv import read_recording
     from ..files.writing import write_text
+    from ..planning.advice import next_stations
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
@@ -159,10 +162,14 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
     if manner.cross_check and result.status == "converged":
         check = checking.cross_check(result, recording)
     judged = verdict(result, recording, rig.limits, reading)
-    return _Outcome(result, recording, text, judged, check, fed)
+    advice = None
+    if not (output.json_ or output.quiet):
+        advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
+    return _Outcome(result, recording, text, judged, check, fed, advice)
 
 
 def _show(outcome: _Outcome, output: Output) -> None:
+    from ..planning.advice import advice_lines
     from ..results.lines import WIDTH, wrapped
     from ..results.screen import screen_lines
     from ..text import printable
@@ -171,6 +178,8 @@ def _show(outcome: _Outcome, output: Output) -> None:
 
     result, fed = outcome.result, outcome.fed
     closing = [] if outcome.check is None else wrapped(cross_check_line(outcome.check), 2)
+    for line in [] if outcome.advice is None else advice_lines(outcome.advice):
+        closing += wrapped(line)
     closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)

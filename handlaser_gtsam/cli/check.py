@@ -1,24 +1,36 @@
 """handlaser check: what the motion of a recording can determine, before anything is solved."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from .answer import UNDETERMINED, Answer
 from .options import JsonOption, RecordingArgument
 from .working import Working
 
+if TYPE_CHECKING:
+    from ..data.recording import Recording
 
-def check(recording: RecordingArgument, json_: JsonOption = False) -> None:
+
+RigOption = Annotated[
+    Path | None,
+    typer.Option(help="Rig file, TOML; with the sensor's range, the next best stations are named."),
+]
+
+
+def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
     Exit codes: 0 the motion determines everything, for beams and planes in general position; 2 bad
     input; 3 it leaves something open.
     """
     with Working():
-        answer = _checked(recording)
+        answer = _checked(recording, None if json_ else rig)
     answer.give(json=json_)
 
 
-def _checked(path: Path) -> Answer:
+def _checked(path: Path, rig: Path | None) -> Answer:
     from ..files.calibration_json import check_text
     from ..files.recording_csv import read_recording
     from ..observability.motion import check_motion, lemma_words
@@ -33,5 +45,20 @@ def _checked(path: Path) -> Answer:
         failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
     else:
         lines.append("the motion determines everything, for beams and planes in general position")
+        lines += [] if rig is None else _next(recording, rig)
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     return Answer(check_text(found), lambda: print("\n".join(lines)), warnings, failure)
+
+
+def _next(recording: "Recording", path: Path) -> list[str]:
+    """Return the next best stations in words, after a calibration; nothing where there is none."""
+    from ..estimation.options import CalibrationOptions
+    from ..files.rig_toml import read_rig
+    from ..pipeline import calibrate
+    from ..planning.advice import advice_lines, next_stations
+    from ..results.lines import wrapped
+
+    rig = read_rig(path)
+    found = calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
+    plan = next_stations(found, rig.sensor, rig.workspace, rig.goal)
+    return [] if plan is None else [part for line in advice_lines(plan) for part in wrapped(line)]

@@ -6,6 +6,7 @@ from .._version import __version__
 from .calibrate import calibrate
 from .check import check
 from .options import expanded
+from .plan import plan
 from .simulate import simulate
 from .study import study
 from .validate import validate
@@ -19,7 +20,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, simulate, study, validate):
+for verb in (calibrate, check, plan, simulate, study, validate):
     app.command()(expanded(verb))
 
 

@@ -91,7 +91,7 @@ def check_recording(recording: "Recording") -> None:
     for one in recording.warnings:
         require_kind("a warning", one, CalibrationWarning)
     _check_shapes(recording)
-    _check_poses(recording)
+    check_poses(recording.world_R_hand, recording.world_t_hand, recording.station_names)
     _check_readings(recording)
     _check_names(recording)
 
@@ -113,8 +113,13 @@ def _check_shapes(recording: "Recording") -> None:
         raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
 
 
-def _check_poses(recording: "Recording") -> None:
-    R, t, name = recording.world_R_hand, recording.world_t_hand, recording.station_names
+def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
+    """Refuse rotations (M, 3, 3) and positions (M, 3) that cannot be hand poses of named stations.
+
+    Raises
+    ------
+    InputError
+    """
     bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
     if bad.size:
         raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")

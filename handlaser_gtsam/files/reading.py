@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -87,7 +87,8 @@ def _first_fault(
     field = ".".join(place)
     if fault["type"] == "extra_forbidden":
         table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
-        names = ", ".join(getattr(table, "model_fields", ())) if len(place) <= 2 else ""
+        several = [getattr(one, "model_fields", ()) for one in (table, *get_args(table))]
+        names = ", ".join(next(filter(None, several), ())) if len(place) <= 2 else ""
         expected = f"one of {names}" if names else "a field of the format"
         return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)

@@ -18,6 +18,7 @@ from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.recording import LARGEST, Recording, first_repeated
 from ..data.screen import code_warning, coded_numbers
+from ..data.station_list import StationList
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
 from ..text import A_NAME, name_fault, some
@@ -59,12 +60,7 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     beams = _check_header(table)
     if _used(table.frame.columns[-1]):
         table.refuse_cut()
-    planes = _labels(table, "plane")
-    stations = tuple(str(line - table.header_line) for line in table.lines)
-    if "station" in table.frame.columns:
-        stations = _labels(table, "station")
-        _refuse_repeated(table, stations)
-    position, rotation = _positions(table), _rotations(table)
+    rotation, position, planes, stations = stations_of(table)
     ranges, warnings = _ranges(table, beams, sensor or Sensor())
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
@@ -83,13 +79,36 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
-    quaternions = Rotation.from_matrix(recording.world_R_hand).as_quat(canonical=True)
-    numbers = np.hstack((recording.world_t_hand, quaternions, recording.ranges))
-    names = [*POSE, *(PREFIX + beam for beam in recording.beam_names)]
-    labels = {"plane": recording.plane_labels, "station": recording.station_names}
+    names = [PREFIX + beam for beam in recording.beam_names]
+    ranges = pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
+    write_text(path_of(path), station_columns(recording).hstack(ranges).write_csv())
+
+
+def station_columns(stations: Recording | StationList) -> pl.DataFrame:
+    """Return the columns of a file that all say where the hand is, in their order."""
+    quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
+    numbers = np.hstack((stations.world_t_hand, quaternions))
+    labels = {"plane": stations.plane_labels, "station": stations.station_names}
     text = pl.DataFrame(labels, schema=dict.fromkeys(labels, pl.String))
-    frame = text.hstack(pl.DataFrame(numbers, schema=names, orient="row").fill_nan(None))
-    write_text(path_of(path), frame.write_csv())
+    return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
+
+
+def stations_of(
+    table: _Table,
+) -> tuple[FloatArray, FloatArray, tuple[str, ...], tuple[str, ...]]:
+    """Return rotations, positions, plane labels and station names of the rows of a table.
+
+    Raises
+    ------
+    InputError
+    """
+    planes = _labels(table, "plane")
+    stations = tuple(str(line - table.header_line) for line in table.lines)
+    if "station" in table.frame.columns:
+        stations = _labels(table, "station")
+        _refuse_repeated(table, stations)
+    position, rotation = _positions(table), _rotations(table)
+    return rotation, position, planes, stations
 
 
 def _check_header(table: _Table) -> list[str]:

@@ -6,8 +6,9 @@
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
+    [workspace], [blind], [goal], [placement]: for plans, see `rig_planning`
 
-Every table and field is optional.
+Every table is optional, and so is every field but those that say where something is.
 """
 
 import math
@@ -22,8 +23,13 @@ from pydantic import Strict
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..planning.bounds import Bounds
+from ..planning.goal import Goal
+from ..planning.plate import Placement
+from ..planning.workspace import Workspace
 from ..results.limits import Limits
 from .reading import FileRecord, read_checked, square_matrix
+from .rig_planning import BlindTable, GoalTable, PlacementTable, WorkspaceTable
 from .writing import path_of, write_text
 
 
@@ -55,15 +61,38 @@ class _Rig(FileRecord):
     noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
+    workspace: WorkspaceTable | None = None
+    blind: BlindTable | None = None
+    goal: GoalTable = GoalTable()
+    placement: PlacementTable = PlacementTable()
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig file in SI units."""
+    """A rig file in SI units.
+
+    Attributes
+    ----------
+    noise : Noise
+    sensor : Sensor
+    limits : Limits
+    workspace : Workspace or None
+        Where the hand may go.
+    bounds : Bounds or None
+        Where beams and plate roughly are, before any reading.
+    goal : Goal
+        What to plan for; the limits stand in it where it states nothing else.
+    placement : Placement
+        How the plate can be put anew.
+    """
 
     noise: Noise = field(default_factory=Noise)
     sensor: Sensor = field(default_factory=Sensor)
     limits: Limits = field(default_factory=Limits)
+    workspace: Workspace | None = None
+    bounds: Bounds | None = None
+    goal: Goal = field(default_factory=Goal)
+    placement: Placement = field(default_factory=Placement)
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -120,6 +149,11 @@ def _to_si(rig: _Rig) -> Rig:
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
     linearity = rig.sensor.linearity_percent
+    limits = Limits(
+        scaled(rig.limits.rms_mm, mm),
+        scaled(rig.limits.location_sigma_mm, mm),
+        scaled(rig.limits.direction_sigma_deg, deg),
+    )
     return Rig(
         noise_of(rig.noise),
         Sensor(
@@ -128,11 +162,11 @@ def _to_si(rig: _Rig) -> Rig:
             math.radians(90.0 if incidence is None else incidence),
             Sensor().linearity if linearity is None else 0.01 * linearity,
         ),
-        Limits(
-            scaled(rig.limits.rms_mm, mm),
-            scaled(rig.limits.location_sigma_mm, mm),
-            scaled(rig.limits.direction_sigma_deg, deg),
-        ),
+        limits,
+        None if rig.workspace is None else rig.workspace.to_si(),
+        None if rig.blind is None else rig.blind.to_si(),
+        rig.goal.to_si().within(limits),
+        rig.placement.to_si(),
     )
 
 

@@ -130,6 +130,8 @@ class Calibration(CalibrationData):
     def summary(self, limits: Limits | None = None, reading: float | None = None) -> str:
         """Return what `handlaser calibrate` prints: the verdict first, 30 lines of 100 columns.
 
+        But for the next best stations, which `hl.plan` chooses.
+
         Parameters
         ----------
         limits : Limits, optional

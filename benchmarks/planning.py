@@ -1,0 +1,256 @@
+"""Whether planned stations are worth planning: Monte Carlo over the paper's cell.
+
+    python -m benchmarks.planning [--runs 1000] [--jobs 2] [--studies paper blind loop speed]
+
+`paper`: a first motion of 13 stations before plane A, from bounds alone; 4 planned stations; a second
+plan of the rest, 28 or 44 in all. Random stations of the same number, from the same candidates, beside
+them. `NEES` is that of all beams over their unknowns; `found/stated`: the largest standard deviation of
+a direction that follows over the one that was predicted, median and 10 % to 90 %; `outside`: planned
+stations with a reading outside the sensor's range or incidence.
+
+`blind`: mounts drawn from the stated bounds, and the first motion for these: how many are calibrated,
+and at how many all readings are within the range.
+
+`loop`: a robot that errs less, its first motion, and then plan, measure, update in turns of 4 stations
+until 95 % intervals of all coordinates are within 0.1 mm and 0.1 deg; random stations beside it.
+
+`speed`: greedy choice of 44 stations from 1,200 candidates, 4 beams and 4 planes, at the estimate and
+at 4 draws of the posterior; CPU time, best of five.
+
+What misses a limit is named at the end of a line.
+"""
+
+import argparse
+import math
+import os
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache, partial
+
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.defaults import each_done, nees, rms, show
+
+import numpy as np  # isort: skip
+from rich.progress import Progress  # isort: skip
+
+import handlaser_gtsam as hl
+from benchmarks.planned_cell import SENSOR, Cell, cell, errors_of
+from benchmarks.planned_loop import Loop, loop, random_plan
+from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.choice import choose
+from handlaser_gtsam.planning.information import outlook
+from handlaser_gtsam.planning.route import goal_rows
+from handlaser_gtsam.planning.workspace import candidates, joined
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import simulate
+
+FIRST, SECOND = 13, 4
+"""Stations of the first motion, and of the first plan."""
+TOTALS = {28: (0.12e-3, math.radians(0.17)), 44: (0.10e-3, math.radians(0.14))}
+"""Stations in all, and the largest rms errors of r [m] and v [rad]."""
+OPTIONS = hl.CalibrationOptions("none", sensor=SENSOR)
+STUDIES = ("paper", "blind", "loop", "speed")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One calibration against the truth.
+
+    Attributes
+    ----------
+    nees : float
+        An unknown.
+    location, direction : float
+        Mean squared error of r [m^2] and v [rad^2].
+    agreement : float
+        Largest standard deviation of a direction, found over predicted.
+    outside : int
+        Stations with a reading that the sensor cannot give.
+    """
+
+    nees: float
+    location: float
+    direction: float
+    agreement: float
+    outside: int
+
+
+def run_once(total: int, seed: int) -> dict[str, Judged | None]:
+    """Plan, measure and calibrate one cell, and the same with random stations."""
+    rng = np.random.default_rng(seed)
+    here = cell(rng)
+    first = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise, FIRST)
+    recording = here.measured(first, rng)
+    found: dict[str, Judged | None] = {}
+    for way in ("planned", "random"):
+        found[way] = _second_half(here, recording, total, way, rng)
+    return found
+
+
+def _second_half(
+    here: Cell, recording: hl.Recording, total: int, way: str, rng: np.random.Generator
+) -> Judged | None:
+    """Go on after a first motion; None where something does not converge."""
+    outside, plan = 0, None
+    for count in (SECOND, total - FIRST - SECOND):
+        so_far = hl.calibrate(recording, here.noise, OPTIONS)
+        if so_far.status != "converged":
+            return None
+        missing = here.unread(recording)
+        if way == "planned":
+            plan = hl.plan(so_far, count, SENSOR, here.workspace, plates=missing)
+        else:
+            plan = random_plan(so_far, count, here.workspace, missing, rng)
+        read = here.measured(plan, rng, first=len(recording.station_names))
+        outside += int(np.isnan(read.ranges).any(axis=1).sum())
+        recording = hl.join([recording, read])
+    result = hl.calibrate(recording, here.noise, OPTIONS)
+    if result.covariance is None or plan is None:
+        return None
+    location, direction = errors_of(result, here.truth)
+    largest = max(beam.direction_sigma or 0.0 for beam in result.beams.values())
+    return Judged(
+        nees(result.covariance.beams, _tangent(result, here.truth)),
+        float(location.mean()),
+        float(direction.mean()),
+        largest / float(plan.forecast.direction_sigma[-1]),
+        outside,
+    )
+
+
+def _tangent(result: hl.Calibration, truth: hl.Parameters) -> np.ndarray:
+    """Return the errors of all beams in the coordinates of their covariance."""
+    joint, at = result.covariance, result.parameters()
+    assert joint is not None
+    found = np.hstack((at.locations, at.directions, at.range_errors))
+    true = np.hstack((truth.locations, truth.directions, truth.range_errors))
+    parts = [joint.beam_lift(i).T @ row for i, row in enumerate(found - true)]
+    return np.concatenate(parts)
+
+
+def paper_line(total: int, way: str, runs: list[Judged | None]) -> str:
+    """Return the numbers of one way to choose stations, and the limits that it misses."""
+    done = [one for one in runs if one is not None]
+    if not done:
+        return f"{total} {way:8}: no result in {len(runs)} cells"
+    each = np.array([one.nees for one in done])
+    r, v = rms([one.location for one in done]), rms([one.direction for one in done])
+    ratio = np.quantile([one.agreement for one in done], [0.1, 0.5, 0.9])
+    outside = sum(one.outside > 0 for one in done)
+    text = (
+        f"{total} {way:8}: rms r {1e3 * r:.3f} mm, v {math.degrees(v):.3f} deg, NEES {each.mean():.3f} "
+        f"+- {each.std() / math.sqrt(len(each)):.3f}, fail {len(runs) - len(done)}, found/stated "
+        f"{ratio[1]:.3f} ({ratio[0]:.2f} to {ratio[2]:.2f}), outside in {outside} of {len(done)} cells"
+    )
+    if way == "random":
+        return text
+    missed = [name for name, holds in limits(total, r, v, each, ratio[1], outside) if not holds]
+    return text + (f"  MISSES {', '.join(missed)}" if missed else "")
+
+
+def limits(
+    total: int, r: float, v: float, each: np.ndarray, ratio: float, outside: int
+) -> Iterator[tuple[str, bool]]:
+    """Yield what must hold, and whether it does."""
+    most_r, most_v = TOTALS[total]
+    yield f"rms r {1e3 * most_r:.2f} mm", r <= most_r
+    yield f"rms v {math.degrees(most_v):.2f} deg", v <= most_v
+    yield "NEES 0.95 to 1.05", 0.95 <= float(each.mean()) <= 1.05
+    yield "predicted within 10 %", abs(ratio - 1.0) <= 0.1
+    yield "outside in 1 of 100", outside <= 0.01 * len(each)
+
+
+@cache
+def blind_cell() -> tuple[Cell, hl.Plan]:
+    """Return bounds and the first motion for them: the same for all mounts."""
+    here = cell(np.random.default_rng(0), 1)
+    return here, hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+
+
+def blind_once(seed: int) -> tuple[bool, bool]:
+    """Tell whether a mount drawn from the bounds is calibrated, and all its readings are in range."""
+    here, plan = blind_cell()
+    rng = np.random.default_rng(seed)
+    drawn = Cell(here.bounds.draw(rng), here.bounds, here.plates, here.errors)
+    read = drawn.measured(plan, rng)
+    result = hl.calibrate(read, here.noise, hl.CalibrationOptions(sensor=SENSOR))
+    return result.status == "converged", not bool(np.isnan(read.ranges).any())
+
+
+def blind_line(runs: list[tuple[bool, bool]]) -> str:
+    """Return the numbers of the first motion, and the limits that it misses."""
+    calibrated, inside = (sum(one[i] for one in runs) for i in (0, 1))
+    text = (
+        f"first motion of {len(blind_cell()[1])} stations: {calibrated} of {len(runs)} mounts "
+        f"calibrated, all readings within the range at {inside}"
+    )
+    missed = [] if calibrated == len(runs) else ["every mount calibrated"]
+    missed += [] if inside >= 0.99 * len(runs) else ["99 of 100 within the range"]
+    return text + (f"  MISSES {', '.join(missed)}" if missed else "")
+
+
+def loop_line(runs: list[dict[str, Loop]]) -> str:
+    """Return how many stations planned and random ones need."""
+    both = [(one["planned"], one["random"]) for one in runs]
+    ratio = [a.stations / b.stations for a, b in both]
+    planned, drawn = (np.median([one[i].stations for one in both]) for i in (0, 1))
+    unreached = sum(not a.reached for a, _ in both), sum(not b.reached for _, b in both)
+    text = (
+        f"closed loop: {planned:.0f} planned stations after the first motion, {drawn:.0f} random ones "
+        f"(medians of {len(runs)}), ratio {np.median(ratio):.2f}; goal not reached in {unreached[0]} "
+        f"and {unreached[1]}, which count with what they had"
+    )
+    return text + ("" if np.median(ratio) <= 0.5 else "  MISSES at most half")
+
+
+def speed_line() -> str:
+    """Return how long a greedy choice takes, and the limit that it misses."""
+    rng = np.random.default_rng(0)
+    truth, stations = SCENES["paper"](Layout(), rng)
+    here = cell(rng)
+    recording = simulate(truth, stations, here.errors, rng, SENSOR)
+    belief = belief_of(hl.calibrate(recording, here.noise, OPTIONS))
+    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng)[0] for p in range(4)]
+    drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
+    rows = np.stack([outlook(one, joined(parts)).rows for one in drawn])
+    weight = goal_rows(belief, hl.Goal(), 0.015)
+    seconds = []
+    for _ in range(5):
+        begin = time.process_time()
+        choose(rows, belief.covariance, weight, 44, exchange=False)
+        seconds.append(time.process_time() - begin)
+    text = f"greedy choice of 44 stations from {rows.shape[1]} candidates: {min(seconds):.2f} s"
+    return text + ("" if min(seconds) <= 1.0 else "  MISSES 1 s")
+
+
+def study(names: list[str], runs: int, jobs: int) -> None:
+    """Print the lines of each study as soon as it is done."""
+    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
+        if "paper" in names:
+            for total in TOTALS:
+                name = f"{total} stations"
+                found = each_done(bar, pool, name, partial(run_once, total), range(runs))
+                for way in ("planned", "random"):
+                    show(bar, paper_line(total, way, [one[way] for one in found]))
+        if "blind" in names:
+            show(bar, blind_line(each_done(bar, pool, "first motion", blind_once, range(runs))))
+        if "loop" in names:
+            show(bar, loop_line(each_done(bar, pool, "closed loop", loop, range(min(runs, 50)))))
+        if "speed" in names:
+            show(bar, speed_line())
+
+
+def main() -> None:
+    """Print a line for every kind of stations."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
+    arguments = parser.parse_args()
+    study(list(arguments.studies), arguments.runs, arguments.jobs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""What a person sees of a plan."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+from ..planning.goal import Goal
+from ..planning.route import VIA, Plan
+from ..results.lines import DEG, MM, count
+
+ROWS = 10
+"""Rows of the forecast."""
+MOST = 999.0
+"""Larger standard deviations are shown as unknown."""
+
+
+def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
+    """Yield the lines of a plan: where to go, what will be known, and whether that is enough."""
+    stations = plan.stations
+    pairs = zip(stations.plane_labels, stations.station_names, strict=True)
+    where = Counter(plane for plane, name in pairs if not name.startswith(VIA))
+    parts = ", ".join(f"{number} before plane {plane}" for plane, number in where.items())
+    first = "" if plan.safe is None else " for a first motion"
+    yield f"{count(len(plan), 'station')}{first}: {parts}"
+    passed = len(stations) - len(plan)
+    if passed:
+        yield f"{count(passed, 'station')} named {VIA} between them: nothing need be read there"
+    for name, plate in plan.plates.items():
+        x, y, z = plate.normal
+        a, b, c = plate.point * MM
+        yield (
+            f"put the plate for plane {name} with its normal along ({x:.3f}, {y:.3f}, {z:.3f}), "
+            f"through ({a:.0f}, {b:.0f}, {c:.0f}) mm, to within {plate.within * MM:.2g} mm and "
+            f"{plate.tilt * DEG:.2g} deg"
+        )
+    if plan.safe is not None:
+        yield (
+            f"all readings are within the sensor's limits for {100.0 * plan.safe:.1f} % of the mounts "
+            "within the bounds"
+        )
+    yield from _forecast(plan)
+    yield from _enough(plan, goal)
+
+
+def _forecast(plan: Plan) -> Iterator[str]:
+    forecast = plan.forecast
+    distance = forecast.working_distance * MM
+    yield (
+        "largest standard deviation of any beam after so many stations, and the radius that holds its "
+        f"spot at {distance:.3g} mm with 95 %:"
+    )
+    yield "stations  location mm  direction deg  spot mm"
+    last = len(forecast)
+    shown = {round(last * index / (ROWS - 1)) for index in range(ROWS)}
+    for number in sorted(shown | {last}):
+        yield (
+            f"{number:8}  {_cell(forecast.location_sigma[number] * MM):>11}  "
+            f"{_cell(forecast.direction_sigma[number] * DEG):>13}  "
+            f"{_cell(forecast.spot[number] * MM):>7}"
+        )
+
+
+def _cell(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) and value < MOST else "unknown"
+
+
+def _enough(plan: Plan, goal: Goal) -> Iterator[str]:
+    if not goal.stated:
+        return
+    if plan.reached is None:
+        yield (
+            f"{count(len(plan), 'station')} do not reach the limits and the goal of the rig file: more "
+            "of them, or less noise"
+        )
+    else:
+        yield f"{count(plan.reached, 'station')} reach the limits and the goal of the rig file"

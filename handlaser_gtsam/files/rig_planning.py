@@ -1,0 +1,125 @@
+"""The tables of a rig file that tell where the hand may go, and what is known before any reading.
+
+[workspace]  box_mm = [[x, y, z], [x, y, z]], home_quaternion = [qx, qy, qz, qw],
+             largest_turn_deg, largest_step_mm
+[blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
+             plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
+[goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
+             working_distance_mm
+[placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be put anew
+"""
+
+import math
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from ..planning.bounds import Bounds
+from ..planning.choice import Criterion
+from ..planning.goal import Goal
+from ..planning.plate import Placement, Plate
+from ..planning.workspace import Workspace
+from .reading import FileRecord
+
+MM, DEG = 1e-3, math.pi / 180.0
+UNIT = 1e-3
+"""What the length of a quaternion may differ from 1 by, as in a recording."""
+
+
+class WorkspaceTable(FileRecord):
+    """Where the hand may go."""
+
+    box_mm: list[list[float]]
+    home_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
+    largest_turn_deg: float = 30.0
+    largest_step_mm: float | None = None
+
+    def to_si(self) -> Workspace:
+        """Return the workspace."""
+        if len(self.box_mm) != 2 or any(len(corner) != 3 for corner in self.box_mm):
+            expected = "[[x, y, z], [x, y, z]], least and largest"
+            raise InputError(f"workspace.box_mm of {len(self.box_mm)} rows", expected)
+        q = np.array(self.home_quaternion)
+        if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= UNIT:
+            found = f"workspace.home_quaternion {self.home_quaternion}"
+            raise InputError(found, "qx, qy, qz, qw of length 1")
+        low, high = np.array(self.box_mm) * MM
+        step = math.inf if self.largest_step_mm is None else self.largest_step_mm * MM
+        home = Rotation.from_quat(q).as_matrix()
+        return Workspace(low, high, home, self.largest_turn_deg * DEG, step)
+
+
+class BlindTable(FileRecord):
+    """What is known of mounts and plate before any reading."""
+
+    location_mm: list[list[float]]
+    direction: list[list[float]]
+    plate_point_mm: list[float]
+    plate_normal: list[float]
+    location_within_mm: float = 5.0
+    cone_deg: float = 10.0
+    plate_within_mm: float = 2.0
+    plate_tilt_deg: float = 2.0
+
+    def to_si(self) -> Bounds:
+        """Return the bounds."""
+        plate = Plate(
+            _numbers("blind.plate_point_mm", self.plate_point_mm) * MM,
+            _numbers("blind.plate_normal", self.plate_normal),
+            self.plate_within_mm * MM,
+            self.plate_tilt_deg * DEG,
+        )
+        return Bounds(
+            _rows("blind.location_mm", self.location_mm) * MM,
+            _rows("blind.direction", self.direction),
+            plate,
+            self.location_within_mm * MM,
+            self.cone_deg * DEG,
+        )
+
+
+class GoalTable(FileRecord):
+    """What to plan for."""
+
+    criterion: Criterion = "A"
+    location_sigma_mm: float | None = None
+    direction_sigma_deg: float | None = None
+    spot_mm: float | None = None
+    working_distance_mm: float | None = None
+
+    def to_si(self) -> Goal:
+        """Return the goal."""
+        lengths = (self.location_sigma_mm, self.spot_mm, self.working_distance_mm)
+        location, spot, distance = (None if x is None else x * MM for x in lengths)
+        angle = self.direction_sigma_deg
+        return Goal(
+            self.criterion, location, None if angle is None else angle * DEG, spot, distance
+        )
+
+
+class PlacementTable(FileRecord):
+    """How the plate can be put anew."""
+
+    largest_tilt_deg: float = 25.0
+    within_mm: float = 2.0
+    tilt_deg: float = 2.0
+
+    def to_si(self) -> Placement:
+        """Return one placement."""
+        angles = self.largest_tilt_deg * DEG, self.tilt_deg * DEG
+        return Placement(1, angles[0], self.within_mm * MM, angles[1])
+
+
+def _numbers(name: str, values: list[float]) -> FloatArray:
+    found: FloatArray = _rows(name, [values])[0]
+    return found
+
+
+def _rows(name: str, rows: list[list[float]]) -> FloatArray:
+    if not rows or any(len(row) != 3 for row in rows):
+        raise InputError(f"{name} of {len(rows)} rows", "three numbers for every beam or point")
+    found: FloatArray = np.array(rows, dtype=np.float64)
+    return found

@@ -1,0 +1,73 @@
+"""The next best stations of a calibration, found at once: the last word of a verdict."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import HandlaserError
+from ..model.sensor import Sensor
+from ..results.calibration import Calibration
+from ..results.lines import MM
+from .belief import belief_of
+from .choice import choose
+from .goal import Goal
+from .information import outlook
+from .route import Plan, forecast_of, goal_rows, planned
+from .workspace import Workspace, picked, reachable, workspace_of
+
+FEW = 3
+"""Stations that are named."""
+TRIED = 240
+"""Candidates of all planes together."""
+MOST_BEAMS = 16
+"""With more, a plan takes longer than a word of advice may."""
+
+
+def next_stations(
+    calibration: Calibration,
+    sensor: Sensor,
+    workspace: Workspace | None = None,
+    goal: Goal | None = None,
+) -> Plan | None:
+    """Return a plan of the next few stations; None where there is no basis for one.
+
+    Chosen greedily from few candidates at the estimate itself: `plan` does better, and takes longer.
+    """
+    recording = calibration.recording
+    if calibration.status != "converged" or recording is None or not sensor.range_stated:
+        return None
+    if len(calibration.beams) > MOST_BEAMS:
+        return None
+    goal, rng = Goal() if goal is None else goal, np.random.default_rng(0)
+    workspace = workspace_of(recording) if workspace is None else workspace
+    try:
+        belief = belief_of(calibration)
+        pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
+        rows = outlook(belief, pool).rows
+        distance = goal.distance(sensor)
+        weight = goal_rows(belief, goal, distance)
+        criterion = goal.criterion
+        chosen = choose(
+            rows[None], belief.covariance, weight, FEW, criterion, exchange=False
+        ).candidates
+        forecast = forecast_of(belief, rows, chosen, distance)
+        taken = recording.station_names
+        return planned(belief, picked(pool, chosen), goal, workspace, forecast, taken)
+    except HandlaserError:
+        return None
+
+
+def advice_lines(plan: Plan) -> list[str]:
+    """Return the next best stations in words, one a line."""
+    stations, number = plan.stations, len(plan)
+    lines = [
+        f"next best stations, hand poses world_T_hand; after these {number}: "
+        f"{plan.forecast.words(number)} (now {plan.forecast.words(0)})"
+    ]
+    quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
+    for j, plane in enumerate(stations.plane_labels):
+        if np.isnan(plan.ranges[j]).all():
+            continue
+        x, y, z = stations.world_t_hand[j] * MM
+        q = ", ".join(f"{value:.4f}" for value in quaternions[j])
+        lines.append(f"  before plane {plane}: ({x:.1f}, {y:.1f}, {z:.1f}) mm, qx qy qz qw ({q})")
+    return lines

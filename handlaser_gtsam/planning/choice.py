@@ -1,0 +1,188 @@
+r"""Choose the stations that shrink the uncertainty of the beams most.
+
+The criteria, of the covariance C of the beams in units of the goal (or of natural units):
+
+    A: trace;  D: logarithm of the determinant;  E: largest eigenvalue;
+    spot: trace of the covariance of the laser spots at the working distance
+
+Stations are taken one by one, each the best beside those before (greedy), and are then exchanged for
+better ones while that helps (Fedorov). A and spot are tr(M C) with a fixed M; D and E have a different
+M at every step, the gradient of the criterion.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+
+Criterion = Literal["A", "D", "E", "spot"]
+CRITERIA: tuple[Criterion, ...] = ("A", "D", "E", "spot")
+ENOUGH = 1e-3
+"""An exchange that lowers the criterion by less than this part is not worth it."""
+PASSES = 3
+"""Rounds of exchanges over all chosen stations: the first brings nearly all of the gain."""
+SHORTLIST = 60
+"""Candidates that are compared at the draws of the belief, too."""
+SHARPNESS = 8
+"""The gradient of the largest eigenvalue is that of the p-norm of all, which is smooth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Stations chosen, and what is known after each.
+
+    Attributes
+    ----------
+    candidates : (M,)
+        Indices of the candidates, in the order in which they were taken.
+    value : (M + 1,)
+        The criterion before the first and after each.
+    covariance : (U, U)
+        After all of them.
+    """
+
+    candidates: IntArray
+    value: FloatArray
+    covariance: FloatArray
+
+
+def choose(
+    rows: FloatArray,
+    covariance: FloatArray,
+    weight: FloatArray,
+    count: int,
+    criterion: Criterion = "A",
+    *,
+    exchange: bool = True,
+    start: IntArray | None = None,
+) -> Chosen:
+    """Choose stations among candidates.
+
+    Parameters
+    ----------
+    rows : (K, N, B, U)
+        Whitened rows of every candidate, at the mean of the belief first and then at draws of it: the
+        gain is averaged over all.
+    covariance : (U, U) or (K, U, U)
+        Before the first station.
+    weight : (W, U)
+        What is to become small: covariance of `weight @ x`.
+    count : int
+        How many to choose; no candidate is chosen twice.
+    criterion : str
+        "A" and "spot" differ by `weight` only.
+    exchange : bool
+        Whether to exchange stations afterwards.
+    start : (count,), optional
+        Candidates to start the exchange from, instead of those that greedy choice takes.
+    """
+    search = _Search(rows, covariance, weight, criterion)
+    for step in range(min(count, rows.shape[1])):
+        search.take(search.best() if start is None else int(start[step]))
+    for _ in range(PASSES if exchange else 0):
+        before = search.value()
+        for place in range(len(search.chosen)):
+            search.drop(place)
+            search.take(search.best(), place)
+        if search.value() > before - ENOUGH * abs(before):
+            break
+    return _ordered(rows, covariance, weight, search)
+
+
+class _Search:
+    """The covariance, and its products with the rows of all candidates, as stations come and go.
+
+    The best candidates at the mean are compared at the draws of the belief, too.
+    """
+
+    def __init__(
+        self, rows: FloatArray, covariance: FloatArray, weight: FloatArray, criterion: Criterion
+    ) -> None:
+        self.rows, self.weight, self.criterion = rows, weight, criterion
+        self.C = np.broadcast_to(covariance, (len(rows), *covariance.shape[-2:])).copy()
+        self.AC = rows[0] @ self.C[0]  # at the mean; at draws only the best are looked at
+        self.chosen: list[int] = []
+        self.identity = np.eye(rows.shape[2])
+
+    def value(self) -> float:
+        """Return the criterion at the mean."""
+        return value(self.C[0], self.weight, self.criterion)
+
+    def best(self) -> int:
+        """Return the candidate that improves the criterion most."""
+        gains = self._gains(0, np.arange(self.rows.shape[1]))
+        gains[self.chosen] = -np.inf
+        if len(self.rows) == 1:
+            return int(gains.argmax())
+        short = np.argsort(-gains)[:SHORTLIST]
+        total = gains[short] / gains[short[0]]
+        for draw in range(1, len(self.rows)):
+            gains = self._gains(draw, short)
+            total += gains / gains.max()
+        return int(short[total.argmax()])
+
+    def _gains(self, draw: int, candidates: IntArray) -> FloatArray:
+        A = self.rows[draw, candidates]
+        AC = A @ self.C[draw] if draw else self.AC[candidates]
+        along = self.weight.T @ _root(self.C[draw], self.weight, self.criterion)
+        toward = (AC.reshape(-1, AC.shape[-1]) @ along).reshape(*AC.shape[:2], -1)
+        S = self.identity + AC @ np.swapaxes(A, 1, 2)
+        G = toward @ np.swapaxes(toward, 1, 2)
+        if self.criterion == "D":
+            return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - G)[1])
+        return np.asarray(np.einsum("nii->n", np.linalg.solve(S, G)))
+
+    def take(self, candidate: int, place: int | None = None) -> None:
+        """Add a candidate, at its place in the order."""
+        self._update(candidate, 1.0)
+        self.chosen.insert(len(self.chosen) if place is None else place, candidate)
+
+    def drop(self, place: int) -> None:
+        """Remove what was taken at a place."""
+        self._update(self.chosen.pop(place), -1.0)
+
+    def _update(self, candidate: int, sign: float) -> None:
+        A = self.rows[:, candidate]
+        V = A @ self.C
+        S = self.identity + sign * (V @ np.swapaxes(A, 1, 2))
+        step = sign * np.linalg.solve(S, V)
+        flat = self.rows[0].reshape(-1, self.rows.shape[-1])
+        self.AC -= ((flat @ V[0].T) @ step[0]).reshape(self.AC.shape)
+        C = self.C - np.swapaxes(V, 1, 2) @ step
+        self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
+
+
+def _ordered(
+    rows: FloatArray, covariance: FloatArray, weight: FloatArray, search: _Search
+) -> Chosen:
+    """Return a choice in the order in which greedy choice takes the same stations."""
+    taken = np.array(search.chosen, dtype=np.intp)
+    first = covariance if covariance.ndim == 2 else covariance[0]
+    again = _Search(rows[:1, taken], first, weight, search.criterion)
+    values = [again.value()]
+    for _ in taken:
+        again.take(again.best())
+        values.append(again.value())
+    return Chosen(taken[again.chosen], np.array(values), again.C[0])
+
+
+def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> float:
+    """Return the criterion for a covariance (U, U) and a weight (W, U)."""
+    C = weight @ covariance @ weight.T
+    if criterion == "D":
+        return float(np.linalg.slogdet(C)[1])
+    if criterion == "E":
+        return float(np.linalg.eigvalsh(C)[-1])
+    return float(np.trace(C))
+
+
+def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> FloatArray:
+    """Return a root (W, W) of M, with which the criterion falls by tr(M dC) to first order."""
+    if criterion in ("A", "spot"):
+        return np.eye(len(weight))
+    values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
+    if criterion == "D":
+        return np.asarray(axes / np.sqrt(values))
+    return np.asarray(axes * (values / values[-1]) ** (0.5 * (SHARPNESS - 1)))

@@ -1,0 +1,143 @@
+"""What a plan is for, and when it is reached."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..checks import require_number, require_word
+from ..data.noise import MOST_SIGMA
+from ..data.recording import LARGEST
+from ..data.value import Value
+from ..model.sensor import Sensor
+from ..results.limits import Limits
+from ..results.lines import DEG, MM
+from .choice import CRITERIA, Criterion
+
+LOCATION_UNIT, DIRECTION_UNIT = 1e-4, math.radians(0.1)
+"""What counts as much where no goal is stated [m], [rad]: a tenth of a millimetre and of a degree."""
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What to plan for.
+
+    Attributes
+    ----------
+    criterion : str
+        "A": the sum of the variances of locations and directions in units of the goal; "D": the
+        volume of their confidence region; "E": the direction known worst; "spot": the laser spots at
+        the working distance.
+    location_sigma, direction_sigma : float, optional
+        Standard deviations of every beam that are to be reached: of a coordinate of the location
+        [m], and of the direction along any tangent [rad].
+    spot : float, optional
+        Radius around every laser spot that is to hold it with 95 % [m].
+    working_distance : float, optional
+        A reading [m]; the middle of the sensor's range where not given.
+
+    Raises
+    ------
+    InputError
+        An unknown criterion, or numbers beyond sense.
+    """
+
+    criterion: Criterion = "A"
+    location_sigma: float | None = None
+    direction_sigma: float | None = None
+    spot: float | None = None
+    working_distance: float | None = None
+
+    def __post_init__(self) -> None:
+        require_word("criterion", self.criterion, CRITERIA)
+        for name in ("location_sigma", "direction_sigma", "spot"):
+            if getattr(self, name) is not None:
+                require_number(name, getattr(self, name), 0.0, MOST_SIGMA, above=True)
+        if self.working_distance is not None:
+            require_number("working_distance", self.working_distance, -LARGEST, LARGEST, unit="m")
+
+    @property
+    def stated(self) -> bool:
+        """Whether there is anything to reach."""
+        return any(x is not None for x in (self.location_sigma, self.direction_sigma, self.spot))
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """What of a location [m] and of a direction [rad] counts as much."""
+        return self.location_sigma or LOCATION_UNIT, self.direction_sigma or DIRECTION_UNIT
+
+    def distance(self, sensor: Sensor) -> float:
+        """Return the working distance [m]."""
+        if self.working_distance is not None:
+            return self.working_distance
+        return 0.5 * (sensor.range_min + sensor.range_max)
+
+    def within(self, limits: Limits) -> "Goal":
+        """Return the goal with the limits of a rig file where it states none."""
+        return replace(
+            self,
+            location_sigma=self.location_sigma or limits.location_sigma,
+            direction_sigma=self.direction_sigma or limits.direction_sigma,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Forecast(Value):
+    """What will be known after so many further stations, of the beam that is known worst.
+
+    The stations count in the order in which they matter, not in that of the way.
+
+    Attributes
+    ----------
+    location_sigma : (M + 1,)
+        Of a coordinate [m], before the first station and after each.
+    direction_sigma : (M + 1,)
+        Along any tangent [rad].
+    spot : (M + 1,)
+        Radius that holds the laser spot with 95 % [m].
+    working_distance : float
+        The reading of that spot [m].
+    """
+
+    location_sigma: FloatArray
+    direction_sigma: FloatArray
+    spot: FloatArray
+    working_distance: float
+
+    def __len__(self) -> int:
+        """Return how many stations there are."""
+        return len(self.location_sigma) - 1
+
+    def reaches(self, goal: Goal) -> int | None:
+        """Return the least number of stations that reaches a goal; None where all do not.
+
+        Raises nothing where the goal states nothing: zero stations reach it.
+        """
+        good = np.ones(len(self.location_sigma), dtype=bool)
+        for values, most in (
+            (self.location_sigma, goal.location_sigma),
+            (self.direction_sigma, goal.direction_sigma),
+            (self.spot, goal.spot),
+        ):
+            if most is not None:
+                good &= values <= most
+        return int(good.argmax()) if good.any() else None
+
+    def part(self, stations: int) -> "Forecast":
+        """Return the forecast of the first stations."""
+        until = stations + 1
+        return Forecast(
+            self.location_sigma[:until],
+            self.direction_sigma[:until],
+            self.spot[:until],
+            self.working_distance,
+        )
+
+    def words(self, stations: int) -> str:
+        """Return what is known after so many stations, in words."""
+        return (
+            f"location {self.location_sigma[stations] * MM:.2g} mm, "
+            f"direction {self.direction_sigma[stations] * DEG:.2g} deg, "
+            f"spot within {self.spot[stations] * MM:.2g} mm"
+        )

@@ -1,0 +1,170 @@
+"""A plan: chosen stations in the order of the way, with what is expected there."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..data.station_list import StationList
+from ..data.value import Value
+from ..results.spot_error import radius
+from ..simulation.simulate import Stations
+from .belief import BEAM, Belief
+from .goal import Forecast, Goal
+from .information import outlook, updated
+from .order import divided, shortest
+from .plate import Plate
+from .workspace import Workspace
+
+VIA = "via"
+"""Beginning of the names of stations on the way, at which nothing need be read."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plan(Value):
+    """Stations to measure next, in an order that shortens the way.
+
+    Attributes
+    ----------
+    stations : StationList
+        Those named "via 1", ... divide a step that is longer than the workspace allows; nothing need be
+        read there.
+    ranges : (M, B)
+        What every beam is expected to read [m]; NaN on the way.
+    range_sigmas : (M, B)
+        How far the reading may be off [m], noise included.
+    forecast : Forecast
+        If they were measured in the order in which they matter.
+    reached : int or None
+        How many of them reach the goal, in that order; None where all do not, or none is stated.
+    plates : mapping by name
+        Where the plate is to be put, for planes that are to be placed anew.
+    safe : float or None
+        Of a first motion: the part of mounts within the bounds at which all readings are within the
+        sensor's limits.
+    """
+
+    stations: StationList
+    ranges: FloatArray
+    range_sigmas: FloatArray
+    forecast: Forecast
+    reached: int | None = None
+    plates: Mapping[str, Plate] = field(default_factory=dict)
+    safe: float | None = None
+
+    def __len__(self) -> int:
+        """Return how many stations are to be read."""
+        return sum(not name.startswith(VIA) for name in self.stations.station_names)
+
+
+def planned(
+    belief: Belief,
+    stations: Stations,
+    goal: Goal,
+    workspace: Workspace,
+    forecast: Forecast,
+    taken: Sequence[str] = (),
+    *,
+    ordered: bool = False,
+    plates: Mapping[str, Plate] | None = None,
+    safe: float | None = None,
+) -> Plan:
+    """Return a plan of stations: ordered, unless they are, divided where steps are long, and named.
+
+    Parameters
+    ----------
+    taken : sequence of str
+        Names of stations that there are already.
+    """
+    count = len(stations.plane)
+    order = np.arange(count)
+    if not ordered:
+        location, direction = goal.units
+        order = shortest(stations, location / direction)
+    ahead = outlook(belief, stations)
+    stations = Stations(
+        stations.world_R_hand[order], stations.world_t_hand[order], stations.plane[order]
+    )
+    way, origin = divided(stations, workspace.largest_step)
+    read = origin >= 0
+    ranges = np.full((len(origin), belief.beams), math.nan)
+    sigmas = ranges.copy()
+    ranges[read], sigmas[read] = ahead.reading[order], ahead.reading_sigma[order]
+    labels = tuple(belief.plane_names[p] for p in way.plane)
+    names = _names(origin, taken)
+    return Plan(
+        StationList(way.world_R_hand, way.world_t_hand, labels, names),
+        ranges,
+        sigmas,
+        forecast,
+        forecast.reaches(goal) if goal.stated else None,
+        {} if plates is None else dict(plates),
+        safe,
+    )
+
+
+def forecast_of(belief: Belief, rows: FloatArray, chosen: IntArray, distance: float) -> Forecast:
+    """Return what will be known after each of the chosen stations, given by their whitened rows."""
+    C, found = belief.covariance, []
+    for step in range(len(chosen) + 1):
+        found.append((*beam_sigmas(belief, C), spot_radius(belief, C, distance)))
+        if step < len(chosen):
+            C = updated(C, rows[chosen[step]])
+    location, direction, spot = np.array(found).T
+    return Forecast(location, direction, spot, distance)
+
+
+def beam_sigmas(belief: Belief, covariance: FloatArray) -> tuple[float, float]:
+    """Return the largest sigmas over the beams of a coordinate [m] and along the tangent [rad]."""
+    blocks = [
+        covariance[np.ix_(at, at)] for at in (BEAM * i + np.arange(5) for i in range(belief.beams))
+    ]
+    location = max(float(np.sqrt(np.diagonal(C)[:3].max())) for C in blocks)
+    direction = max(float(np.sqrt(np.linalg.eigvalsh(C[3:, 3:])[-1])) for C in blocks)
+    return location, direction
+
+
+def spot_radius(belief: Belief, covariance: FloatArray, distance: float) -> float:
+    """Return the largest radius over the beams that holds the laser spot with 95 % [m]."""
+    rows = spot_rows(belief, distance).reshape(belief.beams, 3, -1)
+    return max(radius(one @ covariance @ one.T) for one in rows)
+
+
+def goal_rows(belief: Belief, goal: Goal, distance: float) -> FloatArray:
+    """Return what is to become small (W, U): the beams in units of the goal, or their spots [m]."""
+    if goal.criterion == "spot":
+        return spot_rows(belief, distance)
+    unit = np.repeat(goal.units, (3, 2))
+    rows = np.zeros((5 * belief.beams, len(belief.covariance)))
+    for i in range(belief.beams):
+        rows[5 * i + np.arange(5), BEAM * i + np.arange(5)] = 1.0 / unit
+    return rows
+
+
+def spot_rows(belief: Belief, distance: float) -> FloatArray:
+    """Return derivatives (3 B, U) of the laser spots at a reading [m] by the unknowns."""
+    d, rows = distance, np.zeros((3 * belief.beams, len(belief.covariance)))
+    for i, (v, k) in enumerate(zip(belief.mean.directions, belief.mean.range_errors, strict=True)):
+        s = float(model.corrected(np.array([d]), k[None])[0])
+        spot = np.hstack((np.eye(3), s * belief.beam_bases[i], np.outer(v, [d, d * d])))
+        rows[3 * i : 3 * i + 3, BEAM * i : BEAM * (i + 1)] = spot
+    return rows
+
+
+def _names(origin: IntArray, taken: Sequence[str]) -> tuple[str, ...]:
+    """Return the numbers that follow those taken, and "via 1", ... on the way."""
+    used, number, passed, names = set(taken), len(taken), 0, []
+    for index in origin:
+        name = ""
+        while not name or name in used:
+            if index < 0:
+                passed += 1
+                name = f"{VIA} {passed}"
+            else:
+                number += 1
+                name = str(number)
+        names.append(name)
+    return tuple(names)

@@ -1,0 +1,222 @@
+"""Where the hand may go, and the stations there at which every beam can read its plane."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..checks import number_array, require_number
+from ..data.recording import LARGEST, Recording
+from ..data.recording_checks import check_poses
+from ..data.value import Value
+from ..errors import InputError
+from ..model.sensor import Sensor
+from ..simulation.simulate import Stations
+from .belief import Belief
+from .information import Outlook, outlook
+from .plate import vectors
+
+MARGIN = 4.0
+"""Readings and angles stay so many standard deviations inside their limits: of a hundred readings at
+the very margin, less than one in a hundred plans has one beyond."""
+STEEPEST = math.radians(75.0)
+"""Incidence to which a sensor without a stated limit is used."""
+ROOMY = 0.25
+"""A workspace that is not stated is that of the stations so far, and this part of it more."""
+LEAST_TURN = math.radians(20.0)
+"""Hands that have not turned may turn so far all the same."""
+LEAST_ROOM = 1e-3
+"""Hands that have not moved may move so far [m]."""
+ENDS = 0.4
+"""Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
+ROUNDING = 1e-9
+"""Of a turn [rad]."""
+TRIES = 40
+"""Rounds of as many poses as are wanted, before giving up."""
+LEAST_CANDIDATES = 10
+"""So few are no choice."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Workspace(Value):
+    """Where the hand may go.
+
+    Attributes
+    ----------
+    low, high : (3,)
+        Box of the hand's origin, world frame [m].
+    home : (3, 3)
+        Orientation from which turns count, world_R_hand.
+    largest_turn : float
+        [rad]
+    largest_step : float
+        Between stations [m]; longer ways are divided.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, a box that is none, or numbers beyond sense.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    home: FloatArray
+    largest_turn: float = math.radians(30.0)
+    largest_step: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            object.__setattr__(self, name, vectors(name, getattr(self, name), 1)[0])
+        if not (self.low < self.high).all():
+            raise InputError(f"a workspace from {self.low} to {self.high} m", "low below high")
+        home = number_array("home", self.home)
+        if home.shape != (3, 3):
+            raise InputError(f"home of shape {home.shape}", "a rotation matrix (3, 3)")
+        check_poses(home[None], np.zeros((1, 3)), ["home"])
+        object.__setattr__(self, "home", home)
+        require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
+        if self.largest_step != math.inf:  # which says that there is no limit
+            require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")
+
+
+def inside(workspace: Workspace, stations: Stations) -> BoolArray:
+    """Tell which stations (M,) lie within a workspace."""
+    t = stations.world_t_hand
+    turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
+    within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
+    return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
+
+
+def workspace_of(recording: Recording) -> Workspace:
+    """Return the workspace that the stations of a recording show."""
+    t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
+    home = R.mean()
+    turn = max(float((home.inv() * R).magnitude().max()), LEAST_TURN)
+    room = max(ROOMY * float(np.ptp(t, axis=0).max()), LEAST_ROOM)
+    return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
+
+
+def candidates(
+    belief: Belief,
+    plane: int,
+    workspace: Workspace,
+    sensor: Sensor,
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[Stations, Outlook]:
+    """Return up to `count` stations before a plane at which every beam can read it safely.
+
+    Raises
+    ------
+    InputError
+        The sensor's range is not stated, or there is hardly a station.
+    """
+    require_range(sensor)
+    kept: list[Stations] = []
+    for _ in range(TRIES):
+        tried = _drawn(belief, plane, workspace, sensor, count, rng)
+        good = np.flatnonzero(inside(workspace, tried))
+        if good.size:
+            tried = picked(tried, good)
+            kept.append(picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor))))
+        if sum(len(one.plane) for one in kept) >= count:
+            break
+    found = joined(kept) if kept else None
+    if found is None or len(found.plane) < LEAST_CANDIDATES:
+        raise InputError(
+            f"no station before plane {belief.plane_names[plane]} at which every beam reads it safely",
+            "a workspace that reaches the sensor's range, or a calibration that is known better",
+        )
+    found = picked(found, np.arange(min(count, len(found.plane))))
+    return found, outlook(belief, found)
+
+
+def reachable(
+    belief: Belief, workspace: Workspace, sensor: Sensor, count: int, rng: np.random.Generator
+) -> Stations:
+    """Return up to `count` safe stations before each plane; some planes may be out of reach.
+
+    Raises
+    ------
+    InputError
+        The sensor's range is not stated, or all planes are out of reach.
+    """
+    found, refusal = [], None
+    for plane in range(len(belief.plane_names)):
+        try:
+            found.append(candidates(belief, plane, workspace, sensor, count, rng)[0])
+        except InputError as error:
+            refusal = refusal or error
+    if refusal is not None and not found:
+        raise refusal
+    return joined(found)
+
+
+def require_range(sensor: Sensor) -> None:
+    """Refuse a sensor whose range is not stated.
+
+    Raises
+    ------
+    InputError
+    """
+    if not math.isfinite(sensor.range_max):
+        raise InputError("no range of the sensor", "range_mm in the table [sensor] of the rig file")
+
+
+def safe(ahead: Outlook, sensor: Sensor) -> BoolArray:
+    """Tell at which stations (M,) all readings are within the sensor's limits, with a margin."""
+    spread = MARGIN * ahead.reading_sigma
+    near, far = ahead.reading - spread, ahead.reading + spread
+    least = math.cos(min(sensor.max_incidence, STEEPEST))
+    steep = ahead.cosine - MARGIN * ahead.cosine_sigma >= least
+    return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
+
+
+def picked(stations: Stations, rows: IntArray) -> Stations:
+    """Return some of the stations."""
+    return Stations(stations.world_R_hand[rows], stations.world_t_hand[rows], stations.plane[rows])
+
+
+def joined(parts: Sequence[Stations]) -> Stations:
+    """Return stations one after the other."""
+    return Stations(
+        np.concatenate([one.world_R_hand for one in parts]),
+        np.concatenate([one.world_t_hand for one in parts]),
+        np.concatenate([one.plane for one in parts]),
+    )
+
+
+def _drawn(
+    belief: Belief,
+    plane: int,
+    workspace: Workspace,
+    sensor: Sensor,
+    count: int,
+    rng: np.random.Generator,
+) -> Stations:
+    """Return random stations of the workspace, moved along the normal until the beams can read."""
+    axis = model.normalized(rng.standard_normal((count, 3)))
+    # Stations that tell most turn far, and read near an end of the range.
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / 9.0)
+    R = workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+    t = rng.uniform(workspace.low, workspace.high, (count, 3))
+    n, b = belief.mean.normals[plane], belief.mean.offsets[plane]
+    n_hand = np.einsum("mji,j->mi", R, n)
+    cosine = n_hand @ belief.mean.directions.T
+    good = np.flatnonzero((cosine > math.cos(min(sensor.max_incidence, STEEPEST))).all(axis=1))
+    R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
+    s = -(n_hand @ belief.mean.locations.T + (t @ n + b)[:, None]) / cosine
+    limits = np.array([sensor.range_min, sensor.range_max])
+    k = belief.mean.range_errors
+    low, high = (np.asarray(model.corrected(np.full(len(k), d), k)) for d in limits)
+    # A step back by h along the normal lengthens the range of a beam by h over its cosine.
+    nearest = ((low - s) * cosine).max(axis=1)
+    farthest = ((high - s) * cosine).min(axis=1)
+    fits = np.flatnonzero(farthest > nearest)
+    share = rng.beta(ENDS, ENDS, size=len(fits))
+    back = nearest[fits] + share * (farthest - nearest)[fits]
+    return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(fits), plane))

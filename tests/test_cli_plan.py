@@ -1,0 +1,162 @@
+"""handlaser plan: from nothing, from a recording, from a result; what is refused."""
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from helpers import GRIPPER, ROOT
+
+import handlaser_gtsam as hl
+
+RIG = ROOT / "examples" / "planned" / "rig.toml"
+RECORDING = GRIPPER / "recording.csv"
+GRIPPER_RIG = (GRIPPER / "rig.toml").read_text()
+BOX = "[workspace]\nbox_mm = [[500, 0, 250], [700, 200, 500]]\nlargest_turn_deg = 25\n"
+
+
+@pytest.fixture
+def rig(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text(GRIPPER_RIG + BOX)
+    return path
+
+
+def test_a_first_motion(handlaser, tmp_path):
+    out = tmp_path / "stations.csv"
+    code, text, err = handlaser("plan", "--rig", RIG, "--out", out)
+    assert (code, err) == (0, "")
+    assert "first motion" in text
+    assert f"wrote {out}" in text
+    stations = hl.read_stations(out)
+    assert len(stations) >= 11
+    # Four translations at one orientation first, then turns; long steps between them are divided.
+    read = [j for j, name in enumerate(stations.station_names) if not name.startswith("via")]
+    assert len(read) < len(stations)
+    first = stations.world_R_hand[read[:4]]
+    assert np.allclose(first, first[0])
+    steps = stations.world_t_hand[read[1:4]] - stations.world_t_hand[read[0]]
+    assert np.linalg.matrix_rank(steps, tol=1e-4) == 3
+    way = np.linalg.norm(np.diff(stations.world_t_hand, axis=0), axis=1)
+    assert way.max() < 0.06 + 1e-9  # largest_step_mm
+
+
+def test_from_a_recording(handlaser, tmp_path, rig):
+    out, picture = tmp_path / "stations.csv", tmp_path / "forecast.svg"
+    code, text, err = handlaser(
+        *("plan", RECORDING, "--rig", rig, "--stations", 6, "--out", out, "--picture", picture)
+    )
+    assert (code, err) == (0, "")
+    assert "stations  location mm  direction deg  spot mm" in " ".join(text.split("\n"))
+    stations = hl.read_stations(out)
+    recording = hl.read_recording(RECORDING)
+    assert len(stations) == 6
+    assert set(stations.plane_labels) <= set(recording.plane_names)
+    assert not set(stations.station_names) & set(recording.station_names)
+    assert ElementTree.parse(picture).getroot().tag.endswith("svg")
+
+
+def test_json_alone_on_stdout(handlaser, tmp_path, rig):
+    out = tmp_path / "stations.csv"
+    code, text, err = handlaser(
+        "plan", RECORDING, "--rig", rig, "--stations", 4, "--out", out, "--json"
+    )
+    assert (code, err) == (0, "")
+    found = json.loads(text)
+    assert (found["format"], found["version"]) == ("handlaser-plan", 1)
+    assert len(found["stations"]) == 4
+    assert len(found["forecast"]) == 5
+    assert found["reached"] is None
+    sigmas = [one["direction_sigma_rad"] for one in found["forecast"]]
+    assert sigmas == sorted(sigmas, reverse=True)
+    assert set(found["stations"][0]) == {
+        *("station", "plane", "position_m", "quaternion_xyzw", "ranges_m", "range_sigmas_m")
+    }
+
+
+def test_from_a_result_and_with_the_plate_put_anew(handlaser, tmp_path, rig):
+    result, out = tmp_path / "result.json", tmp_path / "stations.csv"
+    assert handlaser("calibrate", RECORDING, "--rig", rig, "-q", "--out", result)[0] == 0
+    plan = ("plan", "--rig", rig, "--calibration", result, "--stations", 8, "--out", out)
+    code, text, _ = handlaser(*plan)
+    assert code == 0
+    assert "put the plate" not in text
+    assert set(hl.read_stations(out).plane_labels) <= {"A", "B", "C", "D"}
+    code, text, _ = handlaser(*plan, "--planes", 2)
+    assert code == 0
+    assert set(hl.read_stations(out).plane_labels) <= {"E", "F"}
+    assert "put the plate" in text
+
+
+def test_it_stops_at_the_limits(handlaser, tmp_path):
+    limited = tmp_path / "limited.toml"
+    limited.write_text(f"{GRIPPER_RIG}{BOX}[limits]\ndirection_sigma_deg = 0.3\n")
+    code, text, _ = handlaser(
+        *("plan", RECORDING, "--rig", limited, "--out", tmp_path / "stations.csv")
+    )
+    assert code == 0
+    assert "reach the limits" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "[blind]"),
+        ((RECORDING, "--calibration", RECORDING), "one of the two"),
+        ((RECORDING, "--stations", 0), "--stations"),
+    ],
+)
+def test_refusals(handlaser, tmp_path, rig, arguments, words):
+    code, out, err = handlaser("plan", *arguments, "--rig", rig, "--out", tmp_path / "s.csv")
+    assert (code, out) == (2, "")
+    assert words in err
+    assert not (tmp_path / "s.csv").exists()
+
+
+def test_no_range_of_the_sensor(handlaser, tmp_path):
+    out = tmp_path / "s.csv"
+    code, _, err = handlaser("plan", RECORDING, "--out", out)
+    assert code == 2
+    assert "range_mm" in err
+
+
+def test_an_input_is_not_replaced(handlaser, rig):
+    code, _, err = handlaser("plan", RECORDING, "--rig", rig, "--out", rig)
+    assert code == 2
+    assert "the input itself" in err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[workspace]\nbox_mm = [[0, 0, 0]]\n", "workspace.box_mm"),
+        ("[workspace]\nbox_mm = [[0, 0, 0], [1, 1, 0]]\n", "low below high"),
+        (f"{BOX}home_quaternion = [0, 0, 0, 2]\n", "home_quaternion"),
+        (f"{BOX}largest_turn_deg = 1\n", "TOML"),
+        ("[goal]\ncriterion = 'B'\n", "goal.criterion"),
+        ("[goal]\nspot_mm = -1\n", "spot"),
+        ("[placement]\ntilt = 1\n", "largest_tilt_deg"),
+        (
+            "[blind]\nlocation_mm = [[0, 0, 0]]\ndirection = [[0, 0, 0]]\n"
+            "plate_point_mm = [0, 0, 1]\nplate_normal = [0, 0, 1]\n",
+            "without a length",
+        ),
+    ],
+)
+def test_faults_of_the_tables(tmp_path, text, words):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(hl.InputError, match=r"rig\.toml") as caught:
+        hl.read_rig(path)
+    assert words in str(caught.value)
+
+
+def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
+    for verb in ("check", "calibrate"):
+        code, text, err = handlaser(verb, RECORDING, "--rig", rig)
+        assert (code, err) == (0, "")
+        assert "next best stations" in text
+        assert text.count("before plane") == 3
+        assert len(text.splitlines()) <= 30
+    assert "next best" not in handlaser("calibrate", RECORDING)[1]  # no range of the sensor
+    assert "next best" not in handlaser("calibrate", RECORDING, "--rig", rig, "-q")[1]

@@ -1,0 +1,406 @@
+"""Plans: predictions, choice, margins and the first motion, each against a second way to the same."""
+
+import itertools
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import draws
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks.planned_cell import ERR, SENSOR, cell
+from benchmarks.planned_loop import loop
+from handlaser_gtsam import model
+from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
+from handlaser_gtsam.planning.choice import choose, value
+from handlaser_gtsam.planning.information import outlook, updated
+from handlaser_gtsam.planning.order import divided, shortest, way
+from handlaser_gtsam.planning.route import goal_rows, spot_rows
+from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
+from handlaser_gtsam.results.mounts import Mounts
+from handlaser_gtsam.results.spots import spot
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Stations, simulate
+
+NOISE = ERR.stated()
+RANGE_ERRORS = hl.CalibrationOptions("k1", sensor=SENSOR)
+WORKSPACE = hl.Workspace([0.5, 0.0, 0.25], [0.7, 0.2, 0.5], np.eye(3), math.radians(25.0))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    rng = np.random.default_rng(3)
+    truth, stations = SCENES["paper"](Layout(planes=2, k1=0.01), rng)
+    recording = simulate(truth, stations, ERR, rng, SENSOR)
+    return truth, recording, hl.calibrate(recording, NOISE, RANGE_ERRORS)
+
+
+@pytest.fixture(scope="module")
+def belief(recorded):
+    return belief_of(recorded[2])
+
+
+@pytest.fixture(scope="module")
+def pool(belief):
+    rng = np.random.default_rng(0)
+    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng)[0] for p in (0, 1)])
+
+
+# --- what stations would tell ------------------------------------------------------------------------
+
+
+def reading(at, R, t, plane, beam):
+    """The range of one beam at one pose, written down once more."""
+    n, b = R.T @ at.normals[plane], at.offsets[plane] + at.normals[plane] @ t
+    return -(n @ at.locations[beam] + b) / (n @ at.directions[beam])
+
+
+def residual(belief, x, stations, j, beam, d, twist):
+    """The residual of a reading d, for unknowns and a hand pose that are moved."""
+    at = belief.moved(x)
+    R = stations.world_R_hand[j] @ Rotation.from_rotvec(twist[:3]).as_matrix()
+    t = stations.world_t_hand[j] + stations.world_R_hand[j] @ twist[3:]
+    k = at.range_errors[beam]
+    return reading(at, R, t, stations.plane[j], beam) - d * (1.0 + k[0] + k[1] * d)
+
+
+def dense_information(belief, stations):
+    """The information of all stations, from central differences and a dense covariance each."""
+    unknowns = len(belief.covariance)
+    total, S = np.zeros((unknowns, unknowns)), belief.variances.pose[0]
+    ahead = outlook(belief, stations)
+    step = 1e-6
+    for j in range(len(stations.plane)):
+        J, P = np.zeros((belief.beams, unknowns)), np.zeros((belief.beams, 6))
+        for beam in range(belief.beams):
+            d = ahead.reading[j, beam]
+            for axis in range(unknowns + 6):
+                e = np.zeros(unknowns + 6)
+                e[axis] = step
+                high, low = (
+                    residual(belief, s[:unknowns], stations, j, beam, d, s[unknowns:])
+                    for s in (e, -e)
+                )
+                slope = (high - low) / (2.0 * step)
+                if axis < unknowns:
+                    J[beam, axis] = slope
+                else:
+                    P[beam, axis - unknowns] = slope
+        k = belief.mean.range_errors
+        own = belief.variances.range_sigma * (1.0 + k[:, 0] + 2.0 * k[:, 1] * ahead.reading[j])
+        total += J.T @ np.linalg.solve(np.diag(own**2) + P @ S @ P.T, J)
+    return total
+
+
+def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
+    """Information adds up: inv(inv(C) + J' inv(C_e) J) with numeric Jacobians, by another path."""
+    chosen = Stations(pool.world_R_hand[::24], pool.world_t_hand[::24], pool.plane[::24])
+    used = np.flatnonzero(np.diagonal(belief.covariance) > 0.0)
+    assert len(used) == len(belief.covariance) - belief.beams  # k2 is not modelled
+    C = belief.covariance
+    for rows in outlook(belief, chosen).rows:
+        C = updated(C, rows)
+    at = np.ix_(used, used)
+    scale = np.sqrt(np.diagonal(belief.covariance)[used])
+    prior = np.linalg.inv(belief.covariance[at] / np.outer(scale, scale))
+    more = dense_information(belief, chosen)[at] * np.outer(scale, scale)
+    dense = np.linalg.inv(prior + more)
+    # Central differences at 1e-6 err by rounding, 1e-10 of a reading; correlations multiply that.
+    assert np.allclose(C[at] / np.outer(scale, scale), dense, atol=1e-5)
+
+
+def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
+    joint = recorded[2].covariance
+    for i, name in enumerate(joint.beam_names):
+        own = belief.covariance[BEAM * i : BEAM * i + 3, BEAM * i : BEAM * i + 3]
+        assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
+    mounts = belief_of(Mounts.of(recorded[2]))
+    count = belief.of_beams
+    # Other tangent bases: what does not depend on them is equal.
+    for i in range(belief.beams):
+        at = BEAM * i + np.arange(3, 5)
+        both = [np.linalg.eigvalsh(x.covariance[np.ix_(at, at)]) for x in (belief, mounts)]
+        assert np.allclose(*both, rtol=1e-9)
+    assert mounts.covariance.shape == (count, count)
+
+
+def test_bases_move_with_their_directions():
+    rng = np.random.default_rng(0)
+    v = model.normalized(rng.standard_normal((50, 3)))
+    near = model.normalized(v + 0.01 * rng.standard_normal((50, 3)))
+    moved = transported(model.tangent_basis(v), near)
+    assert np.allclose(np.einsum("nij,nik->njk", moved, moved), np.eye(2))
+    assert np.allclose(np.einsum("ni,nij->nj", near, moved), 0.0, atol=1e-15)
+    assert np.abs(moved - model.tangent_basis(v)).max() < 0.1
+
+
+def test_the_spot_is_that_of_the_results(recorded, belief):
+    rows = spot_rows(belief, 0.02)
+    C = (rows @ belief.covariance @ rows.T)[:3, :3]
+    found = spot(recorded[2], "1", 0.02)
+    v = belief.mean.directions[0]
+    assert math.sqrt(v @ C @ v) == pytest.approx(found.along, rel=1e-6)
+
+
+# --- choice ------------------------------------------------------------------------------------------
+
+
+def tiny(seed, candidates=7, unknowns=4):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((1, candidates, 2, unknowns))
+    return rows, np.eye(unknowns), rng.standard_normal((3, unknowns))
+
+
+def after(rows, C, indices):
+    for index in indices:
+        C = updated(C, rows[0, index])
+    return C
+
+
+@pytest.mark.parametrize("criterion", ["A", "D", "E"])
+def test_the_first_station_is_the_best_of_all(criterion):
+    for seed in range(10):
+        rows, C, weight = tiny(seed)
+        found = choose(rows, C, weight, 1, criterion)
+        every = [value(after(rows, C, [i]), weight, criterion) for i in range(rows.shape[1])]
+        if criterion == "E":  # chosen by a smooth norm of all eigenvalues: nearly the best
+            assert found.value[-1] <= min(every) + 0.15 * abs(min(every))
+        else:
+            assert found.candidates[0] == int(np.argmin(every))
+
+
+def test_exchange_finds_the_best_subset_of_tiny_problems():
+    """Of 35 subsets of three it is nearly always the best one, and no single exchange betters it."""
+    exact = 0
+    for seed in range(20):
+        rows, C, weight = tiny(seed)
+        found = choose(rows, C, weight, 3)
+        left = {
+            one: value(after(rows, C, one), weight, "A")
+            for one in itertools.combinations(range(rows.shape[1]), 3)
+        }
+        chosen = set(found.candidates.tolist())
+        near = [left[one] for one in left if len(chosen & set(one)) == 2]
+        assert found.value[-1] <= min(near) * (1.0 + 1e-9)
+        exact += found.value[-1] <= min(left.values()) * (1.0 + 1e-9)
+    assert exact >= 17
+
+
+def test_updates_up_and_down_agree_with_the_final_covariance():
+    rows, C, weight = tiny(1, candidates=30, unknowns=8)
+    found = choose(rows, C, weight, 10)
+    assert len(set(found.candidates.tolist())) == 10
+    assert np.allclose(found.covariance, after(rows, C, found.candidates), atol=1e-12)
+    assert (np.diff(found.value) <= 0.0).all()
+
+
+def test_planned_stations_beat_random_ones(belief, pool):
+    goal, rng = hl.Goal(), np.random.default_rng(0)
+    rows = outlook(belief, pool).rows
+    weight = goal_rows(belief, goal, 0.015)
+    chosen = choose(rows[None], belief.covariance, weight, 8)
+    drawn = [
+        value(after(rows[None], belief.covariance, rng.choice(120, 8, False)), weight, "A")
+        for _ in range(20)
+    ]
+    assert chosen.value[-1] < min(drawn)
+
+
+def test_the_choice_is_quick():
+    """44 of 1,200 candidates, 4 beams and 4 planes, at the mean and 4 draws: a second of CPU time."""
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((5, 1200, 4, 40))
+    weight = np.eye(40)[:20]
+    begin = time.process_time()
+    choose(rows, np.eye(40), weight, 44, exchange=False)
+    assert time.process_time() - begin < 1.0  # 0.2 s, also where other processes run
+
+
+# --- margins -----------------------------------------------------------------------------------------
+
+
+def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool):
+    """Monte Carlo over the posterior and the noise of the robot, against the linear margins."""
+    rng, sensor = np.random.default_rng(1), SENSOR
+    ahead = outlook(belief, pool)
+    assert safe(ahead, sensor).all()
+    assert inside(WORKSPACE, pool).all()
+    unsafe, count = 0, draws(40, 400)
+    for _ in range(count):
+        truth = belief.draw(rng)
+        read = simulate(truth, pool, ERR, rng, sensor)
+        unsafe += int(np.isnan(read.ranges).any())
+    # 120 stations at once, four sigmas each: 3e-5 a side and reading, an upper bound of 3 %.
+    assert unsafe <= max(2, 0.03 * count)
+
+
+def test_the_spread_of_readings_is_that_of_draws(belief, pool):
+    rng = np.random.default_rng(2)
+    few = Stations(pool.world_R_hand[::30], pool.world_t_hand[::30], pool.plane[::30])
+    ahead = outlook(belief, few)
+    read = np.stack(
+        [simulate(belief.draw(rng), few, ERR, rng).ranges for _ in range(draws(400, 4000))]
+    )
+    ratio = read.std(axis=0) / ahead.reading_sigma
+    # The standard deviation of 400 draws is known to 3.5 %; 16 readings are compared.
+    assert np.abs(ratio - 1.0).max() < 0.12
+
+
+# --- plans -------------------------------------------------------------------------------------------
+
+
+def test_a_plan_predicts_the_calibration_that_follows(recorded):
+    truth, recording, first = recorded
+    plan = hl.plan(first, 12, SENSOR, WORKSPACE)
+    names = recording.plane_names
+    index = np.array([names.index(label) for label in plan.stations.plane_labels])
+    at = Stations(plan.stations.world_R_hand, plan.stations.world_t_hand, index)
+    rng = np.random.default_rng(5)
+    read = simulate(truth, at, ERR, rng, SENSOR)
+    assert not np.isnan(read.ranges).any()
+    error = (read.ranges - plan.ranges) / plan.range_sigmas
+    assert np.abs(error).max() < 5.0
+    more = plan.stations.recording(read.ranges, recording.beam_names)
+    found = hl.calibrate(hl.join([recording, more]), NOISE, RANGE_ERRORS)
+    largest = max(beam.direction_sigma for beam in found.beams.values())
+    assert plan.forecast.direction_sigma[-1] == pytest.approx(largest, rel=0.1)
+    location = max(beam.sigma[:3].max() for beam in found.beams.values())
+    assert plan.forecast.location_sigma[-1] == pytest.approx(location, rel=0.1)
+
+
+def test_a_plan_stops_where_the_goal_is_met(recorded):
+    _, _, first = recorded
+    goal = hl.Goal(direction_sigma=math.radians(0.25))
+    plan = hl.plan(first, 40, SENSOR, WORKSPACE, goal)
+    assert plan.reached == len(plan) < 40
+    assert plan.forecast.direction_sigma[-1] <= goal.direction_sigma
+    assert plan.forecast.direction_sigma[-2] > goal.direction_sigma
+    assert hl.plan(first, 1, SENSOR, WORKSPACE, goal).reached is None
+
+
+@pytest.mark.parametrize("criterion", ["A", "D", "E", "spot"])
+def test_every_criterion_gives_a_plan(recorded, criterion):
+    plan = hl.plan(recorded[2], 5, SENSOR, WORKSPACE, hl.Goal(criterion))
+    assert len(plan) == 5
+    assert plan.forecast.spot[-1] < plan.forecast.spot[0]
+
+
+def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
+    placement = hl.Placement(2, largest_tilt=math.radians(20.0))
+    plan = hl.plan(recorded[2], 8, SENSOR, WORKSPACE, placement=placement)
+    assert set(plan.plates) == {"C", "D"}  # A and B are taken
+    assert set(plan.stations.plane_labels) <= set(plan.plates)
+    for plate in plan.plates.values():
+        first = recorded[2].planes["B"].normal
+        assert math.acos(min(plate.normal @ first, 1.0)) <= placement.largest_tilt + 1e-9
+
+
+def test_a_calibration_without_a_covariance_is_no_guide(recorded):
+    _, recording, _ = recorded
+    few = hl.calibrate(recording.part([0, 1, 2]), NOISE, RANGE_ERRORS)
+    with pytest.raises(hl.InputError, match="plan without a calibration"):
+        hl.plan(few, 5, SENSOR, WORKSPACE)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("a file", 5, SENSOR), (None, 5, SENSOR), (None, 0, SENSOR), (None, 5, "sensor")],
+)
+def test_what_is_no_basis_is_refused_in_one_line(recorded, arguments):
+    calibration = recorded[2] if arguments[1:] != (5, SENSOR) else arguments[0]
+    with pytest.raises(hl.InputError) as caught:
+        hl.plan(calibration, *arguments[1:])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sensor_without_a_range_is_no_basis(recorded):
+    with pytest.raises(hl.InputError, match="range_mm"):
+        hl.plan(recorded[2], 5, hl.Sensor(), WORKSPACE)
+
+
+def test_planes_out_of_reach_are_passed_over(recorded):
+    _, _, first = recorded
+    n, b = first.planes["A"].normal, first.planes["A"].offset
+    foot = np.array([0.6, 0.1, 0.4])
+    foot = foot - (n @ foot + b) * n
+    far = {"far": hl.Plate(foot + 5.0 * n, n)}
+    plan = hl.plan(first, 4, SENSOR, WORKSPACE, plates=far)
+    assert set(plan.stations.plane_labels) <= {"A", "B"}
+    assert not plan.plates  # a person need not put what stands
+
+
+def test_a_workspace_out_of_reach_is_said(recorded):
+    far = hl.Workspace([2.0, 2.0, 2.0], [2.1, 2.1, 2.1], np.eye(3))
+    with pytest.raises(hl.InputError, match="no station before plane A"):
+        hl.plan(recorded[2], 5, SENSOR, far)
+
+
+# --- the way -----------------------------------------------------------------------------------------
+
+
+def test_the_way_is_the_shortest_of_tiny_problems(pool):
+    few = Stations(pool.world_R_hand[:6], pool.world_t_hand[:6], pool.plane[:6])
+    order = shortest(few, 0.05)
+    assert sorted(order.tolist()) == list(range(6))
+    every = [
+        way(few, np.array((order[0], *rest)), 0.05)
+        for rest in itertools.permutations(sorted(set(range(6)) - {int(order[0])}))
+    ]
+    assert way(few, order, 0.05) <= 1.15 * min(every)
+
+
+def test_long_steps_are_divided(pool):
+    few = Stations(pool.world_R_hand[:5], pool.world_t_hand[:5], pool.plane[:5])
+    found, origin = divided(few, 0.01)
+    steps = np.linalg.norm(np.diff(found.world_t_hand, axis=0), axis=1)
+    assert steps.max() <= 0.01 + 1e-12
+    assert origin[origin >= 0].tolist() == [0, 1, 2, 3, 4]
+    assert np.allclose(found.world_t_hand[origin >= 0], few.world_t_hand)
+    assert inside(WORKSPACE, found).all()
+
+
+# --- the first motion --------------------------------------------------------------------------------
+
+
+def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
+    here = cell(np.random.default_rng(4), 1)
+    plan = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    assert plan.safe >= 0.99
+    rng = np.random.default_rng(8)
+    outside = 0
+    for _ in range(draws(10, 100)):
+        drawn = replace(here, truth=here.bounds.draw(rng))
+        read = drawn.measured(plan, rng)
+        outside += int(np.isnan(read.ranges).any())
+        found = hl.calibrate(read, here.noise, hl.CalibrationOptions(sensor=SENSOR))
+        assert found.status == "converged"
+    assert outside <= draws(1, 3)
+    check = check_motion(read)
+    (plane,) = check.planes
+    assert plane.translations == 3  # Lemma 1
+    assert plane.axes >= 2  # Lemma 2
+    assert not check.undetermined
+
+
+def test_the_closed_loop_needs_half_of_the_random_stations():
+    """Of two robots; the study has the median of fifty, 0.3."""
+    found = [loop(seed) for seed in (0, 1)]
+    assert all(one["planned"].reached for one in found)
+    stations = [sum(one[way].stations for one in found) for way in ("planned", "random")]
+    assert stations[0] <= 0.5 * stations[1]
+
+
+def test_bounds_too_wide_for_the_sensor_are_refused():
+    here = cell(np.random.default_rng(4), 1)
+    wide = replace(here.bounds, location_within=0.02)
+    with pytest.raises(hl.InputError, match="narrower bounds"):
+        hl.blind_motion(wide, SENSOR, here.workspace, here.noise)
+
+
+def test_the_same_seed_gives_the_same_plan(recorded):
+    first, second = (hl.plan(recorded[2], 4, SENSOR, WORKSPACE) for _ in range(2))
+    assert first == second
