@@ -159,7 +159,7 @@ def test_the_mathematics_does_not_know_gtsam():
 
 def test_every_room_says_its_job():
     rooms = [folder for folder in PACKAGE.iterdir() if (folder / "__init__.py").exists()]
-    assert len(rooms) <= 15
+    assert sum(not folder.is_symlink() for folder in rooms) <= 14  # factors/ stands beside it
     for folder in rooms:
         says = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
         assert says, folder

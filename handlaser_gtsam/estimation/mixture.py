@@ -21,6 +21,7 @@ within and between, and quantiles of its components.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray
@@ -231,13 +232,14 @@ class BeamPosterior:
         Zbar = np.add.reduceat(weight[:, None, None] * Z, first)
         within = np.einsum("j,jab->ab", np.add.reduceat(weight, first), S[seen])
         within -= np.einsum("jak,jkl,jbl->ab", U[seen], Zbar, U[seen], optimize=True)
-        along = coordinates @ U
-        wide = np.einsum("ma,jab,mb->jm", coordinates, S, coordinates, optimize=True)
-        means, less = self.mean[sets], np.empty((len(sets), len(coordinates)))
+        few = csr_array(coordinates)  # each of them is one of some unknowns of one beam
+        means, variances = self.mean[sets], np.empty((len(sets), len(coordinates)))
         for j, a, e in zip(seen, first, np.append(first[1:], len(sets)), strict=True):
+            along = few @ U[j]
             means[a:e] -= Zk[a:e] @ U[j].T
-            less[a:e] = np.einsum("cmk,mk->cm", along[j] @ Z[a:e], along[j])
-        return means, np.sqrt(np.maximum(wide[sets] - less, 0.0)), within
+            variances[a:e] = few.multiply(few @ S[j]).sum(axis=1)
+            variances[a:e] -= np.einsum("cmk,mk->cm", along @ Z[a:e], along)
+        return means, np.sqrt(np.maximum(variances, 0.0)), within
 
 
 def _narrowing(own: FloatArray, widest: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -237,7 +237,9 @@ def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
         return Weighing(np.sqrt(grid.spread(weights)))
     matrix = np.zeros((len(whitenings), grid.cells, grid.beams, grid.beams))
     for k, how in enumerate(whitenings):
-        matrix[k, grid.place] = (how.root @ how.root)[how.station]
+        cell = np.empty(len(how.root), dtype=np.intp)
+        cell[how.station] = grid.place
+        matrix[k, cell] = how.root @ how.root
     return Weighing(matrix=matrix)
 
 
