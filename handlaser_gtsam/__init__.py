@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from .errors import SolverError as SolverError
     from .estimation.information import NoiseSet as NoiseSet
     from .estimation.learned import LearnedScales as LearnedScales
-    from .estimation.many import SolvedMany as SolvedMany
-    from .estimation.many import solve_many as solve_many
+    from .estimation.many_recordings import SolvedMany as SolvedMany
+    from .estimation.many_recordings import solve_many as solve_many
     from .estimation.options import CalibrationOptions as CalibrationOptions
     from .estimation.range_error_grid import RangeErrorGrid as RangeErrorGrid
     from .estimation.scales import Scale as Scale
@@ -143,7 +143,7 @@ _NAMES = {
     "estimation.information": "NoiseSet",
     "estimation.learned": "LearnedScales",
     "estimation.range_error_grid": "RangeErrorGrid",
-    "estimation.many": "SolvedMany solve_many",
+    "estimation.many_recordings": "SolvedMany solve_many",
     "estimation.options": "CalibrationOptions",
     "estimation.scales": "Scale Scales",
     "files.calibration_json": "write_calibration",

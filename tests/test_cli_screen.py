@@ -13,7 +13,7 @@ from handlaser_gtsam.cli.validation_tables import hold_out_sentence
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.lines import WIDTH, decimals, with_sigma, wrapped
-from handlaser_gtsam.results.screen import LINES, screen_lines
+from handlaser_gtsam.results.summary import LINES, screen_lines
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.validation.hold_out import HoldOut
 

@@ -14,7 +14,7 @@ from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.observability.wording import Names, weakest
 from handlaser_gtsam.results.limits import Limits, checked
 from handlaser_gtsam.simulation.scenes import Layout
-from handlaser_gtsam.solvers.reduction import normal_equations
+from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.steps import apply_step
 from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
 

@@ -12,7 +12,7 @@ from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt, linearize
-from handlaser_gtsam.solvers.reduction import normal_equations
+from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start

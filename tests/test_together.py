@@ -16,8 +16,8 @@ from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.grid import Grid
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
-from handlaser_gtsam.solvers.reduction import jacobian_columns
-from handlaser_gtsam.solvers.together import solve_together
+from handlaser_gtsam.solvers.many_problems import solve_together
+from handlaser_gtsam.solvers.normal_equations import jacobian_columns
 
 SIGMA = 3e-5
 FINE = LevenbergOptions(step_tolerance=1e-10)

@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .options import Given, JsonOption, Model, QuietOption, RecordingArgument
-from .working import Working
+from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -171,7 +171,7 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
 def _show(outcome: _Outcome, output: Output) -> None:
     from ..planning.advice import advice_lines
     from ..results.lines import WIDTH, wrapped
-    from ..results.screen import screen_lines
+    from ..results.summary import screen_lines
     from ..text import printable
     from .incremental import comparison_line, update_table
     from .tables import TableConsole, calibration_tables, cross_check_line

@@ -7,7 +7,7 @@ import typer
 
 from .answer import UNDETERMINED, Answer
 from .options import JsonOption, RecordingArgument
-from .working import Working
+from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording

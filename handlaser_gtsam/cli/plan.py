@@ -9,7 +9,7 @@ import typer
 
 from .answer import Answer, print_wrapped
 from .options import Given, JsonOption, Model, QuietOption
-from .working import Working
+from .progress_line import Working
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

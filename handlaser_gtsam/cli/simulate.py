@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .working import Working
+from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..simulation import simulate as simulation

@@ -15,8 +15,8 @@ from ..results.calibration import Calibration
 from ..results.lines import MM, UNDETERMINED
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.reports import Beam, Plane
-from ..results.screen import sizes
 from ..results.spots import spot, typical_plane
+from ..results.summary import sizes
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
 

@@ -9,7 +9,7 @@ import typer
 
 from .answer import NOT_USABLE, Answer, print_wrapped
 from .options import Given, JsonOption, Model, RecordingArgument
-from .working import Working
+from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.noise import Noise

@@ -14,7 +14,7 @@ from pydantic import Field, Strict
 from ..errors import InputError
 from ..results.mounts import Mounts
 from ..text import shown
-from .reading import FileRecord, json_value, read_checked, square_matrix
+from .checked_text import FileRecord, json_value, read_checked, square_matrix
 from .writing import path_of
 
 EXPECTED = "a calibration of handlaser, JSON"

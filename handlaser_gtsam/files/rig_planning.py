@@ -22,7 +22,7 @@ from ..planning.choice import Criterion
 from ..planning.goal import Goal
 from ..planning.plate import Placement, Plate
 from ..planning.workspace import Workspace
-from .reading import FileRecord
+from .checked_text import FileRecord
 
 MM, DEG = 1e-3, math.pi / 180.0
 UNIT = 1e-3

@@ -28,7 +28,7 @@ from ..planning.goal import Goal
 from ..planning.plate import Placement
 from ..planning.workspace import Workspace
 from ..results.limits import Limits
-from .reading import FileRecord, read_checked, square_matrix
+from .checked_text import FileRecord, read_checked, square_matrix
 from .rig_planning import BlindTable, GoalTable, PlacementTable, WorkspaceTable
 from .writing import path_of, write_text
 

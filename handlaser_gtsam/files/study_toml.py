@@ -36,7 +36,7 @@ from ..model.losses import LossName
 from ..simulation.scenes import ERRORS, SENSORS, Layout
 from ..simulation.simulate import Errors
 from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
-from .reading import FileRecord, read_checked
+from .checked_text import FileRecord, read_checked
 from .rig_toml import NoiseTable, noise_of, scaled, toml_value
 from .writing import path_of
 

@@ -18,7 +18,7 @@ from ..arrays import BoolArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import InputError
 from ..text import LONGEST_NAME, name_fault, shown
-from .reading import read_text
+from .checked_text import read_text
 
 SEPARATORS = ",;\t"
 BLANK = " \t"

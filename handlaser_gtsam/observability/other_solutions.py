@@ -22,7 +22,7 @@ import numpy as np
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
-from ..solvers.reduction import normal_equations
+from ..solvers.normal_equations import normal_equations
 from ..solvers.refine import refine, refine_many
 from ..starts import part
 from ..starts.directions import direction_starts, random_starts

@@ -3,8 +3,8 @@ r"""Which unknowns the readings determine, and which they leave open.
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
 normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
 prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
-planes are eliminated (`solvers.reduction`), and a direction of the remaining information matrix is
-undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
+planes are eliminated (`solvers.normal_equations`), and a direction of the remaining information matrix
+is undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
 rounding. Both follow from the noise: better sensors determine more.
 """
 
@@ -18,7 +18,7 @@ from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
 from ..model.weighting import Whitening
 from ..solvers.elimination import ReducedInformation, spectrum
-from ..solvers.reduction import NormalEquations, normal_equations
+from ..solvers.normal_equations import NormalEquations, normal_equations
 
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""

@@ -16,7 +16,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..observability.rank import Observability
-from ..solvers.reduction import jacobian_columns
+from ..solvers.normal_equations import jacobian_columns
 
 MOST_WORK = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: so many readings share so many

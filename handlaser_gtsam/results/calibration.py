@@ -13,7 +13,7 @@ from ..model.weighting import whitening
 from .calibration_data import CalibrationData
 from .limits import Limits
 from .reports import Beam, Plane
-from .screen import screen_lines
+from .summary import screen_lines
 from .verdict import verdict
 
 if TYPE_CHECKING:  # both take long to import, and few need them

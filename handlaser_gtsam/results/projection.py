@@ -12,7 +12,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import Whitening
-from ..solvers.reduction import NormalEquations, jacobian_columns, normal_equations
+from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 
 WIDTH = 7
 """Unknowns of a beam: location, direction, k1 and k2."""

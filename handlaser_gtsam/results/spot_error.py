@@ -42,7 +42,7 @@ from ..data.recording import LARGEST, Readings, Recording
 from ..errors import HandlaserError, InputError
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, whitening
-from ..solvers.reduction import normal_equations
+from ..solvers.normal_equations import normal_equations
 from .calibration_data import CalibrationData
 from .reports import Beam
 

@@ -24,7 +24,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..data.value import Value
-from ..solvers.reduction import NormalEquations
+from ..solvers.normal_equations import NormalEquations
 
 MOST_SIGMA = 0.1
 """What is known worse than to this part of its natural unit, is not tested."""

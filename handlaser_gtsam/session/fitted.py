@@ -19,8 +19,8 @@ from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
+from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 from ..solvers.poses import pose_priors
-from ..solvers.reduction import NormalEquations, jacobian_columns, normal_equations
 from .config import SessionConfig
 from .drift import Information, Reference, plane_information
 

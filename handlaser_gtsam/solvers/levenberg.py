@@ -24,9 +24,9 @@ from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from .graph import CalibrationGraph
 from .linear import Step
+from .objectives import BatchObjective, GraphObjective, Objective, Point
 from .progress import Trial
 from .values import require_values
-from .work import Alone, Point, Together, Work
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
 LARGEST_DAMPING = 1e100
@@ -119,7 +119,7 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    search = _Search(Together(problem), options or LevenbergOptions(), progress)
+    search = _Search(BatchObjective(problem), options or LevenbergOptions(), progress)
     return search.result(lambda rows: _of_readings(problem, rows))
 
 
@@ -156,7 +156,7 @@ def optimize(
         An empty graph, a variable without a start, or numbers beyond sense.
     """
     _require_startable(graph, values)
-    search = _Search(Alone(graph, values), options or LevenbergOptions(), progress)
+    search = _Search(GraphObjective(graph, values), options or LevenbergOptions(), progress)
     return search.result(lambda _: np.empty(0))
 
 
@@ -178,7 +178,7 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem` as a result: what somebody else has solved."""
-    point = Together(problem).evaluate(problem.values)
+    point = BatchObjective(problem).evaluate(problem.values)
     residual, white = (_of_readings(problem, e) for e in (point.at.residual, point.at.white))
     return LevenbergResult(point.values, "converged", message, point.cost, 0, (), residual, white)
 
@@ -202,16 +202,16 @@ class _Search:
 
     def __init__(
         self,
-        work: Work,
+        objective: Objective,
         options: LevenbergOptions,
         progress: Callable[[Trial], None] | None,
     ) -> None:
-        self.work, self.options, self.progress = work, options, progress
+        self.objective, self.options, self.progress = objective, options, progress
         self.history: list[Trial] = []
         self.accepted = 0
         self.damping = options.least_damping
-        self.point = work.evaluate(gtsam.Values(work.start))
-        self.stopping = work.stopping(options.step_tolerance, options.least_damping)
+        self.point = objective.evaluate(gtsam.Values(objective.start))
+        self.stopping = objective.stopping(options.step_tolerance, options.least_damping)
 
     def result(self, of_readings: Callable[[FloatArray], FloatArray]) -> LevenbergResult:
         """Run to the end; Ctrl-C ends it with the best values so far.
@@ -230,7 +230,7 @@ class _Search:
         )
 
     def run(self) -> tuple[Status, str]:
-        linear = self.work.linearize(self.point)
+        linear = self.objective.linearize(self.point)
         while len(self.history) < self.options.max_iterations:
             step = linear.solved(self.damping)
             trial = self._try(step)
@@ -247,14 +247,14 @@ class _Search:
             if not self._adapt_damping(gain):
                 return "stalled", f"no step lowers the cost after {self.accepted} steps"
             if accepted:
-                linear = self.work.linearize(self.point)
+                linear = self.objective.linearize(self.point)
         return "max_iterations", f"not converged within {len(self.history)} trial steps"
 
     def _try(self, step: Step | None) -> Point | None:
         if step is None:
             return None
         try:
-            trial = self.work.evaluate(self.point.values.retract(step.delta))
+            trial = self.objective.evaluate(self.point.values.retract(step.delta))
         except GrazingBeamError:
             return None
         return trial if np.isfinite(trial.cost) else None

@@ -17,7 +17,7 @@ from ..factors import Evaluation
 from ..model.losses import GAUSSIAN
 from .graph import CalibrationGraph
 from .grid import Grid, Weighing, weighing_of
-from .reduction import NormalEquations, summed_equations
+from .normal_equations import NormalEquations, summed_equations
 from .steps import damped_step
 
 BEAMS = gtsam.symbol("B", 0)

@@ -15,8 +15,8 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN, Loss
 from .grid import Grid
+from .normal_equations import normal_equations
 from .progress import tell
-from .reduction import normal_equations
 from .steps import apply_step, damped_step
 
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6

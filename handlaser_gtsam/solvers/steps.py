@@ -8,7 +8,7 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.weighting import Whitening
 from .elimination import solve_stack
-from .reduction import NormalEquations, normal_equations
+from .normal_equations import NormalEquations, normal_equations
 
 MANY_BEAMS = 4
 """Beams are eliminated first where their unknowns are so many times those of the planes."""

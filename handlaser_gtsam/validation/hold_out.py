@@ -1,7 +1,7 @@
 r"""Whether a calibration holds for another recording.
 
 The planes of that recording are unknown, the beams b known with covariance P. Near them, with the
-planes fitted, the whitened residuals cost (`solvers.reduction`)
+planes fitted, the whitened residuals cost (`solvers.normal_equations`)
 
     chi2(b + x) = c + 2 g' x + x' S x,
 
@@ -29,8 +29,8 @@ from ..data.value import Value
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
+from ..solvers.normal_equations import normal_equations
 from ..solvers.progress import tell
-from ..solvers.reduction import normal_equations
 from ..solvers.steps import apply_step
 from ..starts.partial import PartialStart, grow
 

@@ -16,7 +16,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import HandlaserError, InputError
-from ..estimation.many import solve_many
+from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..simulation.scenes import ERRORS, SCENES, SENSORS, Layout

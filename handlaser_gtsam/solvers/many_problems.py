@@ -19,7 +19,7 @@ from ..data.value import Value
 from ..model.weighting import Whitening
 from .grid import Grid, Weighing, weighing_of
 from .levenberg import LevenbergOptions
-from .reduction import NormalEquations, grid_normal_equations
+from .normal_equations import NormalEquations, grid_normal_equations
 from .refine import joined, parted, picked
 from .steps import apply_step, damped_step
 from .stopping import COST_RESOLUTION

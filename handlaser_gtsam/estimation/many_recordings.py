@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..model.weighting import Variances, unequal, whitening
 from ..solvers.elimination import eliminated
 from ..solvers.levenberg import LevenbergOptions
-from ..solvers.together import SolvedTogether, solve_together
+from ..solvers.many_problems import SolvedTogether, solve_together
 from ..starts import find_start
 
 ROUNDS = 2

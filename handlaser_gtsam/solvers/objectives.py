@@ -25,7 +25,7 @@ class Point:
     cost: float
 
 
-class Work(ABC):
+class Objective(ABC):
     """A graph with a start, and how it is evaluated."""
 
     start: gtsam.Values
@@ -43,7 +43,7 @@ class Work(ABC):
         """Return what tells when to stop."""
 
 
-class Together(Work):
+class BatchObjective(Objective):
     """A calibration: all readings are evaluated together."""
 
     def __init__(self, problem: CalibrationGraph) -> None:
@@ -82,7 +82,7 @@ class Together(Work):
         return Stopping(tolerance, least_damping, rows * float(rounding) ** 2, free)
 
 
-class Alone(Work):
+class GraphObjective(Objective):
     """A graph of somebody else: every factor evaluates itself."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
