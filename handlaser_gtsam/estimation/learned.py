@@ -154,6 +154,8 @@ class ScaleProblem:
 
         Of sensors that have range errors; those that have none are integrated over later.
         """
+        if self._part.readings.beams < self.readings.beams:
+            return self._part.range_error_scales(mode)
         grid, beams = self._grid(mode)
         if grid.own.shape[1] == 0:
             return np.empty(0)
@@ -218,7 +220,7 @@ class ScaleProblem:
         part.at, part.readings = at, part_of(readings)
         part.k = at.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
         part.rows = LinearReadings(at, part.readings, self.terms, self.length, self.base)
-        part.wide = self._widest(readings.beams)
+        part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
     def _widest(self, beams: int) -> RangeErrorGrid:

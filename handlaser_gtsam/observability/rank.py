@@ -101,7 +101,7 @@ class Reduced:
 
     def covariance(self) -> FloatArray:
         """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
-        return self.information.covariance(self.floor)
+        return self.information.covariance(self.floor, self.least)
 
     def padded(self, columns: FloatArray) -> FloatArray:
         """Return columns (n, K) of unknowns over all rows (B W, K), those that are none zero."""

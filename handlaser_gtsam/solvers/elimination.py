@@ -53,11 +53,14 @@ class ReducedInformation:
     plane_step: FloatArray
     plane_saved: FloatArray
 
-    def covariance(self, floor: float) -> FloatArray:
-        """Return the inverse (n, n) of the only copy, along axes of at least `floor` information."""
+    def covariance(self, floor: float, least: float = 0.0) -> FloatArray:
+        """Return the inverse (n, n) of the only copy, along axes of at least `floor` information.
+
+        All have that where the least eigenvalue is known to.
+        """
         try:
             root = np.linalg.cholesky(self.matrix)
-            if np.diagonal(root).min() ** 2 > CERTAIN * floor:
+            if least >= floor or np.diagonal(root).min() ** 2 > CERTAIN * floor:
                 return _inverse_of_root(root)
         except np.linalg.LinAlgError:
             pass
