@@ -32,12 +32,12 @@ main()
 COMPUTING = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from handlaser_gtsam.cli import main, working
-listen = working.Working._listen
+from handlaser_gtsam.cli import main, progress_line
+listen = progress_line.Working._listen
 def listened(self, told):
     print("ready", flush=True)
     listen(self, told)
-working.Working._listen = listened
+progress_line.Working._listen = listened
 main()
 """
 """Says so when the computation has begun."""
