@@ -7,6 +7,7 @@ Every solver gets the same recordings (11 stations x 4 beams a plane, k1 and k2)
 start, and must reach the same optimum. Times are medians and include building the problem:
 
 graph      levenberg_marquardt of this package on its factor graph
+reduction  the same minimum in NumPy, planes eliminated, without a graph
 reference  scipy.optimize.least_squares, derivatives by differences (sparse above 200 unknowns)
 gtsam-lm   gtsam.LevenbergMarquardtOptimizer on the same graph
 
@@ -14,6 +15,7 @@ ceres      a program in C++ that solves the same problem with Ceres, where the e
            HANDLASER_CERES_PEER names it; it is called with a text file and a number of repetitions
            and prints a row of JSON (seconds, cost, iterations)
 
+`together`: 1000 problems of 4 planes at once by the reduction, over the time of one after the other.
 `start to covariances` is find_start, graph and marginals together; `calibrate` is everything, with the
 noise given as it was simulated. Its CPU time over that of `graph` is printed below the table.
 """
@@ -26,7 +28,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import gtsam
@@ -43,6 +45,7 @@ from handlaser_gtsam.simulation.scenes import Layout, paper
 from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.partial import grow
@@ -87,6 +90,28 @@ def solve_graph(readings: Readings, start: Parameters) -> tuple[float, int]:
     """Solve with this package; return cost and iterations."""
     result = levenberg_marquardt(build_graph(readings, start, TERMS, SIGMA))
     return result.cost, result.iterations
+
+
+def solve_reduction(readings: Readings, start: Parameters) -> tuple[float, int]:
+    """Solve by the reduction alone; return cost and iterations."""
+    found = solve_together([readings], [start], TERMS, SIGMA)
+    return float(found.cost[0]), int(found.iterations[0])
+
+
+def together_ratio(count: int) -> float:
+    """Return the CPU time of many problems of 4 planes at once over that of one after the other."""
+    readings = problem(4).readings()
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    start, rng = closed_form(readings), np.random.default_rng(0)
+    noise = SIGMA * rng.standard_normal((count, len(readings)))
+    many = [replace(readings, distance=readings.distance + one) for one in noise]
+    seconds = []
+    for problems in ([many], [[one] for one in many]):
+        begin = time.process_time()
+        for some in problems:
+            solve_together(some, [start] * len(some), TERMS, SIGMA)
+        seconds.append(time.process_time() - begin)
+    return seconds[0] / seconds[1]
 
 
 def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
@@ -174,6 +199,7 @@ def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
     slow = max(1, repeat // 5) if planes >= 100 else repeat
     runs: list[tuple[str, Callable[[], tuple[float, int]], int]] = [
         ("graph", lambda: solve_graph(readings, start), repeat),
+        ("reduction", lambda: solve_reduction(readings, start), repeat),
         ("reference", lambda: solve_reference(recording, start), slow),
         ("gtsam-lm", lambda: solve_gtsam(readings, start), slow),
         (WHOLE, lambda: solve_start_to_covariances(readings), repeat),
@@ -187,7 +213,7 @@ def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
                 answers[name] = run()
                 seconds[name].append(time.perf_counter() - begin)
     medians = {name: statistics.median(each) for name, each in seconds.items()}
-    rows = [Row(name, planes, medians[name], *answers[name]) for name, _, _ in runs[:3]]
+    rows = [Row(name, planes, medians[name], *answers[name]) for name, _, _ in runs[:-1]]
     peer = solve_ceres(readings, start, repeat)
     rows += [] if peer is None else [peer]
     return rows, medians[WHOLE]
@@ -216,6 +242,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Compare solvers in one run.")
     parser.add_argument("--planes", type=int, nargs="+", default=[4, 13, 100, 1000])
     parser.add_argument("--repeat", type=int, default=15, help="runs of each; slow ones a fifth")
+    parser.add_argument("--together", type=int, default=1000, help="problems solved together")
     parser.add_argument("--out", type=Path, help="write rows as JSON")
     arguments = parser.parse_args()
     rows: list[Row] = []
@@ -230,6 +257,9 @@ def main() -> None:
             print(f"{row.planes} planes: reference / start to covariances = {ratio:.1f}")
     for planes in arguments.planes:
         print(f"{planes} planes: calibrate / graph = {calibrate_ratio(planes):.1f} (CPU time)")
+    print(
+        f"{arguments.together} problems together / one by one = {together_ratio(arguments.together):.2f}"
+    )
     if arguments.out is not None:
         arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
 

@@ -80,12 +80,12 @@ def test_the_converter_refuses_folders_that_do_not_match(tmp_path):
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_the_benchmark_compares_three_solvers_on_one_optimum(tmp_path):
+def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path):
     out = tmp_path / "rows.json"
     subprocess.run(
         [
             *(sys.executable, "-m", "benchmarks.solve"),
-            *("--planes", "4", "6", "--repeat", "1", "--out", str(out)),
+            *("--planes", "4", "6", "--repeat", "1", "--together", "5", "--out", str(out)),
         ],
         cwd=ROOT,
         check=True,
@@ -93,7 +93,9 @@ def test_the_benchmark_compares_three_solvers_on_one_optimum(tmp_path):
     )
     rows = json.loads(out.read_text())
     assert [(row["solver"], row["planes"]) for row in rows] == [
-        (solver, planes) for planes in (4, 6) for solver in ("graph", "reference", "gtsam-lm")
+        (solver, planes)
+        for planes in (4, 6)
+        for solver in ("graph", "reduction", "reference", "gtsam-lm")
     ]
     for planes in (4, 6):
         costs = [row["cost"] for row in rows if row["planes"] == planes]
