@@ -257,9 +257,8 @@ def main() -> None:
             print(f"{row.planes} planes: reference / start to covariances = {ratio:.1f}")
     for planes in arguments.planes:
         print(f"{planes} planes: calibrate / graph = {calibrate_ratio(planes):.1f} (CPU time)")
-    print(
-        f"{arguments.together} problems together / one by one = {together_ratio(arguments.together):.2f}"
-    )
+    ratio = together_ratio(arguments.together)
+    print(f"{arguments.together} problems together / one by one = {ratio:.2f} (CPU time)")
     if arguments.out is not None:
         arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
 
