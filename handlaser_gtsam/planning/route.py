@@ -13,11 +13,12 @@ from ..data.value import Value
 from ..results.spot_error import radius
 from ..simulation.simulate import Stations
 from .belief import BEAM, Belief
+from .drive import driven
 from .goal import Forecast, Goal
 from .information import outlook, updated
 from .order import divided, shortest
 from .plate import Plate
-from .workspace import Workspace
+from .workspace import Workspace, plates_of
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -30,8 +31,8 @@ class Plan(Value):
     Attributes
     ----------
     stations : StationList
-        Those named "via 1", ... divide a step that is longer than the workspace allows; nothing need be
-        read there.
+        Those named "via 1", ... divide a step that is longer than the workspace allows, or lead around
+        the plate; nothing need be read there. With an arm, they have its joints.
     ranges : (M, B)
         What every beam is expected to read [m]; NaN on the way.
     range_sigmas : (M, B)
@@ -88,7 +89,12 @@ def planned(
     stations = Stations(
         stations.world_R_hand[order], stations.world_t_hand[order], stations.plane[order]
     )
-    way, origin = divided(stations, workspace.largest_step)
+    if workspace.robot is None:
+        joints, joint_names = None, ()
+        way, origin = divided(stations, workspace.largest_step)
+    else:
+        joint_names = workspace.robot.joint_names
+        way, origin, joints = driven(workspace.robot, stations, workspace, plates_of(belief))
     read = origin >= 0
     ranges = np.full((len(origin), belief.beams), math.nan)
     sigmas = ranges.copy()
@@ -96,7 +102,7 @@ def planned(
     labels = tuple(belief.plane_names[p] for p in way.plane)
     names = _names(origin, taken)
     return Plan(
-        StationList(way.world_R_hand, way.world_t_hand, labels, names),
+        StationList(way.world_R_hand, way.world_t_hand, labels, names, joints, joint_names),
         ranges,
         sigmas,
         forecast,

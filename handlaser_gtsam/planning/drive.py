@@ -1,0 +1,169 @@
+"""The way of an arm from station to station, straight in its joints, on which nothing touches.
+
+Where the straight way between two stations would touch the plate, the hand withdraws from it, moves, and
+comes back; where that does not help either, it passes the joints at which the arm stood before. Between
+planes it always withdraws, because the plate is put elsewhere meanwhile.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..errors import InputError
+from ..simulation.simulate import Stations
+from .order import divided
+from .plate import Plate
+from .robot import Robot
+from .workspace import Workspace, inside, joined, picked
+
+BACK = (0.05, 0.1, 0.02)
+"""How far the hand withdraws from the plate [m], in the order in which it is tried."""
+TRIED = 4
+"""Solutions of a pose that are tried on the way."""
+PATIENCE = 100
+"""Ways between two stations that are tried, before another detour."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """Who drives, where it may, and the plate of every plane."""
+
+    robot: Robot
+    workspace: Workspace
+    plates: Sequence[Plate]
+
+
+@dataclass(slots=True)
+class _Patience:
+    left: int = PATIENCE
+
+
+def driven(
+    robot: Robot, stations: Stations, workspace: Workspace, plates: Sequence[Plate]
+) -> tuple[Stations, IntArray, FloatArray]:
+    """Return stations with those between them that the arm passes, and the joints of all.
+
+    Parameters
+    ----------
+    robot : Robot
+    stations : Stations
+        In their order.
+    workspace : Workspace
+        What is passed lies in it, too, except where the arm stands at first.
+    plates : sequence of Plate
+        One a plane.
+
+    Returns
+    -------
+    Stations
+    origin : (M,)
+        Index of each among those given, -1 where it was put between.
+    joints : (M, J)
+        [rad], [m].
+
+    Raises
+    ------
+    InputError
+        No way to one of the stations was found.
+    """
+    drive = _Drive(robot, workspace, plates)
+    parts, joints, origin = [], [], []
+    here: Stations | None = None
+    q = robot.start if len(robot.start) else None
+    for index in range(len(stations.plane)):
+        there = picked(stations, np.array([index]))
+        passed, along = _leg(drive, here, q, there, index)
+        parts.append(passed)
+        joints.append(along)
+        origin += [-1] * (len(along) - 1) + [index]
+        here, q = there, along[-1]
+    return joined(parts), np.array(origin, dtype=np.intp), np.concatenate(joints)
+
+
+def _leg(
+    drive: _Drive, here: Stations | None, q: FloatArray | None, there: Stations, index: int
+) -> tuple[Stations, FloatArray]:
+    """Return what is passed on the way to a station, itself included, and the joints."""
+    if q is None or here is None:
+        found = _begin(drive, q, there)
+        if found is not None:
+            return found
+    else:
+        for passed in _detours(drive, here, there):
+            along = _along(drive, q, passed, 0, _Patience())
+            if along is not None:
+                return passed, np.array(along)
+    raise InputError(
+        f"no way without a collision to the planned station {index + 1}",
+        "more room around the plate, a smaller clearance, other start joints or another seed",
+    )
+
+
+def _begin(
+    drive: _Drive, q: FloatArray | None, there: Stations
+) -> tuple[Stations, FloatArray] | None:
+    """Return the way to the first station: from where the arm stands, if that is known."""
+    plane = int(there.plane[0])
+    if q is None:
+        R, t = there.world_R_hand, there.world_t_hand
+        joints = drive.robot.joints(R, t, drive.plates[plane])
+        return None if np.isnan(joints).any() else (there, joints)
+    for passed in (there, *(joined([back, there]) for back in _back(drive, there))):
+        along = _along(drive, q, passed, 0, _Patience())
+        if along is not None:
+            return passed, np.array(along)
+    return None
+
+
+def _detours(drive: _Drive, here: Stations, there: Stations) -> Iterator[Stations]:
+    """Yield what can be passed on the way to a station, itself included."""
+    step = drive.workspace.largest_step
+    ways = [[here, there]] if here.plane[0] == there.plane[0] else []
+    home = _home(drive, int(there.plane[0]))
+    for middle in ([], home) if home else ([],):
+        ways += [
+            [here, one, *middle, other, there]
+            for one, other in zip(_back(drive, here), _back(drive, there), strict=False)
+        ]
+    for way in ways:
+        passed, _ = divided(joined(way), step)
+        yield picked(passed, np.arange(1, len(passed.plane)))
+
+
+def _back(drive: _Drive, station: Stations) -> list[Stations]:
+    """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
+    n = drive.plates[int(station.plane[0])].normal
+    found = [
+        Stations(station.world_R_hand, station.world_t_hand - far * n, station.plane)
+        for far in BACK
+    ]
+    return [one for one in found if inside(drive.workspace, one).all()]
+
+
+def _home(drive: _Drive, plane: int) -> list[Stations]:
+    """Return where the arm stood before, if that is known."""
+    if not len(drive.robot.start):
+        return []
+    R, t = drive.robot.poses(drive.robot.start)
+    return [Stations(R, t, np.array([plane], dtype=np.intp))]
+
+
+def _along(
+    drive: _Drive, q: FloatArray, way: Stations, at: int, patience: _Patience
+) -> list[FloatArray] | None:
+    """Return joints of the stations of a way from `at` on, each reached from those before."""
+    if at == len(way.plane):
+        return []
+    robot, own = drive.robot, drive.plates[int(way.plane[at])]
+    R, t = way.world_R_hand[at], way.world_t_hand[at]
+    for tried, joints in enumerate(robot.solutions(R, t, own, q)):
+        if tried == TRIED or patience.left <= 0:
+            break
+        patience.left -= 1
+        if robot.free_way(q, joints, own):
+            rest = _along(drive, joints, way, at + 1, patience)
+            if rest is not None:
+                return [joints, *rest]
+    return None
