@@ -177,7 +177,8 @@ def _workspace(rig: _Rig, folder: Path) -> Workspace | None:
     if rig.workspace is None:
         if robot is not None:
             raise InputError(
-                "a table [robot] without [workspace]", "both: [workspace] says where the hand may go"
+                "a table [robot] without [workspace]",
+                "both: [workspace] says where the hand may go",
             )
         return None
     return replace(rig.workspace.to_si(), robot=robot)

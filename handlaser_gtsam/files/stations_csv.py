@@ -17,7 +17,6 @@ from .recording_csv import POSE, column_numbers, station_columns, stations_of
 from .table import Table, read_table
 from .writing import path_of, write_text
 
-
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
 

@@ -227,7 +227,7 @@ def _translations(cell: _Cell, base: FloatArray, mounts: Parameters) -> Stations
         depth, move = 0.5 * span * share[0] * n, span * share[1] * across
         shift = TETRAHEDRON[:, :2] @ move + TETRAHEDRON[:, 2:] * depth
         stations = _about(cell, base, np.zeros((4, 3)), shift)
-        safe = inside(cell.workspace, stations).all()
+        safe = bool(inside(cell.workspace, stations).all())
         safe = safe and bool(safe_stations(mounts, stations, cell.sensor).all())
         if safe and _within_reach(cell, stations).all():
             return stations

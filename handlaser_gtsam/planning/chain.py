@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
 
-ROUNDS = 60
+ROUNDS = 40
 """Steps from one start: poses within reach need about ten."""
 MET = 1e-9
 """A pose is met to this [m], [rad]."""
@@ -65,11 +65,10 @@ class Chain(Value):
         axes, origins = np.empty((joints, count, 3)), np.empty((joints, count, 3))
         for i in range(joints):
             axes[i], origins[i] = R @ self.axes[i], t
-            move = q[:, i, None] * self.axes[i]
             if self.turns[i]:
-                R = R @ Rotation.from_rotvec(move).as_matrix()
+                R = R @ _turn(self.axes[i], q[:, i])
             else:
-                t = t + np.einsum("nij,nj->ni", R, move)
+                t = t + q[:, i, None] * axes[i]
             t = t + R @ self.placement_t[i + 1]
             R = R @ self.placement_R[i + 1]
         turning = self.turns[:, None, None]
@@ -111,3 +110,13 @@ class Chain(Value):
             change *= np.minimum(1.0, LARGEST_CHANGE / np.maximum(largest, LARGEST_CHANGE))
             q[left] = np.clip(q[left] + change, self.low, self.high)
         return q, met
+
+
+def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return rotations (N, 3, 3) about one axis by many angles (N,): Rodrigues' formula."""
+    K = np.cross(axis, np.eye(3)).T
+    return np.asarray(
+        np.eye(3)
+        + np.sin(angle)[:, None, None] * K
+        + (1.0 - np.cos(angle))[:, None, None] * (K @ K)
+    )

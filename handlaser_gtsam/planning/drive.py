@@ -1,8 +1,8 @@
 """The way of an arm from station to station, straight in its joints, on which nothing touches.
 
-Where the straight way between two stations would touch the plate, the hand withdraws from it, moves, and
-comes back; where that does not help either, it passes the joints at which the arm stood before. Between
-planes it always withdraws, because the plate is put elsewhere meanwhile.
+Where the straight way between two stations would touch the plate, the hand withdraws from it, moves,
+and comes back; where that does not help either, it passes the joints at which the arm stood before.
+Between planes it always withdraws, because the plate is put elsewhere meanwhile.
 """
 
 from collections.abc import Iterator, Sequence
@@ -59,46 +59,51 @@ def driven(
     -------
     Stations
     origin : (M,)
-        Index of each among those given, -1 where it was put between.
+        Index of each among those given, -1 where it was put between. Those to which no way was found
+        are left out.
     joints : (M, J)
         [rad], [m].
 
     Raises
     ------
     InputError
-        No way to one of the stations was found.
+        No way to any of the stations was found.
     """
     drive = _Drive(robot, workspace, plates)
-    parts, joints, origin = [], [], []
+    parts: list[Stations] = []
+    joints: list[FloatArray] = []
+    origin: list[int] = []
     here: Stations | None = None
     q = robot.start if len(robot.start) else None
     for index in range(len(stations.plane)):
         there = picked(stations, np.array([index]))
-        passed, along = _leg(drive, here, q, there, index)
+        leg = _leg(drive, here, q, there)
+        if leg is None:
+            continue
+        passed, along = leg
         parts.append(passed)
         joints.append(along)
         origin += [-1] * (len(along) - 1) + [index]
         here, q = there, along[-1]
+    if not parts:
+        raise InputError(
+            "no way of the arm without a collision to any station",
+            "more room around the plate, a smaller clearance or other start joints",
+        )
     return joined(parts), np.array(origin, dtype=np.intp), np.concatenate(joints)
 
 
 def _leg(
-    drive: _Drive, here: Stations | None, q: FloatArray | None, there: Stations, index: int
-) -> tuple[Stations, FloatArray]:
+    drive: _Drive, here: Stations | None, q: FloatArray | None, there: Stations
+) -> tuple[Stations, FloatArray] | None:
     """Return what is passed on the way to a station, itself included, and the joints."""
     if q is None or here is None:
-        found = _begin(drive, q, there)
-        if found is not None:
-            return found
-    else:
-        for passed in _detours(drive, here, there):
-            along = _along(drive, q, passed, 0, _Patience())
-            if along is not None:
-                return passed, np.array(along)
-    raise InputError(
-        f"no way without a collision to the planned station {index + 1}",
-        "more room around the plate, a smaller clearance, other start joints or another seed",
-    )
+        return _begin(drive, q, there)
+    for passed in _detours(drive, here, there):
+        along = _along(drive, q, passed, 0, _Patience())
+        if along is not None:
+            return passed, np.array(along)
+    return None
 
 
 def _begin(

@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 TRIES = 40
 """Rounds of as many poses as are wanted, before giving up."""
 ARM_TRIES = 3
-"""Times as many poses as are wanted that an arm may fail to reach, before giving up: that takes longer."""
+"""An arm, which takes longer, is asked for so many times the poses that are wanted, at most."""
 LEAST_CANDIDATES = 10
 """So few are no choice."""
 
