@@ -2,7 +2,8 @@
 
 Where the straight way between two stations would touch the plate, the hand withdraws from it, moves,
 and comes back; where that does not help either, it passes the joints at which the arm stood before.
-Between planes it always withdraws, because the plate is put elsewhere meanwhile.
+Between planes it always withdraws, and no plate is in the way: a person puts it anew where the hand
+then stands, withdrawn from where the plate will be.
 """
 
 from collections.abc import Iterator, Sequence
@@ -100,7 +101,7 @@ def _leg(
     if q is None or here is None:
         return _begin(drive, q, there)
     for passed in _detours(drive, here, there):
-        along = _along(drive, q, passed, 0, _Patience())
+        along = _along(drive, q, passed, 0, int(here.plane[0]), _Patience())
         if along is not None:
             return passed, np.array(along)
     return None
@@ -116,7 +117,7 @@ def _begin(
         joints = drive.robot.joints(R, t, drive.plates[plane])
         return None if np.isnan(joints).any() else (there, joints)
     for passed in (there, *(joined([back, there]) for back in _back(drive, there))):
-        along = _along(drive, q, passed, 0, _Patience())
+        along = _along(drive, q, passed, 0, plane, _Patience())
         if along is not None:
             return passed, np.array(along)
     return None
@@ -156,19 +157,24 @@ def _home(drive: _Drive, plane: int) -> list[Stations]:
 
 
 def _along(
-    drive: _Drive, q: FloatArray, way: Stations, at: int, patience: _Patience
+    drive: _Drive, q: FloatArray, way: Stations, at: int, before: int, patience: _Patience
 ) -> list[FloatArray] | None:
-    """Return joints of the stations of a way from `at` on, each reached from those before."""
+    """Return joints of the stations of a way from `at` on, each reached from those before.
+
+    `before` is the plane of the joints q: no plate stands on the way to another one.
+    """
     if at == len(way.plane):
         return []
-    robot, own = drive.robot, drive.plates[int(way.plane[at])]
+    robot, plane = drive.robot, int(way.plane[at])
+    own = drive.plates[plane]
+    between = own if plane == before else None
     R, t = way.world_R_hand[at], way.world_t_hand[at]
     for tried, joints in enumerate(robot.solutions(R, t, own, q)):
         if tried == TRIED or patience.left <= 0:
             break
         patience.left -= 1
-        if robot.free_way(q, joints, own):
-            rest = _along(drive, joints, way, at + 1, patience)
+        if robot.free_way(q, joints, between):
+            rest = _along(drive, joints, way, at + 1, plane, patience)
             if rest is not None:
                 return [joints, *rest]
     return None
