@@ -19,6 +19,8 @@ from ..data.value import Value
 
 ROUNDS = 40
 """Steps from one start: poses within reach need about ten."""
+JUDGED, STUCK = 15, 0.05
+"""Poses still missed by more [m], [rad] after so many steps are given up."""
 MET = 1e-9
 """A pose is met to this [m], [rad]."""
 LEAST_DAMPING = 1e-12
@@ -96,11 +98,14 @@ class Chain(Value):
         q = np.clip(start, self.low, self.high)
         met = np.zeros(len(q), dtype=bool)
         left = np.arange(len(q))
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
             error, J = self.error(R[left], t[left], q[left])
             there = np.abs(error).max(axis=1) <= MET
             met[left[there]] = True
-            left, error, J = left[~there], error[~there], J[~there]
+            going = ~there
+            if number == JUDGED:
+                going &= np.abs(error).max(axis=1) <= STUCK
+            left, error, J = left[going], error[going], J[going]
             if not left.size:
                 break
             damping = 0.5 * (error**2).sum(axis=1) + LEAST_DAMPING

@@ -17,7 +17,7 @@ from ..errors import InputError
 from .arm import FAR_AWAY, Arm
 from .plate import Plate, vectors
 
-STARTS = 12
+STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near."""
 STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]."""
