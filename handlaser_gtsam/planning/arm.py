@@ -17,6 +17,8 @@ from .chain import Chain
 
 DRAWN = 200
 """Random joints at which pairs of bodies are tried that always touch."""
+ENDLESS = 2.0 * np.pi
+"""Limit of joints that have none [rad]: a whole turn to either side, so that no pose lies at its end."""
 FAR_AWAY = np.array([0.0, 0.0, 1e3])
 """Where the plate is put that is not to be met [m]."""
 ALWAYS = 0.95
@@ -123,7 +125,7 @@ class Arm:
         places = [*list(model.jointPlacements)[1:], hand]
         turns = np.linalg.norm(S[:, 3:], axis=1).round()
         endless = np.array([joint.nq != 1 for joint in list(model.joints)[1:]])
-        low, high = np.full(len(S), -np.pi), np.full(len(S), np.pi)
+        low, high = np.full(len(S), -ENDLESS), np.full(len(S), ENDLESS)
         at = [joint.idx_q for joint in list(model.joints)[1:]]
         low[~endless] = model.lowerPositionLimit[at][~endless]
         high[~endless] = model.upperPositionLimit[at][~endless]

@@ -6,7 +6,8 @@ Joint i turns by q_i about its axis a_i, or slides by q_i along it, behind a fix
 
 Inverse kinematics is damped least squares with the damping of Sugihara (IEEE Transactions on Robotics
 27(5), 2011, doi 10.1109/TRO.2011.2148230, section III): half the squared error, so that steps stay
-short far away and near singular joints, and become those of Gauss and Newton at the pose.
+short far away and near singular joints, and become those of Gauss and Newton at the pose. Joints at a
+limit that would go beyond it are held, and the others make the step without them.
 """
 
 from dataclasses import dataclass
@@ -108,13 +109,22 @@ class Chain(Value):
             left, error, J = left[going], error[going], J[going]
             if not left.size:
                 break
-            damping = 0.5 * (error**2).sum(axis=1) + LEAST_DAMPING
-            JJ = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
-            change = np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, error[..., None])[..., 0])
+            change = _step(error, J)
+            here = q[left]
+            stopped = (here <= self.low) & (change < 0.0) | (here >= self.high) & (change > 0.0)
+            change = _step(error, np.where(stopped[:, None, :], 0.0, J))
             largest = np.abs(change).max(axis=1, keepdims=True)
             change *= np.minimum(1.0, LARGEST_CHANGE / np.maximum(largest, LARGEST_CHANGE))
             q[left] = np.clip(q[left] + change, self.low, self.high)
         return q, met
+
+
+def _step(error: FloatArray, J: FloatArray) -> FloatArray:
+    """Return damped least-squares changes (N, J) of joints for errors (N, 6)."""
+    damping = 0.5 * (error**2).sum(axis=1) + LEAST_DAMPING
+    JJ = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
+    found: FloatArray = np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, error[..., None])[..., 0])
+    return found
 
 
 def _turn(axis: FloatArray, angle: FloatArray) -> FloatArray:

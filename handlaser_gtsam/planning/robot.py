@@ -19,6 +19,8 @@ from .plate import Plate, vectors
 
 STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near."""
+MANY_STARTS = 24
+"""The same for one pose on the way of the arm."""
 STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]."""
 SAME = 1e-4
@@ -150,9 +152,9 @@ class Robot(Value):
         first, met = chain.inverse(hand_R, hand_t, near[None])
         if met[0] and self._arm(plate).free(first)[0]:
             yield first[0]
-        drawn = np.random.default_rng(0).uniform(chain.low, chain.high, (STARTS, len(near)))
-        many = np.ones(STARTS, dtype=np.intp)
-        q, good = chain.inverse(hand_R[many - 1], hand_t[many - 1], drawn)
+        drawn = np.random.default_rng(0).uniform(chain.low, chain.high, (MANY_STARTS, len(near)))
+        many = np.zeros(MANY_STARTS, dtype=np.intp)
+        q, good = chain.inverse(hand_R[many], hand_t[many], drawn)
         seen = [first[0]]
         for one in sorted(q[good], key=lambda joints: float(np.abs(joints - near).max())):
             if min(float(np.abs(one - other).max()) for other in seen) > SAME:

@@ -95,11 +95,10 @@ def planned(
     kept = order[origin[read]]
     if len(kept) < count:
         if ordered:
-            raise InputError(
-                f"no way of the arm without a collision to {count - len(kept)} of {count} stations of "
-                "a first motion",
-                "more room around the plate, or a smaller clearance",
+            found = (
+                f"no way of the arm to {count - len(kept)} of {count} stations of a first motion"
             )
+            raise InputError(found, "more room around the plate, or a smaller clearance")
         forecast = forecast_of(belief, ahead.rows, np.sort(kept), forecast.working_distance)
     ranges = np.full((len(origin), belief.beams), math.nan)
     sigmas = ranges.copy()
