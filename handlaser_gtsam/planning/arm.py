@@ -18,7 +18,7 @@ from .chain import Chain
 DRAWN = 200
 """Random joints at which pairs of bodies are tried that always touch."""
 ENDLESS = 2.0 * np.pi
-"""Limit of joints that have none [rad]: a whole turn to either side, so that no pose lies at its end."""
+"""Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
 FAR_AWAY = np.array([0.0, 0.0, 1e3])
 """Where the plate is put that is not to be met [m]."""
 ALWAYS = 0.95

@@ -21,7 +21,7 @@ from .workspace import Workspace, inside, joined, picked
 
 BACK = (0.05, 0.1, 0.02)
 """How far the hand withdraws from the plate [m], in the order in which it is tried."""
-TRIED = 8
+TRIED = 4
 """Solutions of a pose that are tried on the way."""
 PATIENCE = 100
 """Ways between two stations that are tried, before another detour."""
@@ -46,8 +46,8 @@ def driven(
 ) -> tuple[Stations, IntArray, FloatArray]:
     """Return stations with those between them that the arm passes, and the joints of all.
 
-    What is passed lies in the workspace, too, except where the arm stands at first; there is one plate a
-    plane.
+    What is passed lies in the workspace, too, except where the arm stands at first. There is one plate
+    a plane.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from .plate import Plate, vectors
 
 STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near."""
-MANY_STARTS = 24
+MANY_STARTS = 12
 """The same for one pose on the way of the arm."""
 STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]."""
