@@ -19,7 +19,7 @@ def plan_text(plan: Plan) -> str:
             "quaternion_xyzw": quaternions[j],
             "ranges_m": plan.ranges[j],
             "range_sigmas_m": plan.range_sigmas[j],
-            "joints": None if stations.joints is None else stations.joints[j],
+            **({} if stations.joints is None else {"joints": stations.joints[j]}),
         }
         for j in range(len(stations))
     ]
@@ -45,6 +45,6 @@ def plan_text(plan: Plan) -> str:
             "reached": plan.reached,
             "plates": plates,
             "safe": plan.safe,
-            "joint_names": list(stations.joint_names),
+            **({"joint_names": list(stations.joint_names)} if stations.joint_names else {}),
         },
     )

@@ -85,10 +85,8 @@ def planned(
         Names of stations that there are already.
     """
     count = len(stations.plane)
-    order = np.arange(count)
-    if not ordered:
-        location, direction = goal.units
-        order = shortest(stations, location / direction)
+    location, direction = goal.units
+    order = np.arange(count) if ordered else shortest(stations, location / direction)
     ahead = outlook(belief, stations)
     listed, origin = _way(belief, picked(stations, order), workspace, taken)
     read = origin >= 0
@@ -100,13 +98,12 @@ def planned(
             )
             raise InputError(found, "more room around the plate, or a smaller clearance")
         forecast = forecast_of(belief, ahead.rows, np.sort(kept), forecast.working_distance)
-    ranges = np.full((len(origin), belief.beams), math.nan)
-    sigmas = ranges.copy()
-    ranges[read], sigmas[read] = ahead.reading[kept], ahead.reading_sigma[kept]
+    expected = np.full((2, len(origin), belief.beams), math.nan)
+    expected[:, read] = ahead.reading[kept], ahead.reading_sigma[kept]
     return Plan(
         listed,
-        ranges,
-        sigmas,
+        expected[0],
+        expected[1],
         forecast,
         forecast.reaches(goal) if goal.stated else None,
         {} if plates is None else dict(plates),
