@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from .planning.plan import plan as plan
     from .planning.plate import Placement as Placement
     from .planning.plate import Plate as Plate
+    from .planning.robot import Robot as Robot
     from .planning.route import Plan as Plan
     from .planning.workspace import Workspace as Workspace
     from .results.calibration import Calibration as Calibration
@@ -167,6 +168,7 @@ _NAMES = {
     "planning.goal": "Forecast Goal",
     "planning.plan": "plan",
     "planning.plate": "Placement Plate",
+    "planning.robot": "Robot",
     "planning.route": "Plan",
     "planning.workspace": "Workspace",
     "results.calibration": "Calibration",

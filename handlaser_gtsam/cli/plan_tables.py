@@ -25,6 +25,11 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
     passed = len(stations) - len(plan)
     if passed:
         yield f"{count(passed, 'station')} named {VIA} between them: nothing need be read there"
+    if plan.skipped:
+        yield (
+            f"{count(plan.skipped, 'further station')} left out: the arm found no way there without a "
+            "collision"
+        )
     for name, plate in plan.plates.items():
         x, y, z = plate.normal
         a, b, c = plate.point * MM

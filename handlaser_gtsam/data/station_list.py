@@ -26,6 +26,10 @@ class StationList(Value):
         The plane before which each station lies.
     station_names : M strings, optional
         Unique labels; "1", "2", ... by default.
+    joints : (M, J), optional
+        Of the arm at every station [rad], [m].
+    joint_names : J strings, optional
+        Unique; as many as there are joints.
 
     Raises
     ------
@@ -38,6 +42,8 @@ class StationList(Value):
     world_t_hand: FloatArray
     plane_labels: tuple[str, ...]
     station_names: tuple[str, ...] = ()
+    joints: FloatArray | None = None
+    joint_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store = object.__setattr__
@@ -59,6 +65,21 @@ class StationList(Value):
         if twice is not None:
             raise InputError(f"station {self.station_names[twice]!r} again", "every label once")
         check_poses(self.world_R_hand, self.world_t_hand, self.station_names)
+        self._check_joints()
+
+    def _check_joints(self) -> None:
+        object.__setattr__(self, "joint_names", names_of("a joint", self.joint_names))
+        twice = first_repeated(self.joint_names)
+        if twice is not None:
+            raise InputError(f"joint {self.joint_names[twice]!r} again", "every name once")
+        if self.joints is None and not self.joint_names:
+            return
+        joints = number_array("joints", () if self.joints is None else self.joints)
+        shape = (len(self), len(self.joint_names))
+        if joints.shape != shape or not joints.size or not np.isfinite(joints).all():
+            found = f"joints of shape {joints.shape}"
+            raise InputError(found, f"{shape}: finite numbers, one a station and name")
+        object.__setattr__(self, "joints", joints)
 
     def __len__(self) -> int:
         return len(self.plane_labels)

@@ -19,6 +19,7 @@ def plan_text(plan: Plan) -> str:
             "quaternion_xyzw": quaternions[j],
             "ranges_m": plan.ranges[j],
             "range_sigmas_m": plan.range_sigmas[j],
+            **({} if stations.joints is None else {"joints": stations.joints[j]}),
         }
         for j in range(len(stations))
     ]
@@ -44,5 +45,6 @@ def plan_text(plan: Plan) -> str:
             "reached": plan.reached,
             "plates": plates,
             "safe": plan.safe,
+            **({"joint_names": list(stations.joint_names)} if stations.joint_names else {}),
         },
     )

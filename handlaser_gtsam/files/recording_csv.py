@@ -151,7 +151,7 @@ def _used(column: str) -> bool:
     return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
 
 
-def _numbers(
+def column_numbers(
     table: _Table, name: str, *, empty: bool = False, but: BoolArray | None = None
 ) -> FloatArray:
     """Return a column as finite floats, `but` some; NaN where a cell is empty and may be."""
@@ -177,7 +177,7 @@ def _ranges(
     words = np.column_stack([_word_codes(column) for column in columns])
     d = np.column_stack(
         [
-            _numbers(table, PREFIX + beam, empty=True, but=word)
+            column_numbers(table, PREFIX + beam, empty=True, but=word)
             for beam, word in zip(beams, words.T, strict=True)
         ]
     )
@@ -220,7 +220,7 @@ def _code_warnings(
 
 
 def _positions(table: _Table) -> FloatArray:
-    position = np.column_stack([_numbers(table, name) for name in POSE[:3]])
+    position = np.column_stack([column_numbers(table, name) for name in POSE[:3]])
     for index, name in enumerate(POSE[:3]):
         too_far = np.abs(position[:, index]) > LARGEST
         table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
@@ -228,7 +228,7 @@ def _positions(table: _Table) -> FloatArray:
 
 
 def _rotations(table: _Table) -> FloatArray:
-    quaternion = np.column_stack([_numbers(table, name) for name in POSE[3:]])
+    quaternion = np.column_stack([column_numbers(table, name) for name in POSE[3:]])
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(quaternion, axis=1)
     wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)

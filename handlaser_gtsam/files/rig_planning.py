@@ -2,6 +2,9 @@
 
 [workspace]  box_mm = [[x, y, z], [x, y, z]], home_quaternion = [qx, qy, qz, qw],
              largest_turn_deg, largest_step_mm
+[robot]      urdf (from the folder of the rig file), frame, base_mm = [x, y, z],
+             base_quaternion = [qx, qy, qz, qw], start_joints (rad, metres where they slide),
+             clearance_mm, plate_across_mm, plate_thickness_mm
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
              plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
@@ -10,6 +13,7 @@
 """
 
 import math
+from pathlib import Path
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +25,7 @@ from ..planning.bounds import Bounds
 from ..planning.choice import Criterion
 from ..planning.goal import Goal
 from ..planning.plate import Placement, Plate
+from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from .checked_text import FileRecord
 
@@ -42,14 +47,36 @@ class WorkspaceTable(FileRecord):
         if len(self.box_mm) != 2 or any(len(corner) != 3 for corner in self.box_mm):
             expected = "[[x, y, z], [x, y, z]], least and largest"
             raise InputError(f"workspace.box_mm of {len(self.box_mm)} rows", expected)
-        q = np.array(self.home_quaternion)
-        if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= UNIT:
-            found = f"workspace.home_quaternion {self.home_quaternion}"
-            raise InputError(found, "qx, qy, qz, qw of length 1")
         low, high = np.array(self.box_mm) * MM
         step = math.inf if self.largest_step_mm is None else self.largest_step_mm * MM
-        home = Rotation.from_quat(q).as_matrix()
+        home = _rotation("workspace.home_quaternion", self.home_quaternion)
         return Workspace(low, high, home, self.largest_turn_deg * DEG, step)
+
+
+class RobotTable(FileRecord):
+    """The arm that carries the hand."""
+
+    urdf: str
+    frame: str
+    base_mm: list[float] = Field(default=[0.0, 0.0, 0.0])
+    base_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
+    start_joints: list[float] = Field(default=[])
+    clearance_mm: float = 5.0
+    plate_across_mm: float = 300.0
+    plate_thickness_mm: float = 10.0
+
+    def to_si(self, folder: Path) -> Robot:
+        """Return the robot; its URDF is looked for from a folder."""
+        return Robot(
+            str(folder / self.urdf),
+            self.frame,
+            _rotation("robot.base_quaternion", self.base_quaternion),
+            _numbers("robot.base_mm", self.base_mm) * MM,
+            np.array(self.start_joints, dtype=np.float64),
+            self.clearance_mm * MM,
+            self.plate_across_mm * MM,
+            self.plate_thickness_mm * MM,
+        )
 
 
 class BlindTable(FileRecord):
@@ -111,6 +138,13 @@ class PlacementTable(FileRecord):
         """Return one placement."""
         angles = self.largest_tilt_deg * DEG, self.tilt_deg * DEG
         return Placement(1, angles[0], self.within_mm * MM, angles[1])
+
+
+def _rotation(name: str, quaternion: list[float]) -> FloatArray:
+    q = np.array(quaternion)
+    if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= UNIT:
+        raise InputError(f"{name} {quaternion}", "qx, qy, qz, qw of length 1")
+    return Rotation.from_quat(q).as_matrix()
 
 
 def _numbers(name: str, values: list[float]) -> FloatArray:

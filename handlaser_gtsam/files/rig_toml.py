@@ -6,7 +6,7 @@
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
-    [workspace], [blind], [goal], [placement]: for plans, see `rig_planning`
+    [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
 
 Every table is optional, and so is every field but those that say where something is.
 """
@@ -14,7 +14,7 @@ Every table is optional, and so is every field but those that say where somethin
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, overload
 
@@ -29,7 +29,7 @@ from ..planning.plate import Placement
 from ..planning.workspace import Workspace
 from ..results.limits import Limits
 from .checked_text import FileRecord, read_checked, square_matrix
-from .rig_planning import BlindTable, GoalTable, PlacementTable, WorkspaceTable
+from .rig_planning import BlindTable, GoalTable, PlacementTable, RobotTable, WorkspaceTable
 from .writing import path_of, write_text
 
 
@@ -62,6 +62,7 @@ class _Rig(FileRecord):
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
     workspace: WorkspaceTable | None = None
+    robot: RobotTable | None = None
     blind: BlindTable | None = None
     goal: GoalTable = GoalTable()
     placement: PlacementTable = PlacementTable()
@@ -77,7 +78,7 @@ class Rig:
     sensor : Sensor
     limits : Limits
     workspace : Workspace or None
-        Where the hand may go.
+        Where the hand may go, and the robot that is to reach it.
     bounds : Bounds or None
         Where beams and plate roughly are, before any reading.
     goal : Goal
@@ -125,13 +126,13 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
     for name, table in (("noise", rig.noise), ("sensor", rig.sensor)):
         own = {field: stated[field] for field in type(table).model_fields if field in stated}
         tables[name] = table.model_copy(update=own)
-    return _to_si(rig.model_copy(update=tables))
+    return _to_si(rig.model_copy(update=tables), Path() if path is None else path.parent)
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
     rig = read_checked(path, _Rig, toml_value, "a rig file, TOML")
     try:
-        return rig, _to_si(rig)
+        return rig, _to_si(rig, path.parent)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
@@ -141,7 +142,7 @@ def toml_value(text: str) -> object:
     return tomllib.loads(text.removeprefix("\ufeff").replace("\r\n", "\n"))
 
 
-def _to_si(rig: _Rig) -> Rig:
+def _to_si(rig: _Rig, folder: Path) -> Rig:
     mm, deg = 1e-3, math.pi / 180.0
     span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
     if span is None:
@@ -163,11 +164,24 @@ def _to_si(rig: _Rig) -> Rig:
             Sensor().linearity if linearity is None else 0.01 * linearity,
         ),
         limits,
-        None if rig.workspace is None else rig.workspace.to_si(),
+        _workspace(rig, folder),
         None if rig.blind is None else rig.blind.to_si(),
         rig.goal.to_si().within(limits),
         rig.placement.to_si(),
     )
+
+
+def _workspace(rig: _Rig, folder: Path) -> Workspace | None:
+    """Return the workspace, with the robot; files are named from a folder on."""
+    robot = None if rig.robot is None else rig.robot.to_si(folder)
+    if rig.workspace is None:
+        if robot is not None:
+            raise InputError(
+                "a table [robot] without [workspace]",
+                "both: [workspace] says where the hand may go",
+            )
+        return None
+    return replace(rig.workspace.to_si(), robot=robot)
 
 
 def noise_of(table: NoiseTable) -> Noise:

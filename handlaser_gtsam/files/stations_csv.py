@@ -1,16 +1,24 @@
 """Stations to drive to as CSV: a recording without readings.
 
-Columns: `plane`, `station`, `x, y, z, qx, qy, qz, qw` (world_T_hand, metres), as in a recording. Who
-fills in `range_NAME` for every beam has one; columns of ranges are ignored here.
+Columns: `plane`, `station`, `x, y, z, qx, qy, qz, qw` (world_T_hand, metres), as in a recording, and
+with an arm `joint_NAME` for each of its joints (radians; metres where it slides). Who fills in
+`range_NAME` for every beam has a recording; columns of ranges are ignored here.
 """
 
 from pathlib import Path
 
+import numpy as np
+import polars as pl
+
+from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.station_list import StationList
-from .recording_csv import POSE, station_columns, stations_of
-from .table import read_table
+from .recording_csv import POSE, column_numbers, station_columns, stations_of
+from .table import Table, read_table
 from .writing import path_of, write_text
+
+JOINT = "joint_"
+"""Before the names of joints; a recording ignores such columns."""
 
 
 def write_stations(path: Path | str, stations: StationList) -> None:
@@ -22,7 +30,11 @@ def write_stations(path: Path | str, stations: StationList) -> None:
         What is no `StationList`, or a file that cannot be written.
     """
     require_kind("stations", stations, StationList)
-    write_text(path_of(path), station_columns(stations).write_csv())
+    table = station_columns(stations)
+    if stations.joints is not None:
+        names = [JOINT + name for name in stations.joint_names]
+        table = table.hstack(pl.DataFrame(stations.joints, schema=names, orient="row"))
+    write_text(path_of(path), table.write_csv())
 
 
 def read_stations(path: Path | str) -> StationList:
@@ -37,6 +49,17 @@ def read_stations(path: Path | str) -> StationList:
     for name in ("plane", *POSE):
         if name not in table.frame.columns:
             raise table.fault(f"no column {name!r}", f"{name!r}", name)
-    if table.frame.columns[-1] in POSE:
+    last = table.frame.columns[-1]
+    if last in POSE or last.startswith(JOINT):
         table.refuse_cut()
-    return StationList(*stations_of(table))
+    R, t, planes, stations = stations_of(table)
+    return StationList(R, t, planes, stations, *_joints(table))
+
+
+def _joints(table: Table) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """Return joints (M, J) and their names; None where there are no such columns."""
+    columns = [name for name in table.frame.columns if name.startswith(JOINT)]
+    if not columns:
+        return None, ()
+    joints = np.stack([column_numbers(table, name) for name in columns], axis=1)
+    return joints, tuple(name.removeprefix(JOINT) for name in columns)

@@ -177,6 +177,7 @@ def _motion(cell: _Cell, count: int | None, rng: np.random.Generator) -> Station
     for some in (cell.bounds.draw(rng, FEW), mounts):  # most turns fail at a few mounts already
         safe = safe_stations(some, turns, cell.sensor).all(axis=0)
         turns = picked(turns, np.flatnonzero(safe))
+    turns = picked(turns, np.flatnonzero(_within_reach(cell, turns)))
     number = LEAST_STATIONS if count is None else count
     judged = [cell.bounds.draw(rng) for _ in range(JUDGED)]
     while len(turns.plane) >= number - len(first.plane):
@@ -187,7 +188,8 @@ def _motion(cell: _Cell, count: int | None, rng: np.random.Generator) -> Station
             break
         number += MORE
     raise InputError(
-        "no motion that determines the mounts and keeps the beams of all within the bounds in range",
+        "no motion that determines the mounts and keeps the beams of all within the bounds in range"
+        + ("" if cell.workspace.robot is None else ", and that the arm reaches"),
         "narrower bounds of mount and plate, a wider workspace, more stations or a sensor of longer "
         "range",
     )
@@ -225,13 +227,21 @@ def _translations(cell: _Cell, base: FloatArray, mounts: Parameters) -> Stations
         depth, move = 0.5 * span * share[0] * n, span * share[1] * across
         shift = TETRAHEDRON[:, :2] @ move + TETRAHEDRON[:, 2:] * depth
         stations = _about(cell, base, np.zeros((4, 3)), shift)
-        safe = inside(cell.workspace, stations).all()
-        if safe and safe_stations(mounts, stations, cell.sensor).all():
+        safe = bool(inside(cell.workspace, stations).all())
+        safe = safe and bool(safe_stations(mounts, stations, cell.sensor).all())
+        if safe and _within_reach(cell, stations).all():
             return stations
     raise InputError(
-        "no translations that keep the beams of all mounts within the bounds in range",
+        "no translations that keep the beams of all mounts within the bounds in range"
+        + ("" if cell.workspace.robot is None else ", and that the arm reaches"),
         "narrower bounds of mount and plate, a wider workspace or a sensor of longer range",
     )
+
+
+def _within_reach(cell: _Cell, stations: Stations) -> BoolArray:
+    """Tell which stations the arm reaches; all without an arm."""
+    robot, R, t = cell.workspace.robot, stations.world_R_hand, stations.world_t_hand
+    return np.ones(len(t), bool) if robot is None else robot.reachable(R, t, cell.bounds.plate)
 
 
 def _turns(cell: _Cell, base: FloatArray, rng: np.random.Generator) -> Stations:

@@ -11,7 +11,7 @@ from .belief import Belief
 from .choice import choose
 from .goal import Goal
 from .information import outlook
-from .workspace import Workspace, inside, joined, picked, safe
+from .workspace import Workspace, inside, joined, picked, safe, within_reach
 
 ROUNDS = (0.4, 0.15)
 """Moves of each round, as parts of the largest turn and of the sensor's range."""
@@ -35,6 +35,7 @@ def refined(
         near = picked(near, np.flatnonzero(inside(workspace, near)))
         try:
             near = picked(near, np.flatnonzero(safe(outlook(belief, near), sensor)))
+            near = picked(near, np.flatnonzero(within_reach(belief, workspace, near)))
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])

@@ -10,14 +10,16 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
+from ..errors import InputError
 from ..results.spot_error import radius
 from ..simulation.simulate import Stations
 from .belief import BEAM, Belief
+from .drive import driven
 from .goal import Forecast, Goal
 from .information import outlook, updated
 from .order import divided, shortest
 from .plate import Plate
-from .workspace import Workspace
+from .workspace import Workspace, picked, plates_of
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -30,8 +32,8 @@ class Plan(Value):
     Attributes
     ----------
     stations : StationList
-        Those named "via 1", ... divide a step that is longer than the workspace allows; nothing need be
-        read there.
+        Those named "via 1", ... divide a step that is longer than the workspace allows, or lead around
+        the plate; nothing need be read there. With an arm, they have its joints.
     ranges : (M, B)
         What every beam is expected to read [m]; NaN on the way.
     range_sigmas : (M, B)
@@ -45,6 +47,8 @@ class Plan(Value):
     safe : float or None
         Of a first motion: the part of mounts within the bounds at which all readings are within the
         sensor's limits.
+    skipped : int
+        Stations that were chosen, but to which the arm found no way; the forecast goes without them.
     """
 
     stations: StationList
@@ -54,6 +58,7 @@ class Plan(Value):
     reached: int | None = None
     plates: Mapping[str, Plate] = field(default_factory=dict)
     safe: float | None = None
+    skipped: int = 0
 
     def __len__(self) -> int:
         """Return how many stations are to be read."""
@@ -80,30 +85,48 @@ def planned(
         Names of stations that there are already.
     """
     count = len(stations.plane)
-    order = np.arange(count)
-    if not ordered:
-        location, direction = goal.units
-        order = shortest(stations, location / direction)
+    location, direction = goal.units
+    order = np.arange(count) if ordered else shortest(stations, location / direction)
     ahead = outlook(belief, stations)
-    stations = Stations(
-        stations.world_R_hand[order], stations.world_t_hand[order], stations.plane[order]
-    )
-    way, origin = divided(stations, workspace.largest_step)
+    listed, origin = _way(belief, picked(stations, order), workspace, taken)
     read = origin >= 0
-    ranges = np.full((len(origin), belief.beams), math.nan)
-    sigmas = ranges.copy()
-    ranges[read], sigmas[read] = ahead.reading[order], ahead.reading_sigma[order]
-    labels = tuple(belief.plane_names[p] for p in way.plane)
-    names = _names(origin, taken)
+    kept = order[origin[read]]
+    if len(kept) < count:
+        if ordered:
+            found = (
+                f"no way of the arm to {count - len(kept)} of {count} stations of a first motion"
+            )
+            raise InputError(found, "more room around the plate, or a smaller clearance")
+        forecast = forecast_of(belief, ahead.rows, np.sort(kept), forecast.working_distance)
+    expected = np.full((2, len(origin), belief.beams), math.nan)
+    expected[:, read] = ahead.reading[kept], ahead.reading_sigma[kept]
     return Plan(
-        StationList(way.world_R_hand, way.world_t_hand, labels, names),
-        ranges,
-        sigmas,
+        listed,
+        expected[0],
+        expected[1],
         forecast,
         forecast.reaches(goal) if goal.stated else None,
         {} if plates is None else dict(plates),
         safe,
+        count - len(kept),
     )
+
+
+def _way(
+    belief: Belief, stations: Stations, workspace: Workspace, taken: Sequence[str]
+) -> tuple[StationList, IntArray]:
+    """Return what is visited, and the index of each among the stations, -1 on the way."""
+    joints: FloatArray | None = None
+    joint_names: tuple[str, ...] = ()
+    if workspace.robot is None:
+        way, origin = divided(stations, workspace.largest_step)
+    else:
+        joint_names = workspace.robot.joint_names
+        way, origin, joints = driven(workspace.robot, stations, workspace, plates_of(belief))
+    labels, names = tuple(belief.plane_names[p] for p in way.plane), _names(origin, taken)
+    return StationList(
+        way.world_R_hand, way.world_t_hand, labels, names, joints, joint_names
+    ), origin
 
 
 def forecast_of(belief: Belief, rows: FloatArray, chosen: IntArray, distance: float) -> Forecast:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import number_array, require_number
+from ..checks import number_array, require_kind, require_number
 from ..data.recording import LARGEST, Recording
 from ..data.recording_checks import check_poses
 from ..data.value import Value
@@ -18,7 +18,8 @@ from ..model.sensor import Sensor
 from ..simulation.simulate import Stations
 from .belief import Belief
 from .information import Outlook, outlook
-from .plate import vectors
+from .plate import Plate, standing, vectors
+from .robot import Robot
 
 MARGIN = 4.0
 """Readings and angles stay so many standard deviations inside their limits: of a hundred readings at
@@ -37,6 +38,8 @@ ROUNDING = 1e-9
 """Of a turn [rad]."""
 TRIES = 40
 """Rounds of as many poses as are wanted, before giving up."""
+ARM_TRIES = 3
+"""An arm, which takes longer, is asked for so many times the poses that are wanted, at most."""
 LEAST_CANDIDATES = 10
 """So few are no choice."""
 
@@ -55,6 +58,8 @@ class Workspace(Value):
         [rad]
     largest_step : float
         Between stations [m]; longer ways are divided.
+    robot : Robot, optional
+        The arm that is to reach every station.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class Workspace(Value):
     home: FloatArray
     largest_turn: float = math.radians(30.0)
     largest_step: float = math.inf
+    robot: Robot | None = None
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
@@ -81,6 +87,8 @@ class Workspace(Value):
         require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
         if self.largest_step != math.inf:  # which says that there is no limit
             require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")
+        if self.robot is not None:
+            require_kind("robot", self.robot, Robot)
 
 
 def inside(workspace: Workspace, stations: Stations) -> BoolArray:
@@ -89,6 +97,25 @@ def inside(workspace: Workspace, stations: Stations) -> BoolArray:
     turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
     within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
     return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
+
+
+def within_reach(belief: Belief, workspace: Workspace, stations: Stations) -> BoolArray:
+    """Tell which stations (M,) the arm reaches without touching the plate; all without an arm."""
+    count = len(stations.plane)
+    found = np.ones(count, dtype=bool)
+    if workspace.robot is None or not count:
+        return found
+    for plane in np.unique(stations.plane):
+        rows = np.flatnonzero(stations.plane == plane)
+        R, t = stations.world_R_hand[rows], stations.world_t_hand[rows]
+        found[rows] = workspace.robot.reachable(R, t, plates_of(belief)[plane])
+    return found
+
+
+def plates_of(belief: Belief) -> list[Plate]:
+    """Return the planes of a belief as plates."""
+    origins = enumerate(belief.origins)
+    return [standing(belief.mean, plane, origin) for plane, origin in origins]
 
 
 def workspace_of(recording: Recording) -> Workspace:
@@ -117,22 +144,36 @@ def candidates(
     """
     require_range(sensor)
     kept: list[Stations] = []
+    tried_by_arm = 0
     for _ in range(TRIES):
         tried = _drawn(belief, plane, workspace, sensor, count, rng)
         good = np.flatnonzero(inside(workspace, tried))
         if good.size:
             tried = picked(tried, good)
-            kept.append(picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor))))
-        if sum(len(one.plane) for one in kept) >= count:
+            tried = picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor)))
+            kept.append(picked(tried, np.flatnonzero(within_reach(belief, workspace, tried))))
+            tried_by_arm += 0 if workspace.robot is None else len(tried.plane)
+        if sum(len(one.plane) for one in kept) >= count or tried_by_arm >= ARM_TRIES * count:
             break
     found = joined(kept) if kept else None
     if found is None or len(found.plane) < LEAST_CANDIDATES:
-        raise InputError(
-            f"no station before plane {belief.plane_names[plane]} at which every beam reads it safely",
-            "a workspace that reaches the sensor's range, or a calibration that is known better",
-        )
+        raise _nowhere(belief.plane_names[plane], workspace, tried_by_arm)
     found = picked(found, np.arange(min(count, len(found.plane))))
     return found, outlook(belief, found)
+
+
+def _nowhere(plane: str, workspace: Workspace, tried_by_arm: int) -> InputError:
+    """Return the refusal of a plane before which there is hardly a station."""
+    if workspace.robot is not None and tried_by_arm >= LEAST_CANDIDATES:
+        return InputError(
+            f"no station before plane {plane} that the arm reaches without a collision, of "
+            f"{tried_by_arm} that are safe for the sensor",
+            "another place of the plate or of the arm's base, or a smaller clearance",
+        )
+    return InputError(
+        f"no station before plane {plane} at which every beam reads it safely",
+        "a workspace that reaches the sensor's range, or a calibration that is known better",
+    )
 
 
 def reachable(

@@ -1,0 +1,305 @@
+"""Arms: poses found and refused, what touches, the way between stations, files."""
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import HANGING, HAS_PINOCCHIO, example_arm, small_arm
+from helpers import GRIPPER, ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks.planned_cell import ERR, SENSOR
+from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.workspace import inside, plates_of
+from handlaser_gtsam.simulation.scenes import SCENES, Layout
+from handlaser_gtsam.simulation.simulate import Stations, simulate
+
+needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
+BASE = np.array([0.1, 0.1, 0.4])
+ARMS = {
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "panda": ("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
+}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    return hl.Robot(small_arm(tmp_path_factory.mktemp("arm")), "hand", HANGING, [0.2, 0.1, 0.5])
+
+
+def example(name):
+    path = example_arm(ARMS[name][0])
+    if path is None:
+        pytest.skip("needs example-robot-data")
+    return hl.Robot(path, ARMS[name][1], HANGING, BASE, clearance=0.002)
+
+
+def drawn(robot, count, seed=0):
+    """Joints within the limits at which nothing touches."""
+    low, high = robot.limits
+    q = np.random.default_rng(seed).uniform(low, high, (4 * count, len(low)))
+    return q[robot.free(q)][:count]
+
+
+# --- joints of poses ---------------------------------------------------------------------------------
+
+
+@needs_pinocchio
+def test_the_joints_found_are_at_the_pose_and_within_the_limits(small):
+    R, t = small.poses(drawn(small, 60))
+    found = small.joints(R, t)
+    good = ~np.isnan(found).any(axis=1)
+    assert good.mean() >= 0.95  # every pose is reachable; a few are missed from all starts
+    again_R, again_t = small.poses(found[good])  # by pinocchio, the joints by NumPy
+    assert np.abs(again_t - t[good]).max() < 1e-6
+    assert np.abs(again_R - R[good]).max() < 1e-6
+    low, high = small.limits
+    assert ((found[good] >= low) & (found[good] <= high)).all()
+    assert small.free(found[good]).all()
+    assert (small.reachable(R, t) == good).all()
+
+
+@needs_pinocchio
+@pytest.mark.parametrize("name", ARMS)
+def test_arms_of_others_reach_their_own_poses(name):
+    robot = example(name)
+    R, t = robot.poses(drawn(robot, 60))
+    found = robot.joints(R, t)
+    good = ~np.isnan(found).any(axis=1)
+    assert good.mean() >= 0.9
+    again_R, again_t = robot.poses(found[good])
+    assert np.abs(again_t - t[good]).max() < 1e-6
+    assert np.abs(again_R - R[good]).max() < 1e-6
+
+
+@needs_pinocchio
+def test_the_jacobian_is_that_of_differences(small):
+    chain = small._arm(None).chain
+    q = drawn(small, 5)
+    R, _, J = chain.forward(q)
+    step = 1e-6
+    for i in range(q.shape[1]):
+        e = step * np.eye(q.shape[1])[i]
+        (high_R, high_t, _), (low_R, low_t, _) = chain.forward(q + e), chain.forward(q - e)
+        turn = Rotation.from_matrix(high_R @ np.swapaxes(low_R, 1, 2)).as_rotvec()
+        # Central differences at 1e-6 err by rounding, 1e-10.
+        assert np.allclose(J[:, :3, i], (high_t - low_t) / (2.0 * step), atol=1e-8)
+        assert np.allclose(J[:, 3:, i], turn / (2.0 * step), atol=1e-8)
+    assert R.shape == (5, 3, 3)
+
+
+@needs_pinocchio
+def test_joints_are_named_as_in_the_urdf_and_fingers_are_none(small):
+    assert small.joint_names == ("rail", "pan", "lift", "elbow", "roll", "tilt", "flange")
+
+
+@needs_pinocchio
+def test_poses_out_of_reach_are_refused(small):
+    far = small.base_t + np.array([[0.0, 0.0, -5.0], [0.0, 1.3, -0.3]])
+    assert not small.reachable(np.tile(np.eye(3), (2, 1, 1)), far).any()
+
+
+@needs_pinocchio
+def test_poses_at_which_the_arm_meets_the_plate_are_refused(small):
+    R, t = np.eye(3)[None], np.array([[0.5, 0.1, 0.4]])
+    assert small.reachable(R, t).all()
+    ahead = t[0] + [0.0, 0.0, 0.02]
+    assert small.reachable(R, t, hl.Plate(ahead, [0.0, 0.0, 1.0])).all()
+    behind = t[0] - [0.0, 0.0, 0.06]
+    assert not small.reachable(R, t, hl.Plate(behind, [0.0, 0.0, 1.0])).any()
+    # The finger is the nearest body to the plate: it ends 10 mm behind the hand's frame.
+    for clearance, good in ((0.028, True), (0.032, False)):
+        wide = replace(small, clearance=clearance)
+        assert wide.reachable(R, t, hl.Plate(ahead, [0.0, 0.0, 1.0])).all() == good
+
+
+@needs_pinocchio
+def test_an_arm_that_touches_itself_is_refused(small):
+    folded = np.array([0.0, 0.0, 1.9, 2.6, 0.0, 2.2, 0.0])
+    assert not small.free(folded).any()
+    assert small.free(np.zeros(7)).all()
+    assert not small.free_way(np.zeros(7), folded)
+    assert small.free_way(np.zeros(7), np.array([0.2, 1.0, 0.5, 0.5, 0.0, 0.0, 0.0]))
+
+
+# --- plans -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    rng = np.random.default_rng(3)
+    truth, stations = SCENES["paper"](Layout(planes=2, k1=0.01), rng)
+    recording = simulate(truth, stations, ERR, rng, SENSOR)
+    return hl.calibrate(recording, ERR.stated(), hl.CalibrationOptions("k1", sensor=SENSOR))
+
+
+def workspace(robot):
+    return hl.Workspace(
+        [0.5, 0.0, 0.25], [0.7, 0.2, 0.5], np.eye(3), math.radians(25.0), robot=robot
+    )
+
+
+def check_drive(robot, stations, plates):
+    """Check joints against poses, plate and limits, and the ways at other steps than the plan did."""
+    R, t = robot.poses(stations.joints)
+    assert np.abs(t - stations.world_t_hand).max() < 1e-6
+    assert np.abs(R - stations.world_R_hand).max() < 1e-6
+    low, high = robot.limits
+    assert ((stations.joints >= low) & (stations.joints <= high)).all()
+    assert stations.joint_names == robot.joint_names
+    labels = stations.plane_labels
+    for j, (joints, label) in enumerate(zip(stations.joints, labels, strict=True)):
+        assert robot.free(joints, plates[label]).all(), stations.station_names[j]
+        if j:
+            plate = plates[label] if label == labels[j - 1] else None
+            share = np.linspace(0.0, 1.0, 137)[:, None]
+            along = stations.joints[j - 1] + share * (joints - stations.joints[j - 1])
+            touching = ~replace(robot, clearance=robot.clearance / 2).free(along, plate)
+            assert not touching.any(), stations.station_names[j]
+
+
+@needs_pinocchio
+@pytest.mark.parametrize("name", ARMS)
+def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
+    robot = example(name)
+    here = workspace(robot)
+    plan = hl.plan(calibrated, 12, SENSOR, here)
+    assert len(plan) + plan.skipped == 12
+    assert len(plan) >= 10
+    assert len(plan.forecast) == len(plan)
+    at = plan.stations
+    index = np.zeros(len(at), dtype=np.intp)
+    assert inside(here, Stations(at.world_R_hand, at.world_t_hand, index)).all()
+    belief = belief_of(calibrated)
+    check_drive(robot, at, dict(zip(belief.plane_names, plates_of(belief), strict=True)))
+
+
+@needs_pinocchio
+def test_a_first_motion_is_reached_too(small):
+    rig = hl.read_rig(ROOT / "examples" / "planned" / "rig.toml")
+    here = replace(rig.workspace, robot=replace(small, clearance=0.002))
+    plan = hl.blind_motion(rig.bounds, rig.sensor, here, rig.noise)
+    check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
+
+
+@needs_pinocchio
+def test_an_arm_too_far_away_is_said(small, calibrated):
+    far = replace(small, base_t=small.base_t + 3.0)
+    with pytest.raises(hl.InputError, match="that the arm reaches without a collision"):
+        hl.plan(calibrated, 4, SENSOR, workspace(far))
+
+
+# --- files -------------------------------------------------------------------------------------------
+
+TABLES = """
+[workspace]
+box_mm = [[500, 0, 250], [700, 200, 500]]
+largest_turn_deg = 25
+
+[robot]
+urdf = "small.urdf"
+frame = "hand"
+base_mm = [200, 100, 500]
+base_quaternion = [1, 0, 0, 0]
+start_joints = [0, 0, 0.3, 1.0, 0, 0.6, 0]
+clearance_mm = 2
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    small_arm(tmp_path)
+    path = tmp_path / "rig.toml"
+    path.write_text((GRIPPER / "rig.toml").read_text() + TABLES)
+    return path
+
+
+@needs_pinocchio
+def test_the_command_writes_joints_that_read_back(handlaser, rig, tmp_path):
+    out = tmp_path / "stations.csv"
+    code, text, err = handlaser(
+        "plan", GRIPPER / "recording.csv", "--rig", rig, "--stations", 4, "--out", out, "--json"
+    )
+    assert (code, err) == (0, "")
+    robot, found = hl.read_rig(rig).workspace.robot, hl.read_stations(out)
+    assert out.read_text().splitlines()[0].endswith("qw," + ",".join(
+        f"joint_{name}" for name in robot.joint_names
+    ))  # fmt: skip
+    _, t = robot.poses(found.joints)
+    assert np.abs(t - found.world_t_hand).max() < 1e-6
+    assert robot.free_way(robot.start, found.joints[0])
+    printed = json.loads(text)
+    assert printed["joint_names"] == list(robot.joint_names)
+    assert [row["joints"] for row in printed["stations"]] == found.joints.tolist()
+    hl.write_stations(tmp_path / "again.csv", found)
+    again = hl.read_stations(tmp_path / "again.csv")
+    assert (again.joints == found.joints).all()
+    assert again.joint_names == found.joint_names
+
+
+@needs_pinocchio
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("small.urdf", "none.urdf", "robot.urdf"),
+        ('"hand"', '"foot"', "robot.frame, one of base"),
+        ("[0, 0, 0.3, 1.0, 0, 0.6, 0]", "[0, 0]", "one for each of rail"),
+        ("[0, 0, 0.3, 1.0, 0, 0.6, 0]", "[9, 0, 0.3, 1.0, 0, 0.6, 0]", "beyond the limits"),
+    ],
+)
+def test_what_is_wrong_with_the_arm_is_said_in_one_line(handlaser, rig, old, new, words):
+    rig.write_text(rig.read_text().replace(old, new))
+    code, _, err = handlaser("plan", GRIPPER / "recording.csv", "--rig", rig)
+    assert code == 2
+    assert words in " ".join(err.split())
+
+
+def test_without_pinocchio_the_way_to_install_it_is_said(handlaser, rig, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    code, _, err = handlaser("plan", GRIPPER / "recording.csv", "--rig", rig)
+    assert code == 2
+    assert "pip install 'handlaser-gtsam[robot]'" in " ".join(err.split())
+
+
+def test_nothing_of_pinocchio_is_imported_without_the_table():
+    code = (
+        "import sys, handlaser_gtsam as hl; rig = hl.read_rig('examples/planned/rig.toml'); "
+        "hl.blind_motion(rig.bounds, rig.sensor, rig.workspace, rig.noise); "
+        "assert not {'pinocchio', 'coal', 'hppfcl'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[robot]\nurdf = "a"\nframe = "b"\n', r"\[robot\] without \[workspace\]"),
+        (TABLES.replace("[1, 0, 0, 0]", "[1, 1, 0, 0]"), "robot.base_quaternion"),
+        (TABLES.replace("clearance_mm = 2", "clearance_mm = -2"), "clearance"),
+        (TABLES.replace('frame = "hand"', ""), "robot.frame"),
+    ],
+)
+def test_tables_that_are_none(tmp_path, text, words):
+    (tmp_path / "rig.toml").write_text(text)
+    with pytest.raises(hl.InputError, match=words):
+        hl.read_rig(tmp_path / "rig.toml")
+
+
+def test_joints_of_a_list_of_stations():
+    R, t = np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3))
+    good = hl.StationList(R, t, ("A", "A"), (), [[0.0, 1.0], [2.0, 3.0]], ("a", "b"))
+    assert good.joints.shape == (2, 2)
+    for joints, names in (
+        ([[0.0, 1.0]], ("a", "b")),
+        ([[0.0, 1.0], [2.0, np.nan]], ("a", "b")),
+        ([[0.0, 1.0], [2.0, 3.0]], ("a", "a")),
+        (None, ("a",)),
+        ([[0.0], [1.0]], ()),
+    ):
+        with pytest.raises(hl.InputError):
+            hl.StationList(R, t, ("A", "A"), (), joints, names)
