@@ -41,8 +41,8 @@ import handlaser_gtsam as hl
 from benchmarks.robot_cell import MOTION, Scene, Truth, cell, pose_covariance
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.estimation.options import RangeError
-from handlaser_gtsam.simulation.scenes import SCENES, SENSORS, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, SENSORS, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 A = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)
 FAR = 5.0

@@ -21,8 +21,8 @@ from rich.progress import Progress
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import RangeError
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 PLANES, BEFORE, STATIONS = 20, 10, 11

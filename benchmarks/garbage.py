@@ -20,8 +20,8 @@ from rich.progress import track
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.results.calibration import Calibration
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMAS = 3.0
 RANGE_SIGMA = {"paper": 3e-5, "arm": 1e-3}

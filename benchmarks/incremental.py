@@ -20,8 +20,8 @@ from rich.progress import track
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.estimation.solve import solve
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 SHOWN = (10, 20, 50, 100, 200, 500, 1000)

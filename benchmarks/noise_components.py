@@ -17,8 +17,8 @@ from rich.progress import Progress
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 TRUE = {
     "paper": np.array([3e-5, 5e-5, math.radians(0.03)]),

@@ -15,10 +15,10 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.pipeline import calibrate
-from handlaser_gtsam.simulation.scenes import Layout, arm
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.validation.scenes import Layout, arm
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, SEEDS = 1e-3, 20
 

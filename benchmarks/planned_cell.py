@@ -15,8 +15,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.planning.bounds import tilted
 from handlaser_gtsam.planning.route import VIA
-from handlaser_gtsam.simulation.scenes import ERRORS, SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, Stations, plane_name, simulate
+from handlaser_gtsam.validation.scenes import ERRORS, SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, Stations, plane_name, simulate
 
 BASE = np.array([0.6, 0.1, 0.4])
 """About which the planes stand [m]."""

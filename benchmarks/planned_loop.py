@@ -11,7 +11,7 @@ from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.route import forecast_of, planned
 from handlaser_gtsam.planning.workspace import candidates, joined, picked
-from handlaser_gtsam.simulation.simulate import Errors
+from handlaser_gtsam.validation.simulate import Errors
 
 ERRORS = Errors(1e-5, 2e-5, math.radians(0.01), (0, 1, 2))
 """A good sensor, on a robot that was calibrated."""

@@ -43,8 +43,8 @@ from handlaser_gtsam.planning.choice import choose
 from handlaser_gtsam.planning.information import outlook
 from handlaser_gtsam.planning.route import goal_rows
 from handlaser_gtsam.planning.workspace import candidates, joined
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import simulate
 
 FIRST, SECOND = 13, 4
 """Stations of the first motion, and of the first plan."""

@@ -15,9 +15,9 @@ import numpy as np
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.estimation.options import CalibrationOptions, Poses
 from handlaser_gtsam.estimation.solve import solve
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMAS = (3e-5, 5e-5, math.radians(0.03))
 LAYOUT = Layout(4, 13, 25)

@@ -22,8 +22,8 @@ from rich.progress import Progress
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.factors import Evaluation, RangeBlock
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, PLANES, STATIONS, BEAMS, STEPS = 3e-5, 14, 9, 2, 15
 AGREED = 0.01

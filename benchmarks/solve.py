@@ -41,8 +41,6 @@ from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.pipeline import calibrate
-from handlaser_gtsam.simulation.scenes import Layout, paper
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
@@ -50,6 +48,8 @@ from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.partial import grow
 from handlaser_gtsam.starts.translations import translation_start
+from handlaser_gtsam.validation.scenes import Layout, paper
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 TERMS = 2
 SIGMA = 3e-5

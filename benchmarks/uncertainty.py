@@ -22,8 +22,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.options import Poses
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 RANGE_SIGMA, TRANSLATION_SIGMA, ROTATION_SIGMA = 3e-5, 5e-5, math.radians(0.03)
 AXES = {"Y axis": (1,), "all axes": (0, 1, 2)}

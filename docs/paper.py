@@ -17,9 +17,9 @@ sys.path.insert(0, str(ROOT))
 import handlaser_gtsam as hl  # noqa: E402
 from benchmarks.uncertainty import Summary, study  # noqa: E402
 from handlaser_gtsam.estimation.options import Poses  # noqa: E402
-from handlaser_gtsam.simulation.scenes import SCENES, Layout  # noqa: E402
-from handlaser_gtsam.simulation.simulate import Errors, simulate  # noqa: E402
 from handlaser_gtsam.validation.leave_out import Prediction, reconstruction  # noqa: E402
+from handlaser_gtsam.validation.scenes import SCENES, Layout  # noqa: E402
+from handlaser_gtsam.validation.simulate import Errors, simulate  # noqa: E402
 
 RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 K1, K2 = 0.005, -0.1

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, PLANES, DISPLACED = 1e-4, 16, 12
 rng = np.random.default_rng(7)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.simulation.simulate import Errors, Stations, simulate
+from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
 
 rig = hl.read_rig(Path(__file__).parent / "planned" / "rig.toml")
 errors = Errors(1e-5, 2e-5, math.radians(0.01))  # of the robot and the sensors that are simulated

@@ -96,10 +96,6 @@ if TYPE_CHECKING:
     from .session.reports import Comparison as Comparison
     from .session.reports import Update as Update
     from .session.session import Session as Session
-    from .simulation import scenes as scenes
-    from .simulation import simulate as simulate
-    from .simulation.scenes import Layout as Layout
-    from .simulation.simulate import Errors as Errors
     from .solvers.graph import CalibrationGraph as CalibrationGraph
     from .solvers.graph import build_graph as build_graph
     from .solvers.graph import read_parameters as read_parameters
@@ -111,6 +107,8 @@ if TYPE_CHECKING:
     from .solvers.poses import pose_priors as pose_priors
     from .solvers.progress import Progress as Progress
     from .solvers.progress import Trial as Trial
+    from .validation import scenes as scenes
+    from .validation import simulate as simulate
     from .validation.bootstrap import Bootstrap as Bootstrap
     from .validation.bootstrap import bootstrap as bootstrap
     from .validation.cross_check import CrossCheck as CrossCheck
@@ -122,6 +120,8 @@ if TYPE_CHECKING:
     from .validation.leave_out import Prediction as Prediction
     from .validation.leave_out import Validation as Validation
     from .validation.leave_out import validate as validate
+    from .validation.scenes import Layout as Layout
+    from .validation.simulate import Errors as Errors
     from .validation.study import Study as Study
     from .validation.study import study as study
     from .validation.study_cases import Calibrated as Calibrated
@@ -183,8 +183,8 @@ _NAMES = {
     "session.drift": "Moved",
     "session.reports": "Change Comparison Update",
     "session.session": "Session",
-    "simulation.scenes": "Layout",
-    "simulation.simulate": "Errors",
+    "validation.scenes": "Layout",
+    "validation.simulate": "Errors",
     "solvers.graph": "CalibrationGraph build_graph read_parameters",
     "solvers.incremental": "IncrementalOptions",
     "solvers.levenberg": "LevenbergOptions LevenbergResult optimize",
@@ -203,8 +203,8 @@ _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 _MODULES = {
     "factors": "factors",
     "model": "model",
-    "scenes": "simulation.scenes",
-    "simulate": "simulation.simulate",
+    "scenes": "validation.scenes",
+    "simulate": "validation.simulate",
     "starts": "starts",
 }
 __all__ = sorted([*_HOME, *_MODULES, "__version__"])

@@ -14,9 +14,9 @@ from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.results.calibration import Calibration
 from handlaser_gtsam.results.systematic import SystematicError
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, Stations, simulate
 from handlaser_gtsam.solvers.graph import CalibrationGraph
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"

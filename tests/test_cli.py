@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import handlaser_gtsam as hl
 from handlaser_gtsam import __version__
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 RECORDING, RIG = str(GRIPPER / "recording.csv"), str(GRIPPER / "rig.toml")
 

@@ -18,7 +18,7 @@ from handlaser_gtsam.cli import main
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.files import writing
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 QUICK = ["--poses", "exact", "--range-error", "none", "--range-sigma-mm", "0.03"]

@@ -13,8 +13,8 @@ from helpers import simulated
 from handlaser_gtsam.cli.progress_line import FIRST, Working
 from handlaser_gtsam.cli.stopping import Stopping
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.solvers.progress import tell
+from handlaser_gtsam.validation.scenes import Layout
 
 BEGUN = """
 import signal

@@ -13,10 +13,10 @@ from handlaser_gtsam.observability.other_solutions import mirror_image_fits
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.observability.wording import Names, weakest
 from handlaser_gtsam.results.limits import Limits, checked
-from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.steps import apply_step
 from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
+from handlaser_gtsam.validation.scenes import Layout
 
 TRUTH = {"pure translations": 1, "one plane, one axis": 1, "two planes, no rotation": 2}
 

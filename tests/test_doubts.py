@@ -11,7 +11,7 @@ from helpers import codes, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text
 from handlaser_gtsam.observability.motion import check_motion
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 3e-5
 NONE = hl.CalibrationOptions("none")

@@ -9,9 +9,9 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA, TURN = 1e-4, math.radians(0.3)
 NOISE, NONE = hl.Noise(SIGMA, 0.0, 0.0), hl.CalibrationOptions("none")

@@ -8,8 +8,8 @@ from scipy.stats import kstest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.parameters import Parameters
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NOISE = hl.Noise(SIGMA, 0.0, 0.0)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_ways
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 
 @pytest.fixture(scope="module")

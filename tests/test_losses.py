@@ -10,9 +10,9 @@ from helpers import codes, draws, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.losses import Loss, LossName
-from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.validation.scenes import Layout
 
 NAMES = get_args(LossName)
 ROBUST = [name for name in NAMES if name != "gaussian"]

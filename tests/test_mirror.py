@@ -7,9 +7,9 @@ import pytest
 
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.observability import other_solutions as mirror
-from handlaser_gtsam.simulation.scenes import Layout, arm, paper, unplanned
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.refine import refine
+from handlaser_gtsam.validation.scenes import Layout, arm, paper, unplanned
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 PARTS = (0.0, 1e-3, 1e-2, 0.1, 0.3, 1.0)
 """Of the motion of a scene that is left: a hand that only turns, to one that moves freely."""

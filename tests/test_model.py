@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from handlaser_gtsam import model
 from handlaser_gtsam.errors import GrazingBeamError
-from handlaser_gtsam.simulation.simulate import read_back
+from handlaser_gtsam.validation.simulate import read_back
 
 
 @pytest.fixture

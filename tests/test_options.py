@@ -8,9 +8,9 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.observability.rank import ObservabilityOptions
 from handlaser_gtsam.results.limits import Limits
-from handlaser_gtsam.simulation.scenes import Layout
-from handlaser_gtsam.simulation.simulate import Errors
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions
+from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.simulate import Errors
 
 WORDS = {
     "range_error": "'auto', 'none', 'k1', 'k1k2'",

@@ -8,7 +8,7 @@ from helpers import simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.ordering import sorted_readings
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 
 def shuffled(recording, seed):

@@ -12,10 +12,10 @@ from handlaser_gtsam import model
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers.leverage import leverages, standardized
 from handlaser_gtsam.outliers.snooping import screen
-from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.partial import grow
 from handlaser_gtsam.starts.robust import robust_search
+from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = {"paper": 3e-5, "arm": 1e-3}
 NONE = hl.CalibrationOptions("none")

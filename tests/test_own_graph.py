@@ -12,7 +12,7 @@ import handlaser_gtsam as hl
 from benchmarks.mobile_base import WALLS, driven, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.factors import range_to_plane, range_to_plane_from_pose
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 1e-3
 FIX = gtsam.noiseModel.Diagonal.Sigmas(np.array([2e-3] * 3 + [1e-3] * 3))

@@ -23,8 +23,8 @@ from handlaser_gtsam.planning.route import goal_rows, spot_rows
 from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
 from handlaser_gtsam.results.mounts import Mounts
 from handlaser_gtsam.results.spots import spot
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Stations, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Stations, simulate
 
 NOISE = ERR.stated()
 RANGE_ERRORS = hl.CalibrationOptions("k1", sensor=SENSOR)

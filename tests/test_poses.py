@@ -13,11 +13,11 @@ from benchmarks.uncertainty import MODES, run_once, summarized
 from handlaser_gtsam import model
 from handlaser_gtsam.factors import range_factor
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.poses import pose_priors
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 NOISE = hl.Noise(RANGE, TRANSLATION, ROTATION)

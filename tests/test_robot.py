@@ -16,8 +16,8 @@ import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.workspace import inside, plates_of
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Stations, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Stations, simulate
 
 needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
 BASE = np.array([0.1, 0.1, 0.4])

@@ -20,8 +20,8 @@ from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS
 from handlaser_gtsam.estimation.scales import Scale, Scales
 from handlaser_gtsam.model.weighting import Variances
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 ARM = (1e-4, 1e-4, math.radians(0.03))

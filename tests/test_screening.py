@@ -13,8 +13,8 @@ from benchmarks.odd_readings import logged
 from handlaser_gtsam.data.columns import RepeatedColumnError, refuse_repeated_columns
 from handlaser_gtsam.data.screen import without_codes
 from handlaser_gtsam.data.stations import merged_stations, pose_groups
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NOISE = hl.Noise(SIGMA, 1e-4, 1e-4)

@@ -14,12 +14,12 @@ from handlaser_gtsam.outliers import consensus
 from handlaser_gtsam.outliers.leverage import leverages
 from handlaser_gtsam.outliers.snooping import price
 from handlaser_gtsam.results import file_mistakes
-from handlaser_gtsam.simulation.scenes import Layout
 from handlaser_gtsam.solvers import refine
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
 from handlaser_gtsam.starts.part import part_of
 from handlaser_gtsam.starts.search import Candidate, Round, search
+from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)
 

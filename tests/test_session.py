@@ -9,9 +9,9 @@ import pytest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.factors import RangeBlock, gathered
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 EXACT = hl.Noise(SIGMA, 0.0, 0.0)

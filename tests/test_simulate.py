@@ -6,9 +6,9 @@ from helpers import simulated
 
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.model.sensor import Sensor
-from handlaser_gtsam.simulation import scenes
-from handlaser_gtsam.simulation.scenes import ERRORS, SENSORS, Layout
-from handlaser_gtsam.simulation.simulate import Errors, plane_name, read_back, simulate
+from handlaser_gtsam.validation import scenes
+from handlaser_gtsam.validation.scenes import ERRORS, SENSORS, Layout
+from handlaser_gtsam.validation.simulate import Errors, plane_name, read_back, simulate
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -16,8 +16,8 @@ import pytest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import Calibrated, Case, Drawn, Reduced, Simulated, study
-from handlaser_gtsam.simulation.scenes import Layout
-from handlaser_gtsam.simulation.simulate import Errors
+from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.simulate import Errors
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = Simulated("paper", Layout(2, 3, 11), Errors(3e-5))

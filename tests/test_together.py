@@ -11,13 +11,13 @@ from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.simulation.scenes import SCENES, Layout
-from handlaser_gtsam.simulation.simulate import Errors, simulate
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.grid import Grid
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.normal_equations import jacobian_columns
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 FINE = LevenbergOptions(step_tolerance=1e-10)

@@ -15,7 +15,7 @@ from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.spots import spot
 from handlaser_gtsam.results.verdict import verdict
-from handlaser_gtsam.simulation.scenes import Layout
+from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)

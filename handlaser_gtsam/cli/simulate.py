@@ -11,7 +11,7 @@ import typer
 from .progress_line import Working
 
 if TYPE_CHECKING:
-    from ..simulation import simulate as simulation
+    from ..validation import simulate as simulation
 
 MM, DEG = 1e-3, math.pi / 180.0
 FILES = ("recording.csv", "rig.toml", "truth.json")
@@ -90,8 +90,8 @@ def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) 
     from ..files.calibration_json import write_truth
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
-    from ..simulation import scenes
-    from ..simulation import simulate as simulation
+    from ..validation import scenes
+    from ..validation import simulate as simulation
 
     there = [file for file in FILES if (folder / file).exists()]
     if there and not force:

@@ -73,20 +73,6 @@ class Readings(Value):
         low, high = np.quantile(self.distance, [0.25, 0.75])
         return float(high - low) / QUARTILES if high > low else float(self.distance.std())
 
-    def copies(self, count: int) -> "Readings":
-        """Return the readings `count` times, each time with beams and planes of their own."""
-        if count == 1:
-            return self
-        every, copy = np.tile(np.arange(len(self)), count), np.repeat(np.arange(count), len(self))
-        tiled = self.subset(every)
-        return replace(
-            tiled,
-            beam=tiled.beam + copy * self.beams,
-            plane=tiled.plane + copy * self.planes,
-            beams=self.beams * count,
-            planes=self.planes * count,
-        )
-
     def plane_means(self, values: FloatArray) -> FloatArray:
         """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""
         count = np.maximum(np.bincount(self.plane, minlength=self.planes), 1)

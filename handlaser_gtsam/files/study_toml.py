@@ -33,8 +33,8 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
-from ..simulation.scenes import ERRORS, SENSORS, Layout
-from ..simulation.simulate import Errors
+from ..validation.scenes import ERRORS, SENSORS, Layout
+from ..validation.simulate import Errors
 from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
 from .checked_text import FileRecord, read_checked
 from .rig_toml import NoiseTable, noise_of, scaled, toml_value

@@ -22,7 +22,7 @@ from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
-from ..simulation.simulate import Stations, plane_name
+from ..validation.simulate import Stations, plane_name
 from .belief import Belief, belief_about
 from .bounds import Bounds
 from .choice import choose, value

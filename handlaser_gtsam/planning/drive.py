@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 from .order import divided
 from .plate import Plate
 from .robot import Robot

@@ -17,7 +17,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..model.weighting import Variances, whitening
-from ..simulation.simulate import Stations, read_back
+from ..validation.simulate import Stations, read_back
 from .belief import BEAM, PLANE, Belief
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 
 
 def shortest(stations: Stations, length: float) -> IntArray:

@@ -11,7 +11,7 @@ from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .choice import choose
 from .goal import Goal

@@ -12,7 +12,7 @@ from ..data.parameters import Parameters
 from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import InputError
-from ..simulation.simulate import plane_name
+from ..validation.simulate import plane_name
 
 STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""

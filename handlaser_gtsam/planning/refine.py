@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 from .belief import Belief
 from .choice import choose
 from .goal import Goal

@@ -12,7 +12,7 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..results.spot_error import radius
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 from .belief import BEAM, Belief
 from .drive import driven
 from .goal import Forecast, Goal

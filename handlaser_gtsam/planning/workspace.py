@@ -15,7 +15,7 @@ from ..data.recording_checks import check_poses
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..simulation.simulate import Stations
+from ..validation.simulate import Stations
 from .belief import Belief
 from .information import Outlook, outlook
 from .plate import Plate, standing, vectors

@@ -12,7 +12,7 @@ stacked products of the rows of a beam in a chunk. A test compares the rows with
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,6 +123,14 @@ class Grid:
         """
         seen = self._seen(at, at.normals[:, :, None], self.read)
         return self._residual(seen, at), seen.cosine
+
+    def facing(self, at: Parameters) -> Parameters:
+        """Return parameters of K problems with the normals of all planes away from the sensors."""
+        _, cosine = self.residuals(at)
+        cosine = cosine if self.read is None else cosine * self.read
+        ahead = np.add.reduceat(cosine.sum(axis=1), self.first * self.slots, axis=1)
+        sign = np.where(ahead.ravel() < 0.0, -1.0, 1.0)
+        return replace(at, normals=at.normals * sign[:, None], offsets=at.offsets * sign)
 
     def rows(self, at: Parameters, terms: int, counted: BoolArray | None = None) -> Rows:
         """Return the rows of all readings at parameters of K problems, one after the other.

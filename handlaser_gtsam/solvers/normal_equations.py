@@ -8,8 +8,8 @@ couples it to the beams; the reduced system of the beams is
 and costs time linear in the number of planes. Beam unknowns are ordered (r, v, k) a beam, 5 + terms
 each, directions in the basis of `model.tangent_basis`; plane unknowns are (tangent of n, b).
 
-Several candidates for the same readings are worked on together, as copies: their parameters stand one
-after the other, and every array of the normal equations has the copies first.
+Several problems of one shape are worked on together, or several candidates for one, as copies: their
+parameters stand one after the other, and every array of the normal equations has the copies first.
 
 The offset of a plane is taken at the middle of its laser spots instead of the world origin: that
 changes neither S nor the solution, and keeps H_pp well conditioned far from the origin.
@@ -283,17 +283,12 @@ def jacobian_columns(
     readings: Readings,
     terms: int,
     centres: FloatArray | None = None,
-    counted: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rows of (J_beam, J_plane, e), transposed (5 + terms + 4, N), and the centres (P, 3).
 
     Offsets of planes are taken at `centres`: at the middle of the laser spots where not given.
-    Readings that are not `counted` may graze their planes; their rows are finite and mean nothing.
     """
     x = model.scene(parameters, readings)
-    if counted is not None and not counted.all():
-        ahead = np.einsum("nij,nj->ni", x.R, x.v)
-        x = replace(x, n=np.where(counted[:, None], x.n, ahead))
     at = model.linearize(x, readings.distance)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])

@@ -145,6 +145,7 @@ class _Search:
             if not rows.size:
                 break
             self._advance(rows)
+        self.at = self.grid.facing(self.at)  # a beam may have come from behind
         return [
             Refined(parameters, float(2.0 * cost), float(scale)) if np.isfinite(cost) else None
             for parameters, cost, scale in zip(

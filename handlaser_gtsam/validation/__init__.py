@@ -1,1 +1,1 @@
-"""Checks by what was not used: planes left out, other recordings, a second solver, resampling."""
+"""Checks by what was not used, or is made up: left-out planes, a second solver, simulated studies."""

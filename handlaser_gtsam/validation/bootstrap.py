@@ -24,8 +24,8 @@ from ..estimation.options import CalibrationOptions, RangeError
 from ..estimation.solve import solve
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
-from ..simulation.simulate import read_back
 from ..solvers.progress import Listener, tell, told_to
+from .simulate import read_back
 
 MOST_DRAWS = 10_000_000
 """More do not fit into memory."""

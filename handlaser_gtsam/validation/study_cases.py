@@ -19,8 +19,8 @@ from ..errors import HandlaserError, InputError
 from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
-from ..simulation.scenes import ERRORS, SCENES, SENSORS, Layout
-from ..simulation.simulate import Errors, simulate
+from .scenes import ERRORS, SCENES, SENSORS, Layout
+from .simulate import Errors, simulate
 from .study_rows import Estimated, of_calibration, row
 
 Draw = Callable[[np.random.Generator], tuple[Recording, Parameters]]
