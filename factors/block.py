@@ -16,6 +16,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, frozen, frozen_indices
 from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.data.noise import MOST_SIGMA
+from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.data.recording import LARGEST
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.keys import BeamKeys, integer_key
@@ -56,6 +57,8 @@ class RangeBlock:
         Which of the `beams` each reading is of; the first where not given.
     whitening : Whitening, optional
         Where readings differ in weight or are correlated. Needed for several beams.
+    regressors : Regressors, optional
+        What residuals take of the readings, where that is not the readings themselves.
 
     Attributes
     ----------
@@ -70,6 +73,7 @@ class RangeBlock:
         "beams",
         "distance",
         "gathering",
+        "measured",
         "plane",
         "pose",
         "prepared",
@@ -88,6 +92,7 @@ class RangeBlock:
         pose: int | None = None,
         beam_of: ArrayLike | None = None,
         whitening: Whitening | None = None,
+        regressors: Regressors | None = None,
     ) -> None:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
         for beam in self.beams:
@@ -101,9 +106,11 @@ class RangeBlock:
         self.distance = numbers(distance, "readings")
         self.world_R_hand = numbers(world_R_hand, "rotations of the hand")
         self.world_t_hand = numbers(world_t_hand, "positions of the hand")
+        self.measured: FloatArray | Regressors
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
         require_rows(self.distance, self.world_R_hand, self.world_t_hand)
+        self.measured = self.distance if regressors is None else regressors
         self.beam_of = frozen_indices(np.zeros(len(self.distance)) if beam_of is None else beam_of)
         if len(self.beams) > 1 and whitening is None:
             raise ValueError("several beams without a whitening; expected one")
@@ -115,15 +122,17 @@ class RangeBlock:
         plane: int,
         rows: tuple[FloatArray, FloatArray, FloatArray, IntArray],
         whitening: Whitening | None,
+        measured: FloatArray | Regressors,
     ) -> "RangeBlock":
         """Return the block of one beam, for read-only rows that `require_rows` has passed.
 
-        The rows are the readings, rotations and positions of the hand, and zeros as `beam_of`.
+        The rows are the readings, rotations and positions of the hand, and zeros as `beam_of`;
+        `measured` is what residuals take of the readings.
         """
         block = cls.__new__(cls)
         block.beams, block.plane, block.pose, block.whitening = (beam,), plane, None, whitening
         block.distance, block.world_R_hand, block.world_t_hand, block.beam_of = rows
-        block.prepared = block.gathering = None
+        block.measured, block.prepared, block.gathering = measured, None, None
         return block
 
     def keys(self) -> list[int]:
@@ -175,7 +184,7 @@ class RangeBlock:
             np.full(rows, plane.distance()),
             np.array([k for _, k in errors])[of],
         )
-        at = model.linearize(x, self.distance, with_pose=self.pose is not None)
+        at = model.linearize(x, self.measured, with_pose=self.pose is not None)
         v_basis = np.array([v.basis() for v in directions])[of]
         blocks = [at.location, np.einsum("ni,nij->nj", at.direction, v_basis), at.range_error]
         blocks += [at.normal @ plane.normal().basis(), at.offset[:, None]]

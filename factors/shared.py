@@ -15,6 +15,7 @@ import numpy as np
 
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, gathered
+from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.model.weighting import Whitening
 
@@ -72,6 +73,9 @@ class SharedEvaluation:
         ends = np.cumsum(sizes)
         self.slices = [slice(int(a), int(e)) for a, e in zip(ends - sizes, ends, strict=True)]
         self.distance = np.concatenate([block.distance for block in blocks])
+        self.measured: FloatArray | Regressors = self.distance
+        if any(isinstance(block.measured, Regressors) for block in blocks):
+            self.measured = Regressors.joined([block.measured for block in blocks])
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
         beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
@@ -135,7 +139,7 @@ class SharedEvaluation:
             now.b.take(plane),
             gathered(now.k, self.range_error_of[rows]),
         )
-        at = model.linearize(x, self.distance[rows], with_pose=bool(self._posed.size))
+        at = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
         residual[rows] = at.residual
         J = jacobian[rows]
         J[:, LOCATION] = at.location

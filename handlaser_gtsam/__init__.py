@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .data.parameters import Parameters as Parameters
     from .data.parameters import RangeErrorPrior as RangeErrorPrior
     from .data.readings import Readings as Readings
+    from .data.readings import Regressors as Regressors
     from .data.recording import Recording as Recording
     from .data.recording import join as join
     from .data.recording_checks import HasMatrix as HasMatrix
@@ -136,7 +137,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "data.noise": "Noise",
     "data.parameters": "Parameters RangeErrorPrior",
-    "data.readings": "Readings",
+    "data.readings": "Readings Regressors",
     "data.recording": "Recording join",
     "data.recording_checks": "HasMatrix",
     "data.station_list": "StationList",

@@ -1,5 +1,6 @@
 """The readings of a recording one a row: what all solvers work on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,31 @@ from .value import Value
 
 QUARTILES = 1.349
 """Distance of the quartiles in standard deviations, if Gaussian."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Regressors(Value):
+    """What a residual takes of readings: constant + k1 level + k2 level^2 stands for the true range.
+
+    Attributes
+    ----------
+    constant, level : (...)
+        [m]. The readings themselves where their noise is not kept out.
+    """
+
+    constant: FloatArray
+    level: FloatArray
+
+    def __getitem__(self, rows: IntArray | slice) -> "Regressors":
+        """Return those of some readings."""
+        return Regressors(self.constant[rows], self.level[rows])
+
+    @classmethod
+    def joined(cls, parts: "Sequence[FloatArray | Regressors]") -> "Regressors":
+        """Return one of several, one after the other; some may be readings."""
+        pairs = [(d.constant, d.level) if isinstance(d, Regressors) else (d, d) for d in parts]
+        constant, level = (np.concatenate(own) for own in zip(*pairs, strict=True))
+        return cls(constant, level)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -28,6 +54,8 @@ class Readings(Value):
         Number of beams B and planes P.
     samples : (N,), optional
         How many independent readings each is worth, where it is a mean of several; else one.
+    regressors : Regressors, optional
+        Where noise is kept out of the columns of the range errors.
     """
 
     station: IntArray
@@ -39,9 +67,20 @@ class Readings(Value):
     beams: int
     planes: int
     samples: FloatArray | None = None
+    regressors: Regressors | None = None
 
     def __len__(self) -> int:
         return len(self.distance)
+
+    @property
+    def measured(self) -> "FloatArray | Regressors":
+        """What residuals take of the readings."""
+        return self.distance if self.regressors is None else self.regressors
+
+    @property
+    def level(self) -> FloatArray:
+        """The readings [m] (N,), without their probable noise where it is kept out."""
+        return self.distance if self.regressors is None else self.regressors.level
 
     def unknowns(self, terms: int) -> int:
         """Return how many unknowns the beams, with so many range-error terms, and the planes have."""
@@ -92,6 +131,7 @@ class Readings(Value):
             self.beams,
             self.planes,
             None if self.samples is None else self.samples[rows],
+            None if self.regressors is None else self.regressors[rows],
         )
 
 

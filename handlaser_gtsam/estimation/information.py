@@ -127,7 +127,7 @@ class LinearReadings:
     ) -> None:
         order = np.lexsort((readings.beam, readings.station, readings.plane))
         readings = readings.subset(order)
-        lin = model.linearize(model.scene(at, readings), readings.distance, with_pose=True)
+        lin = model.linearize(model.scene(at, readings), readings.measured, with_pose=True)
         self.centres = readings.plane_means(lin.normal / lin.offset[:, None])
         local = lin.normal - lin.offset[:, None] * self.centres[readings.plane]
         v_basis = model.tangent_basis(at.directions)[readings.beam]

@@ -18,7 +18,8 @@ from ..data.readings import Readings
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-from ..model.weighting import Variances, unequal, whitening
+from ..model.errors_in_variables import weighed
+from ..model.weighting import Variances, unequal
 from ..solvers.elimination import eliminated
 from ..solvers.levenberg import LevenbergOptions
 from ..solvers.many_problems import SolvedTogether, solve_together
@@ -115,12 +116,14 @@ def _solved(
     if starts is None:
         starts = [find_start(one, sigma).parameters for one in local]
     found = solve_together(local, starts, terms, sigma, prior, options)
-    pairs = list(zip(found.parameters, local, strict=True))
-    if any(unequal(at, one, variances) for at, one in pairs):
+    if unequal(variances, terms):
         for _ in range(ROUNDS):
-            pairs = list(zip(found.parameters, local, strict=True))
-            weights = [whitening(at, one, variances) for at, one in pairs]
-            found = solve_together(local, found.parameters, terms, weights, prior, options)
+            both = [
+                weighed(one, at, variances, terms)
+                for at, one in zip(found.parameters, local, strict=True)
+            ]
+            taken, weights = (list(part) for part in zip(*both, strict=True))
+            found = solve_together(taken, found.parameters, terms, weights, prior, options)
     return found
 
 

@@ -62,7 +62,7 @@ def solve(
     alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
     if task.learns or (scales.unknown and not alike):
         return _Learning(task, scales, base, known).solved(first)
-    if alike and not unequal(first.parameters, readings, base):
+    if alike and not unequal(base, task.terms):
         return first
     # A common sigma is found by sigma0 without any effort.
     return task.weighted(first, with_scales(scales, base, known))
@@ -154,12 +154,12 @@ class _Learning:
 
     def _scale_problem(self, solution: Solution, at: Parameters | None = None) -> ScaleProblem:
         """Return the scales as a problem; with a robust loss, of readings that it does not doubt."""
-        task, readings = self.task, self.task.readings
+        task, here = self.task, solution.parameters if at is None else at
+        readings, _ = task.weighed(here, with_scales(self.scales, self.base, self.point.u))
         if task.loss != GAUSSIAN:
             weight = task.loss.weight(solution.result.white / solution.problem.range_sigma)
             readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
         linearity = task.options.linearity if task.learns else None
-        here = solution.parameters if at is None else at
         return ScaleProblem(here, readings, task.terms, self.base, self.scales, linearity)
 
     def _integrated(self, solution: Solution, used: _Point) -> Solution:

@@ -10,6 +10,7 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import residuals, residuals_or_infinite, scene
+from ..model.errors_in_variables import weighed
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening, whitening
 from ..observability.other_solutions import least_observed
@@ -108,10 +109,14 @@ class Task:
                 break
         return self.with_poses(replace(solution, variances=variances), variances)
 
+    def weighed(self, at: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
+        """Return the readings as residuals take them, and their weights, at some parameters."""
+        return weighed(self.readings, at, variances, self.terms)
+
     def step(self, at: Parameters, variances: Variances) -> tuple[Parameters, float]:
         """Return where a linear step with the weights at `at` leads, and its length [sigmas]."""
-        how = whitening(at, self.readings, variances)
-        return newton_step(at, self.readings, self.terms, how, self.prior)
+        readings, how = self.weighed(at, variances)
+        return newton_step(at, readings, self.terms, how, self.prior)
 
     def step_ahead(
         self, first: Solution, at: Parameters, variances: Variances
@@ -140,8 +145,8 @@ class Task:
 
     def reweighted(self, at: Parameters, variances: Variances) -> Solution:
         """Solve with the weights at `at`."""
-        how = whitening(at, self.readings, variances)
-        problem, result = self.minimized(at, how)
+        readings, how = self.weighed(at, variances)
+        problem, result = self.minimized(at, how, readings=readings)
         return self.diagnosed(problem, result, how.sigma, how)
 
     def with_poses(self, solution: Solution, variances: Variances) -> Solution:
@@ -149,10 +154,11 @@ class Task:
         wanted = self.options.poses == "estimated" and variances.pose is not None
         if not wanted or variances.pose is None or solution.result.status == "interrupted":
             return solution
-        at, readings = solution.parameters, self.readings
+        at = solution.parameters
+        readings, _ = self.weighed(at, variances)
         how = whitening(at, readings, variances.without_poses())
         priors = pose_priors(readings, variances.pose)
-        problem, result = self.minimized(at, how, priors)
+        problem, result = self.minimized(at, how, priors, readings=readings)
         marginal = whitening(read_parameters(problem, result.values), readings, variances)
         found = self.diagnosed(problem, result, marginal.sigma, marginal)
         return replace(found, variances=variances)
@@ -164,15 +170,15 @@ class Task:
         priors: PosePriors | None = None,
         *,
         coarse: bool = False,
+        readings: Readings | None = None,
     ) -> tuple[CalibrationGraph, LevenbergResult]:
         """Solve the graph; damped throughout where the readings leave something undetermined.
 
         What they determine at one start they do at the next: the rank is asked for until it is full.
         """
         solver = self.options.solver
-        problem = build_graph(
-            self.readings, start, self.terms, noise, self.loss, priors, self.prior
-        )
+        readings = self.readings if readings is None else readings
+        problem = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
         if not self.determined:
             before = self.observed(start, 0.0)
             self.rank, self.determined = before.rank, before.full
@@ -182,10 +188,16 @@ class Task:
             solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE))
         return problem, levenberg_marquardt(problem, solver, tell_trial)
 
-    def observed(self, at: Parameters, sigma: float, how: Whitening | None = None) -> Observability:
+    def observed(
+        self,
+        at: Parameters,
+        sigma: float,
+        how: Whitening | None = None,
+        readings: Readings | None = None,
+    ) -> Observability:
         """Return what the readings determine at `at`, if they err by sigma [m]."""
-        options = self.options.observability
-        return observability(at, self.readings, self.terms, sigma, options, how, self.prior)
+        options, readings = self.options.observability, readings or self.readings
+        return observability(at, readings, self.terms, sigma, options, how, self.prior)
 
     def diagnosed(
         self,
@@ -196,7 +208,7 @@ class Task:
     ) -> Solution:
         """Diagnose a result; of solutions of short rank, take the one that leaves most undetermined."""
         parameters = read_parameters(problem, result.values)
-        found = self.observed(parameters, sigma, how)
+        found = self.observed(parameters, sigma, how, problem.readings)
         solution = Solution(problem, result, parameters, found, None, how, self.prior)
         return solution if found.full else self._least_observed(solution, sigma)
 

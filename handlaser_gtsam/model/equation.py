@@ -19,7 +19,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, gathered
 from ..data.parameters import Parameters
-from ..data.recording import Readings
+from ..data.readings import Readings, Regressors
 from ..errors import GrazingBeamError
 
 LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
@@ -86,15 +86,18 @@ def scene(parameters: Parameters, readings: Readings) -> Scene:
     )
 
 
-def corrected(d: FloatArray, k: FloatArray) -> FloatArray:
+def corrected(d: FloatArray | Regressors, k: FloatArray) -> FloatArray:
     """Return g(d) = d + k1 d + k2 d^2 [m] for readings d (...) and range errors k (..., 2)."""
+    if isinstance(d, Regressors):
+        return np.asarray(d.constant + d.level * (k[..., 0] + k[..., 1] * d.level))
     true: FloatArray = d * (1.0 + k[..., 0] + k[..., 1] * d)
     return true
 
 
-def range_error_derivatives(d: FloatArray) -> tuple[FloatArray, FloatArray]:
+def range_error_derivatives(d: FloatArray | Regressors) -> tuple[FloatArray, FloatArray]:
     """Return de/dk1 and de/dk2 at readings d (...)."""
-    return -d, -d * d
+    level = d.level if isinstance(d, Regressors) else d
+    return -level, -level * level
 
 
 def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
@@ -129,7 +132,7 @@ def predicted_ranges(x: Scene) -> FloatArray:
     return -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
 
 
-def residuals(x: Scene, d: FloatArray) -> FloatArray:
+def residuals(x: Scene, d: FloatArray | Regressors) -> FloatArray:
     """Return e = s - g(d) [m] for readings d (N,); raises like `predicted_ranges`."""
     return predicted_ranges(x) - corrected(d, x.k)
 
@@ -146,7 +149,7 @@ def residuals_or_infinite(parameters: Parameters, readings: Readings) -> FloatAr
     return e
 
 
-def linearize(x: Scene, d: FloatArray, *, with_pose: bool = False) -> Linearization:
+def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) -> Linearization:
     """Return residuals and derivatives at readings d (N,); raises like `predicted_ranges`."""
     n_hand, cosine = _seen_from_hand(x)
     c = -1.0 / cosine

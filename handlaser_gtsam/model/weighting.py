@@ -23,8 +23,6 @@ from . import equation
 
 LEAST_VARIANCE = 1e-12
 """Of a direction of C, as a part of the largest: below, it is rounding."""
-CURVED = 0.005
-"""Range errors that change a reading's sigma by less than this part leave all weights equal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -226,13 +224,16 @@ def slopes(parameters: Parameters, readings: Readings) -> FloatArray:
     return slope if readings.samples is None else slope / np.sqrt(readings.samples)
 
 
-def unequal(parameters: Parameters, readings: Readings, variances: Variances) -> bool:
-    """Tell whether readings differ in their weights or are correlated."""
+def unequal(variances: Variances, terms: int) -> bool:
+    """Tell whether residuals differ in their weights, or are correlated.
+
+    Range errors of any `terms` make them differ: they change what noise does to a residual.
+    """
     return bool(
-        variances.pose is not None
+        terms
+        or variances.pose is not None
         or variances.incidence_sigma > 0.0
         or np.ptp(variances.range_sigma) > 0.0
-        or np.abs(slopes(parameters, readings) - 1.0).max() > CURVED
     )
 
 

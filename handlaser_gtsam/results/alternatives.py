@@ -163,7 +163,7 @@ def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
 def _whole_columns(rows: Rows) -> FloatArray:
     """Return the columns (N, 7) of the errors `WHOLE`."""
     at, readings, position = rows.at, rows.readings, rows.position
-    x, d = model.scene(at, readings), readings.distance
+    x, d = model.scene(at, readings), readings.level
     found = model.linearize(x, d, with_pose=True)
     longer = -slopes(at, readings)
     tangent_square = 1.0 / model.cosines(x) ** 2 - 1.0

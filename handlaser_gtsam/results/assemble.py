@@ -122,7 +122,9 @@ def _tested(
         how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
     prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
-    rows = linear_rows(at, used, how, prior, problem.order.stations[used.station])
+    rows = linear_rows(
+        at, solution.problem.readings, how, prior, problem.order.stations[used.station]
+    )
     known, stations = fit.range_sigma_given, problem.recording.station_names
     found = systematic_errors(rows, names, stations, known=known, dof=fit.dof)
     beams = [i for _, i in names.beams]

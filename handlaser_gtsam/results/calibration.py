@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
+from ..model.errors_in_variables import weighed
 from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
 from ..model.losses import Loss
 from ..model.weighting import whitening
@@ -110,6 +111,7 @@ class Calibration(CalibrationData):
         if variances is None:
             sigma = fit.range_sigma or UNIT_SIGMA
             return build_graph(readings, at, terms, sigma, loss, None, self.range_error_prior)
+        readings, _ = weighed(readings, at, variances, max(terms))
         priors = None
         if fit.poses == "estimated" and variances.pose is not None:
             priors = pose_priors(readings, variances.pose)

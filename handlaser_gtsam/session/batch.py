@@ -15,6 +15,7 @@ from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..estimation.task import SETTLED
+from ..model.errors_in_variables import weighed
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
 from ..observability.rank import Observability, ObservabilityOptions, observability
@@ -79,9 +80,9 @@ class BatchProblem:
         self, at: Parameters, poses: gtsam.Values | None
     ) -> tuple[CalibrationGraph, Whitening]:
         """Return the graph at some parameters and poses, and the whitening with poses eliminated."""
-        readings, config = self.own(), self.config
-        variances = config.variances(len(self.recording.plane_labels))
-        marginal = how = whitening(at, readings, variances)
+        config, variances = self.config, self.config.variances(len(self.recording.plane_labels))
+        readings, marginal = weighed(self.own(), at, variances, max(config.terms))
+        how = marginal
         priors: PosePriors | None = None
         if config.poses == "estimated" and variances.pose is not None:
             how = whitening(at, readings, variances.without_poses())
@@ -131,7 +132,9 @@ class BatchProblem:
         learned = config.learned
         if learned is None:
             raise ValueError("no scales are learned")
-        variances = learned.base.for_stations(int(readings.station.max()) + 1)
+        stations = int(readings.station.max()) + 1
+        readings, _ = weighed(readings, at, config.variances(stations), max(config.terms))
+        variances = learned.base.for_stations(stations)
         found = config.history(at.beams).known
         known = Information(found.matrix[None], found.vector[None], np.zeros(1))
         return ScaleProblem(
@@ -157,26 +160,26 @@ class BatchProblem:
         """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
         problem, marginal = self.problem(self.at, self.poses)
         result = evaluated(problem, METHOD)
-        solution = Solution(problem, result, self.at, self._observability(marginal))
+        solution = Solution(problem, result, self.at, self._observability(problem, marginal))
         white = float(result.white @ result.white) / problem.range_sigma**2
         return self.config.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
 
     def determined(self) -> bool:
         """Tell whether the readings determine everything, as a batch calibration judges it."""
-        return self._observability(self.problem(self.at, self.poses)[1]).full
+        return self._observability(*self.problem(self.at, self.poses)).full
 
-    def _observability(self, how: Whitening) -> Observability:
+    def _observability(self, graph: CalibrationGraph, how: Whitening) -> Observability:
         terms, options = self.config.terms, ObservabilityOptions()
         prior = self.config.prior
-        return observability(self.at, self.own(), terms, how.sigma, options, how, prior)
+        return observability(self.at, graph.readings, terms, how.sigma, options, how, prior)
 
     def calibration(self, contents: Contents) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved anew."""
         graph, marginal = self.problem(self.at, self.poses)
         result = evaluated(graph, "the incremental estimate")
         variances = self.config.variances(len(self.recording.plane_labels))
-        differ = unequal(self.at, self.own(), variances)
-        found, learned = self._observability(marginal), self.config.learned
+        differ = unequal(variances, max(self.config.terms))
+        found, learned = self._observability(graph, marginal), self.config.learned
         own, how = (variances, marginal) if differ else (None, None)
         prior = self.config.prior
         solution = Solution(graph, result, self.at, found, own, how, prior)

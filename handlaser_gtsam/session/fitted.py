@@ -15,6 +15,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..keys import plane_key, pose_key
+from ..model.errors_in_variables import weighed
 from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
 from ..solvers.beam_state import BeamState, PlaneFactors
@@ -216,7 +217,7 @@ def fit_plane(
     variances = config.variances(len(recording.plane_labels))
     at = _through_spots(beams, readings)
     try:
-        how = whitening(at, readings, variances)
+        readings, how = weighed(readings, at, variances, max(config.terms))
         normal = normal_equations(at, readings, 2, whitening=how)
         at, normal = _stepped(at, normal, readings)
         e = model.residuals(model.scene(at, readings), readings.distance)

@@ -254,10 +254,13 @@ def _blocks_by_beam(
     d, R, t = readings.distance, readings.world_R_hand, readings.world_t_hand
     require_rows(d, R, t)
     first, blocks = frozen_indices(np.zeros(len(d))), []
+    taken = readings.measured
     of = (readings.beam[starts].tolist(), readings.plane[starts].tolist())
     for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
         rows = d[a:e], R[a:e], t[a:e], first[a:e]
-        blocks.append(RangeBlock.of_checked(beams[beam], planes[plane], rows, own(a, e)))
+        blocks.append(
+            RangeBlock.of_checked(beams[beam], planes[plane], rows, own(a, e), taken[a:e])
+        )
     return tuple(blocks)
 
 
@@ -289,6 +292,7 @@ def station_blocks(
                 pose,
                 beam_of,
                 whitening.of_rows(own),
+                None if readings.regressors is None else readings.regressors[own],
             )
         )
     return tuple(blocks)

@@ -19,7 +19,7 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
-from ..data.readings import Readings
+from ..data.readings import Readings, Regressors
 from ..model.weighting import Whitening
 
 LONGEST = 32
@@ -90,7 +90,14 @@ class Grid:
         if len(one) < self.beams * self.cells:
             self.read = self.spread(np.ones((1, len(one)))) > 0.0
         self.distance = self.spread(np.array([p.distance for p in problems]))
-        self._by_k = np.array(model.range_error_derivatives(self.distance))
+        self.measured: FloatArray | Regressors = self.distance
+        if one.regressors is not None:
+            own = [p.regressors for p in problems if p.regressors is not None]
+            self.measured = Regressors(
+                self.spread(np.array([each.constant for each in own])),
+                self.spread(np.array([each.level for each in own])),
+            )
+        self._by_k = np.array(model.range_error_derivatives(self.measured))
         self.R = np.zeros((len(problems), 3, 3, self.cells))
         self.t = np.zeros((len(problems), 3, self.cells))
         self.R[..., place] = np.array([p.world_R_hand[rows] for p in problems]).transpose(
@@ -102,7 +109,7 @@ class Grid:
         """Return the grid of some of the problems."""
         new = copy(self)
         new.distance, new.R, new.t = (a[problems] for a in (self.distance, self.R, self.t))
-        new._by_k = self._by_k[:, problems]
+        new.measured, new._by_k = self.measured[problems], self._by_k[:, problems]
         return new
 
     def spread(self, values: FloatArray) -> FloatArray:
@@ -194,7 +201,7 @@ class Grid:
 
     def _residual(self, seen: _Seen, at: Parameters) -> FloatArray:
         k = at.range_errors.reshape(len(seen.c), self.beams, 1, 2)
-        return seen.s - model.corrected(self.distance, k)
+        return seen.s - model.corrected(self.measured, k)
 
     def _seen(self, at: Parameters, axes: FloatArray, counted: BoolArray | None) -> _Seen:
         """Return what readings have in common for axes (K P, 3, q) of the planes, the normal first."""

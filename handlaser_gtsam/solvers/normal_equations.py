@@ -289,7 +289,7 @@ def jacobian_columns(
     Offsets of planes are taken at `centres`: at the middle of the laser spots where not given.
     """
     x = model.scene(parameters, readings)
-    at = model.linearize(x, readings.distance)
+    at = model.linearize(x, readings.measured)
     if centres is None:
         centres = readings.plane_means(at.normal / at.offset[:, None])
     v_basis = gathered(model.tangent_basis(parameters.directions), readings.beam)

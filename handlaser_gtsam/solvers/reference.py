@@ -10,7 +10,8 @@ the start is replaced by +-sqrt(1 - the squares of the others). Derivatives are 
 Covariances follow from Gauss-Markov, sigma^2 inv(J'J).
 
 Weights, where readings differ in them or share the errors of a pose, are held while SciPy runs and then
-taken anew at its solution. How a pose moves a range is found by moving the pose.
+taken anew at its solution, as is the noise of the readings that the residuals show: it is kept out of
+what multiplies the range errors. How a pose moves a range is found by moving the pose.
 """
 
 from dataclasses import dataclass
@@ -158,6 +159,7 @@ class ReferenceProblem:
         self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel()))
         self.split = int(self.active.sum())
         self.whiten: csr_array | None = None
+        self.base = self.level = self.d
         # One more row for every range error of which something is known: k / its sigma.
         known = self.active[:, 5:] & (prior is not None)
         number = np.full((self.beams, 7), -1)
@@ -186,8 +188,8 @@ class ReferenceProblem:
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return predicted less corrected ranges (N,): [m], or in sigmas once there are weights."""
         beam = self._beams(x)[self.beam]
-        residual = self._ranges(x, self.R, self.t)[0] - self.d * (
-            1.0 + beam[:, 5] + beam[:, 6] * self.d
+        residual = self._ranges(x, self.R, self.t)[0] - (
+            self.base + self.level * (beam[:, 5] + beam[:, 6] * self.level)
         )
         if self.whiten is None:
             return residual
@@ -209,7 +211,11 @@ class ReferenceProblem:
         beam = self._beams(x)[self.beam]
         slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d) / np.sqrt(self.samples)
         tangent = np.sqrt(np.maximum(self._ranges(x, self.R, self.t)[1] ** -2 - 1.0, 0.0))
+        of_reading = slope * noise.range_sigma[self.beam] ** 2 / np.sqrt(self.samples)
         own = (slope * noise.range_sigma[self.beam]) ** 2 + (noise.incidence_sigma * tangent) ** 2
+        true = self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)
+        residual = self._ranges(x, self.R, self.t)[0] - true
+        self.level = self.d.copy()
         J = np.zeros((len(self.d), 6))
         for axis in range(6 if noise.pose is not None else 0):
             step = np.eye(6)[axis] * POSE_STEP
@@ -227,6 +233,8 @@ class ReferenceProblem:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
             blocks.append(csr_array(np.linalg.inv(np.linalg.cholesky(C))))
             order.append(rows)
+            self.level[rows] += of_reading[rows] * np.linalg.solve(C, residual[rows])
+        self.base = true - self.level * (beam[:, 5] + beam[:, 6] * self.level)
         at = np.concatenate(order)
         inverse = np.argsort(at)
         self.whiten = csr_array(block_diag(blocks, format="csr")[:, inverse])
