@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
+from .unit_vectors import UnitVectors
 
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
@@ -63,41 +64,6 @@ class ReferenceSolution:
     squares: float
     iterations: int
     message: str
-
-
-@dataclass(frozen=True, slots=True)
-class _UnitVectors:
-    """Unit vectors (K, 3) as two components each: which are kept, which one follows, its sign."""
-
-    kept: IntArray
-    follows: IntArray
-    sign: FloatArray
-
-    @classmethod
-    def of(cls, start: FloatArray) -> "_UnitVectors":
-        follows = np.abs(start).argmax(axis=1)
-        kept = np.array([[i for i in range(3) if i != f] for f in follows], dtype=np.intp)
-        return cls(kept, follows, np.sign(start[np.arange(len(start)), follows]))
-
-    def pack(self, vectors: FloatArray) -> FloatArray:
-        return np.take_along_axis(vectors, self.kept, axis=1)
-
-    def unpack(self, pairs: FloatArray) -> FloatArray:
-        vectors = np.zeros((len(pairs), 3))
-        np.put_along_axis(vectors, self.kept, pairs, axis=1)
-        third = np.sqrt(np.maximum(1.0 - (pairs**2).sum(axis=1), 0.0))
-        vectors[np.arange(len(pairs)), self.follows] = self.sign * third
-        return vectors
-
-    def derivative(self, vectors: FloatArray) -> FloatArray:
-        """Return d vector / d pair, (K, 3, 2)."""
-        rows = np.arange(len(vectors))
-        D = np.zeros((len(vectors), 3, 2))
-        for column in range(2):
-            D[rows, self.kept[:, column], column] = 1.0
-        third = vectors[rows, self.follows]
-        D[rows, self.follows] = -self.pack(vectors) / third[:, None]
-        return D
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +117,8 @@ class ReferenceProblem:
         self.samples = samples[self.station, self.beam]
         self.R = recording.world_R_hand[self.station]
         self.t = recording.world_t_hand[self.station]
-        self.directions = _UnitVectors.of(start.directions)
-        self.normals = _UnitVectors.of(start.normals)
+        self.directions = UnitVectors.of(start.directions)
+        self.normals = UnitVectors.of(start.normals)
         self.active = np.array([[True] * 5 + [n > 0, n > 1] for n in self.terms])
         beam = (start.locations, self.directions.pack(start.directions), start.range_errors)
         plane_part = np.column_stack((self.normals.pack(start.normals), start.offsets))
