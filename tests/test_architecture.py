@@ -188,7 +188,10 @@ def test_files_and_functions_stay_short():
 def test_the_reference_shares_no_equation():
     inner = imports("solvers.reference") & set(MODULES)
     assert "gtsam" not in imports("solvers.reference")
-    assert inner <= {"arrays", "data.parameters", "data.recording", "errors"}
+    own = "solvers.unit_vectors"
+    assert inner <= {"arrays", "data.parameters", "data.recording", "errors", own}
+    assert imports(own) & set(MODULES) == {"arrays"}
+    assert [name for name in MODULES if own in imports(name)] == ["solvers.reference"]
 
 
 @cache

@@ -22,7 +22,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import block_diag, csr_array, vstack
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from .unit_vectors import UnitVectors
