@@ -183,7 +183,16 @@ class Detectable:
     def __init__(self, code, problem):
         found = ScoreTests(linear_rows(*problem), None)
         members = np.flatnonzero(found.codes == code)
-        for name in ("plane", "beam", "position", "determined", "size", "sigma", "detectable"):
+        for name in (
+            "plane",
+            "beam",
+            "position",
+            "determined",
+            "size",
+            "sigma",
+            "detectable",
+            "strained",
+        ):
             setattr(self, name, getattr(found, name)[members])
         self.location_shift, self.direction_shift = found.shifts(members, self.detectable)
 
@@ -242,8 +251,21 @@ def test_the_blocked_projection_agrees_with_a_dense_one(prior):
     k = np.where(np.array(prior) > 0.0, 1e-3, 0.0)
     at = replace(truth, locations=truth.locations + 1e-4, range_errors=np.tile(k, (3, 1)))
     problem = arguments(at, readings, position, prior, pose_variances(readings))
-    J, e, white, x = dense(problem)
+    # What strains the prior is judged without it.
+    loose = arguments(
+        at,
+        readings,
+        position,
+        np.where(np.array(prior) > 0.0, np.inf, 0.0),
+        pose_variances(readings),
+    )
+    (*bound, x), (*free, _) = dense(problem), dense(loose)
     sigma = problem[2].sigma
+
+    def by_hand(column, strained):
+        J, e, white = free if strained else bound
+        return dense_test(J, e, white(column), sigma)
+
     slope = 1.0 + k[0] + 2.0 * k[1] * readings.distance
     cosine = -1.0 / x.offset
     columns = {
@@ -260,17 +282,20 @@ def test_the_blocked_projection_agrees_with_a_dense_one(prior):
             assert code == "translation-scale"
             assert prior[0] > 0.0
             continue
-        _agree(found[code], 0, dense_test(J, e, white(column), sigma), at)
+        _agree(found[code], 0, by_hand(column, found[code].strained[0]), at)
     shifted = found["displaced"]
     assert len(shifted.plane) > 20
     for m in range(0, len(shifted.plane), 5):
         rows = (readings.plane == shifted.plane[m]) & (position >= shifted.position[m])
-        _agree(shifted, m, dense_test(J, e, white(x.offset * rows), sigma), at)
+        _agree(shifted, m, by_hand(x.offset * rows, shifted.strained[m]), at)
     biased = found["beam-on-plane"]
     assert len(biased.plane) == 12
     for m in range(len(biased.plane)):
         rows = (readings.plane == biased.plane[m]) & (readings.beam == biased.beam[m])
-        _agree(biased, m, dense_test(J, e, white(-slope * rows), sigma), at)
+        _agree(biased, m, by_hand(-slope * rows, biased.strained[m]), at)
+    if np.isfinite(prior[0]) and prior[0] > 0.0:
+        assert found["cubic"].strained[0]
+        assert not biased.strained.all()
 
 
 def _agree(found, m, dense_found, at):
