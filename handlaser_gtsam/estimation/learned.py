@@ -150,18 +150,15 @@ class ScaleProblem:
         return find_mode(self._log_posterior, start, self.scales.bounds)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
-        """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known.
-
-        Of sensors that have range errors; those that have none are integrated over later.
-        """
+        """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known."""
         if self._part.readings.beams < self.readings.beams:
             return self._part.range_error_scales(mode)
         grid, beams = self._grid(mode)
         if grid.own.shape[1] == 0:
             return np.empty(0)
-        value = (beams.log_evidence_of(grid)[0] + grid.log_prior)[:-1]
+        value = beams.log_evidence_of(grid)[0] + grid.log_prior
         w = np.exp(value - value.max())
-        found: FloatArray = np.exp(w @ np.log(grid.total()[:-1]) / w.sum())
+        found: FloatArray = np.exp(w @ np.log(grid.total()) / w.sum())
         return found
 
     def learned(self, mode: FloatArray) -> LearnedScales:

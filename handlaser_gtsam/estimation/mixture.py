@@ -6,10 +6,10 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
 sensors of one kind err alike, and the robot's scale does so to all of them. s1, s2 and S are
 half-Cauchy (see `scales`) about a scale that they share, itself half-Cauchy about the linearity of
-the sensor: where one is far larger than expected, so may the others be. Beside that, all
-sensors may be without range errors that matter. The mean over the beams and the contrasts between
-them make the prior diagonal. From the solution with a wide prior, k^ with covariance V, a narrower
-prior is a linear update: with the precision E that it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
+the sensor: where one is far larger than expected, so may the others be. The mean over the beams and
+the contrasts between them make the prior diagonal. From the solution with a wide prior, k^ with
+covariance V, a narrower prior is a linear update: with the precision E that it adds, R = E^(1/2) and
+Z = R inv(1 + R V R) R,
 
     mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
 

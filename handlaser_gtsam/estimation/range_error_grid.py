@@ -16,11 +16,6 @@ SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
 """The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-NEGLIGIBLE_ERROR, PERFECT = -7.0, 0.1
-"""Range errors of exp(NEGLIGIBLE_ERROR) of the linearity are none; so have sensors with probability
-PERFECT, where there are several that can contradict it. A single beam whose readings hardly determine
-its range errors would have them explained away; with 0.3, so would 1 in 100 recordings of four beams
-whose range errors are a third of the linearity (7 standard deviations off)."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
@@ -33,7 +28,7 @@ class RangeErrorGrid(Value):
     Attributes
     ----------
     own : (G, T)
-        s1, s2: of the beams by themselves, for T terms; those of sensors without range errors last.
+        s1, s2: of the beams by themselves, for T terms.
     common : (G,)
         S: of what all beams share; zero for one beam.
     log_prior : (G,)
@@ -70,8 +65,8 @@ def refined_grid(
     terms = grid.own.shape[1]
     if terms == 0:
         return grid
-    value = (log_evidence + grid.log_prior)[:-1]
-    points = np.column_stack((grid.own, grid.common))[:-1][value >= value.max() - WIDTH]
+    value = log_evidence + grid.log_prior
+    points = np.column_stack((grid.own, grid.common))[value >= value.max() - WIDTH]
     points = points[:, : terms + int(grid.common.any())]
     near = np.log(points / linearity)
     sides = [
@@ -94,12 +89,9 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
     each = _log_density(x[:, :, None] - shared).sum(axis=1)
     log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
-    x = np.vstack((x, np.full((1, x.shape[1]), NEGLIGIBLE_ERROR)))
-    perfect = PERFECT if x.shape[1] > terms else 1e-12
-    log_prior = np.append(log_prior + cell + np.log(1.0 - perfect), np.log(perfect))
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
-    return RangeErrorGrid(scale[:, :terms], common, log_prior)
+    return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)
 
 
 def _log_density(x: FloatArray) -> FloatArray:
