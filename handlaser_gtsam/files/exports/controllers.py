@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 
+from ...errors import InputError
 from .beams import DEG, MM, ROLL, ExportedBeam, fixed, number, origin_line
 from .frames import Axis, quaternion, rotation_vector, yaw_pitch_roll
 
@@ -46,7 +47,15 @@ def fanuc_text(beams: Sequence[ExportedBeam], axis: Axis, along: float, tool: in
     """Return a FANUC program (handlaser.ls) that sets UTOOL[tool] and on, through PR[tool] and on.
 
     Positions are in mm, and W, P, R about the fixed x, y, z in turn [deg].
+
+    Raises
+    ------
+    InputError
+        Tools beyond `LAST_TOOL`.
     """
+    if tool + len(beams) - 1 > LAST_TOOL:
+        found = f"tool {tool} as the first of {len(beams)}"
+        raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     steps: list[str] = []
     positions = []
     along_words = f" at {number(along * MM)} mm" if along else ""
