@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.io import loadmat
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.exports.beams import number
 from handlaser_gtsam.files.exports.names import comment_text, identifiers, literal
 from handlaser_gtsam.text import name_fault
 
@@ -165,3 +166,18 @@ def test_a_link_of_a_urdf_may_have_any_name():
     )
     parents = {one.getAttribute("link") for one in document.getElementsByTagName("parent")}
     assert parents == {link}
+
+
+def test_only_these_characters_stay_in_a_comment():
+    every = "".join(map(chr, range(32, 127)))
+    kept = [c for c in every if comment_text(c) == c]
+    assert "".join(kept) == " +-.0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ_abcdefghijklmnopqrstuvwxyz"
+
+
+@pytest.mark.parametrize("value", [1e-5, -2e-300, 3.0, 1e22, -0.0, 0.1, 1.5e-7])
+def test_numbers_have_a_point_and_all_their_digits(value):
+    """YAML takes 1e-05 for a text, and structured text for a mistake."""
+    text = number(value)
+    assert re.fullmatch(r"-?\d+\.\d+(e[+-]\d+)?", text)
+    assert yaml.safe_load(text) == value == float(text)
+    assert text != "-0.0"
