@@ -102,12 +102,12 @@ def test_a_hostile_name_changes_names_and_comments_only(to):
 
 def test_a_fanuc_program_has_nothing_but_steps_and_positions():
     head, positions = TEXTS["fanuc"].split("/POS\n")
-    for number, line in enumerate(head.split("/MN\n")[1].splitlines(), 1):
+    for at, line in enumerate(head.split("/MN\n")[1].splitlines(), 1):
         step = re.fullmatch(
             r" *(\d+):  (!.{1,30}|PR\[\d+\]=P\[\d+\]|UTOOL\[\d+\]=PR\[\d+\]) ;", line
         )
         assert step, line
-        assert int(step[1]) == number
+        assert int(step[1]) == at
         assert ";" not in step[2]
     assert positions.count("P[") == len(HOSTILE)
 

@@ -136,8 +136,14 @@ def export(
 
 
 def _warn(file: "CalibrationFile") -> None:
-    """Repeat the warnings of the calibration: a program that uses it will not show them."""
+    """Repeat what the calibration was warned of: a program that uses it will not show that."""
     from ..text import printable
 
-    for one in file.warnings:
-        print(f"WARNING: {printable(one.message)}", file=sys.stderr)
+    lines = [one.message for one in file.warnings]
+    lines += [
+        f"systematic error {one.code}: {one.message}; {one.remedy}"
+        for one in file.systematic
+        if one.found and not one.explained_by
+    ]
+    for line in lines:
+        print(f"WARNING: {printable(line)}", file=sys.stderr)
