@@ -52,20 +52,23 @@ def test_every_format_is_written(handlaser, file, tmp_path, to):
 
 def test_systematic_errors_that_were_found_are_repeated(handlaser, tmp_path):
     one = {
-        "code": "sag", "subject": "", "unit": "m", "size": 1e-4, "sigma": 1e-5, "p_value": 1e-4,
-
-            "found": True,
-            "explained_by": None,
-            "confounded": False,
-            "detectable": 1e-4,
-            "alike": []
-        ,
-        "location_shift_m": [], "direction_shift_rad": [], "location_error_m": [],
-
-            "direction_error_rad": [],
-            "message": "a sag of 0.1 mm",
-            "remedy": "use a flatter plate"
-        ,
+        "code": "sag",
+        "subject": "",
+        "unit": "m",
+        "size": 1e-4,
+        "sigma": 1e-5,
+        "p_value": 1e-4,
+        "found": True,
+        "explained_by": None,
+        "confounded": False,
+        "detectable": 1e-4,
+        "alike": [],
+        "location_shift_m": [],
+        "direction_shift_rad": [],
+        "location_error_m": [],
+        "direction_error_rad": [],
+        "message": "a sag of 0.1 mm",
+        "remedy": "use a flatter plate",
     }
     record = json.loads(calibrated().model_dump_json())
     record["systematic"] = [one, one | {"found": False}, one | {"explained_by": "lag"}]

@@ -42,7 +42,15 @@ AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 class Wanted:
     """What is exported, and where it goes."""
 
-    to: Annotated[FormatChoice, typer.Option(help="Format.", show_default=False)]
+    to: Annotated[
+        FormatChoice,
+        typer.Option(
+            metavar="FORMAT",
+            help="urdf, xacro, ros2-static, ros2-yaml, kuka, abb, fanuc, ur, matlab, numpy, c, python "
+            "or st (structured text).",
+            show_default=False,
+        ),
+    ]
     beam: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="This beam; may be given several times. Default: all."),
