@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files.exports.formats import BINARY
+from .answer import print_wrapped
 from .options import QuietOption
 from .progress_line import Working
 
@@ -140,7 +141,7 @@ def export(
     if wanted.out is None:
         sys.stdout.write(text)
     elif not quiet:
-        print(f"wrote {printable(str(wanted.out))}")
+        print_wrapped([f"wrote {printable(str(wanted.out))}"])
 
 
 def _warn(file: "CalibrationFile") -> None:
