@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from math import cos, sin, sqrt
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
 
+COMPILER = shutil.which("gcc") or shutil.which("cc")
 NUMBER = r"-?\d+\.\d+(?:[eE][-+]?\d+)?"
 HOSTILE = (
     "<script>alert(1)</script>",
