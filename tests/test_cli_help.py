@@ -13,7 +13,7 @@ from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.examples import EXAMPLES
-from handlaser_gtsam.cli.logs import LogLevel, logged
+from handlaser_gtsam.cli.log_level import LogLevel, logging_at
 from handlaser_gtsam.cli.verbs import app
 
 RECORDING = GRIPPER / "recording.csv"
@@ -162,7 +162,7 @@ def test_completion_imports_nothing_heavy():
 
 STAGES = [
     "calibrating 44 stations, 4 planes, 4 beams",
-    "looking for a start",
+    "stage: search",
     "start: ",
     "converged",
 ]
@@ -195,7 +195,7 @@ def test_warnings_of_a_calibration_are_logged(handlaser):
 
 def test_names_are_logged_escaped(capsys):
     logger = logging.getLogger("handlaser_gtsam")
-    with logged(LogLevel.info):
+    with logging_at(LogLevel.info):
         logger.info("plane %s", "a\x1b[31m\nb")
         logger.debug("never")
     logger.info("never")
@@ -216,5 +216,5 @@ def test_from_python_nothing_is_heard_unless_logging_is_set_up(configured):
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout == ""
-    assert ("INFO:handlaser_gtsam:looking for a start" in run.stderr) == configured
+    assert ("INFO:handlaser_gtsam:stage: search" in run.stderr) == configured
     assert bool(run.stderr) == configured

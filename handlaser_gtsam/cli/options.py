@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .logs import LogLevel, LogLevelOption, logged
+from .log_level import LogLevel, LogLevelOption, logging_at
 
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
@@ -137,7 +137,7 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
         for name, group in groups.items():
             mine = inspect.signature(group).parameters
             values[name] = group(**{field: values.pop(field) for field in mine})
-        with logged(log_level):
+        with logging_at(log_level):
             verb(**values)
 
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

@@ -5,11 +5,20 @@ import sys
 import threading
 import time
 
-from ..solvers.progress import PHASES, Progress, told_to
+from ..solvers.progress import Progress, told_to
 from .stopping import CLEAR, Stopping
 
 FIRST, NEXT = 1.0, 0.2
 """Seconds until the sign appears, and from one to the next."""
+PHASES = {
+    "search": "looking for a start",
+    "solve": "solving",
+    "scales": "estimating the noise",
+    "tests": "testing for systematic errors",
+    "hold-out": "testing the calibration",
+    "leave-out": "leaving out",
+    "planes": "adding planes",
+}
 
 
 class Working:

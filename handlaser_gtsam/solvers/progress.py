@@ -57,17 +57,6 @@ class Progress:
 LOGGER = logging.getLogger("handlaser_gtsam")
 """The one logger of the package."""
 LOGGER.addHandler(logging.NullHandler())  # else Python itself would print what is a warning
-PHASES: dict[str, str] = {
-    "search": "looking for a start",
-    "solve": "solving",
-    "scales": "estimating the noise",
-    "tests": "testing for systematic errors",
-    "hold-out": "testing the calibration",
-    "leave-out": "leaving out",
-    "bootstrap": "drawing recordings",
-    "planes": "adding planes",
-}
-"""The phases in words."""
 Listener = Callable[[Progress], None]
 _listener: ContextVar[Listener | None] = ContextVar("handlaser_progress", default=None)
 _stage: ContextVar[str] = ContextVar("handlaser_stage", default="")
@@ -96,7 +85,7 @@ def tell(
     """Tell whoever listens where the computation is."""
     listener = _listener.get()
     if trial is None and LOGGER.isEnabledFor(logging.INFO):
-        words = PHASES[phase] + (f", {done + 1} of {total}: {name}".rstrip(": ") if total else "")
+        words = f"stage: {phase}" + (f", {done + 1} of {total} {name}".rstrip() if total else "")
         again = words == _stage.get()  # a phase that goes on
         LOGGER.log(logging.DEBUG if again else logging.INFO, "%s", words)
         _stage.set(words)

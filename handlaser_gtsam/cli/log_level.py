@@ -38,7 +38,7 @@ class _Lines(logging.Formatter):
 
 
 @contextmanager
-def logged(level: LogLevel | None) -> Iterator[None]:
+def logging_at(level: LogLevel | None) -> Iterator[None]:
     """Log to stderr meanwhile."""
     if level is None or sys.stderr is None:
         yield
