@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .errors import GrazingBeamError as GrazingBeamError
     from .errors import HandlaserError as HandlaserError
     from .errors import InputError as InputError
+    from .errors import NotConvergedError as NotConvergedError
     from .errors import SolverError as SolverError
     from .estimation.information import NoiseSet as NoiseSet
     from .estimation.learned import LearnedScales as LearnedScales
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from .files.calibration_reading import CalibrationFile as CalibrationFile
     from .files.calibration_reading import read_calibration as read_calibration
     from .files.calibration_reading import read_mounts as read_mounts
+    from .files.exports.export import ExportOptions as ExportOptions
+    from .files.exports.export import export_text as export_text
+    from .files.exports.export import write_export as write_export
     from .files.recording_csv import read_recording as read_recording
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
@@ -141,7 +145,8 @@ _NAMES = {
     "data.recording": "Recording join",
     "data.recording_checks": "HasMatrix",
     "data.station_list": "StationList",
-    "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError SolverError",
+    "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError NotConvergedError"
+    " SolverError",
     "estimation.information": "NoiseSet",
     "estimation.learned": "LearnedScales",
     "estimation.range_error_grid": "RangeErrorGrid",
@@ -150,6 +155,7 @@ _NAMES = {
     "estimation.scales": "Scale Scales",
     "files.calibration_json": "write_calibration",
     "files.calibration_reading": "CalibrationFile read_calibration read_mounts",
+    "files.exports.export": "ExportOptions export_text write_export",
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",

@@ -75,6 +75,23 @@ class SolverError(HandlaserError):
     """A solver cannot work on the problem it was given."""
 
 
+class NotConvergedError(HandlaserError):
+    """A calibration cannot be used: the recording leaves it open, or the solver gave up."""
+
+    def __init__(self, status: str, message: str) -> None:
+        self.status, self.message = status, message
+        super().__init__(
+            printable(
+                f"found a calibration that is {status} ({message}); expected a converged one: "
+            )
+            + "record what is missing and calibrate again"
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process."""
+        return NotConvergedError, (self.status, self.message)
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationWarning:
     """A sign that a result should not be believed as it stands.

@@ -9,12 +9,13 @@ from .data.noise import Noise
 from .data.ordering import sorted_readings
 from .data.recording import Recording
 from .data.screen import screened
+from .errors import CalibrationWarning
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .solvers.progress import Listener, told_to
+from .solvers.progress import LOGGER, Listener, told_to
 
 
 def calibrate(
@@ -61,15 +62,28 @@ def calibrate(
         selection = select(recording, local, ordered, options)
         # 4. Covariances of what is determined, in the names and the order of the recording.
         result = assemble(Problem(recording, readings, order, origins, noise), selection)
-    return replace(result, warnings=(*found.warnings, *result.warnings), recording=recording)
+    return _logged(replace(result, recording=recording), found.warnings)
+
+
+def _logged(result: Calibration, warnings: tuple[CalibrationWarning, ...]) -> Calibration:
+    """Log what came of a calibration, and return it with the warnings that came before."""
+    result, fit = replace(result, warnings=(*warnings, *result.warnings)), result.fit
+    LOGGER.info("start: %s, the best of %d", result.start.method, len(result.start.tried))
+    LOGGER.info("%d readings, %d rejected, rms %.3g m", fit.readings, len(fit.rejected), fit.rms)
+    LOGGER.info("%s: %s", result.status, result.message)
+    for warning in result.warnings:
+        LOGGER.warning("%s: %s", warning.code, warning.message)
+    return result
 
 
 def _checked(recording: Recording, noise: Noise, options: CalibrationOptions) -> CalibrationOptions:
-    """Refuse arguments of other types, and return options that suit the recording."""
+    """Refuse arguments of other types, log what begins, and return options that suit it."""
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     require_kind("options", options, CalibrationOptions)
     options.require_consistent(noise)
+    counts = len(recording.plane_labels), len(recording.plane_names), len(recording.beam_names)
+    LOGGER.info("calibrating %d stations, %d planes, %d beams", *counts)
     if options.sensor.range_stated:
         return options
     # Then the recording knows whether negative readings count.

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 # Tests run in as many processes as there are processors. NumPy reads this when it is imported.
+# Screens are as wide as a test says, and not as the terminal that it is run from.
+os.environ.pop("COLUMNS", None)
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import pytest

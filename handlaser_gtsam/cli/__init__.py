@@ -35,7 +35,7 @@ def _stoppable(stopping: Stopping) -> tuple[int, str]:
 def _run() -> tuple[int, str]:
     """Run a verb that comes back; return its exit code and what went wrong."""
     from ..errors import HandlaserError, InputError
-    from .verbs import app
+    from .verbs import NAME, UsageError, app, usage_words
 
     if sys.stdout is None:  # closed by the caller
         sys.stdout = io.StringIO()
@@ -43,11 +43,13 @@ def _run() -> tuple[int, str]:
         if isinstance(stream, io.TextIOWrapper):  # what its encoding cannot say is shown as escapes
             stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        code = app(sys.argv[1:] or ["--help"], prog_name=NAME, standalone_mode=False)
         sys.stdout.flush()
     except HandlaserError as error:
         return BAD_INPUT if isinstance(error, InputError) else UNDETERMINED, str(error)
+    except UsageError as error:
+        return BAD_INPUT, usage_words(error)
     except OSError as error:
         print(f"handlaser: no way to write the output ({error.strerror})", file=sys.stderr)
         os._exit(BAD_INPUT)  # a full stdout would raise again when it is flushed
-    return 0, ""
+    return (BAD_INPUT if code == 1 else code or 0), ""  # 1 is how completion refuses a shell

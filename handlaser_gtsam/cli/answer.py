@@ -46,8 +46,9 @@ class Answer:
 
 
 def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines of bounded width."""
+    """Print lines no wider than the screen, and than `WIDTH`."""
     from ..results.lines import wrapped
+    from .width import text_width
 
     for line in lines:
-        print("\n".join(wrapped(line)))
+        print("\n".join(wrapped(line, None, text_width())))

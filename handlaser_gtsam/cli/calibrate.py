@@ -170,30 +170,36 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
 
 def _show(outcome: _Outcome, output: Output) -> None:
     from ..planning.advice import advice_lines
-    from ..results.lines import WIDTH, wrapped
+    from ..results.lines import WIDTH, as_many, wrapped
     from ..results.summary import screen_lines
     from ..text import printable
     from .incremental import comparison_line, update_table
-    from .tables import TableConsole, calibration_tables, cross_check_line
+    from .tables import TableConsole, calibration_tables, cross_check_line, fitting
+    from .width import text_width
 
-    result, fed = outcome.result, outcome.fed
-    closing = [] if outcome.check is None else wrapped(cross_check_line(outcome.check), 2)
+    result, fed, width = outcome.result, outcome.fed, text_width()
+    lines = as_many(2, width)
+    closing = (
+        [] if outcome.check is None else wrapped(cross_check_line(outcome.check), lines, width)
+    )
     for line in [] if outcome.advice is None else advice_lines(outcome.advice):
-        closing += wrapped(line)
+        closing += wrapped(line, None, width)
     closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
-    width = None if sys.stdout.isatty() else WIDTH
-    console = TableConsole(highlight=False, markup=False, width=width)
+    console = TableConsole(
+        highlight=False, markup=False, width=None if sys.stdout.isatty() else width
+    )
     if output.verbose:
         for part in calibration_tables(result, outcome.recording, outcome.verdict):
-            text = "\n".join(wrapped(part)) if isinstance(part, str) else part
+            text = "\n".join(wrapped(part, None, width)) if isinstance(part, str) else part
             console.print(text, soft_wrap=True)
     else:
-        for line in screen_lines(result, outcome.recording, outcome.verdict, closing=len(closing)):
+        shown = result, outcome.recording, outcome.verdict
+        for line in screen_lines(*shown, closing=len(closing), width=width):
             console.print(line, soft_wrap=True)
     if fed is not None:
-        console.print(update_table(fed))
+        console.print(fitting(update_table(fed), WIDTH))
         if fed.comparison is not None:
-            closing = [*wrapped(comparison_line(fed.comparison)), *closing]
+            closing = [*wrapped(comparison_line(fed.comparison), None, width), *closing]
     for line in closing:
         console.print(line, soft_wrap=True)
 

@@ -1,11 +1,12 @@
 """handlaser check: what the motion of a recording can determine, before anything is solved."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import UNDETERMINED, Answer
+from .answer import UNDETERMINED, Answer, print_wrapped
 from .options import JsonOption, RecordingArgument
 from .progress_line import Working
 
@@ -47,7 +48,7 @@ def _checked(path: Path, rig: Path | None) -> Answer:
         lines.append("the motion determines everything, for beams and planes in general position")
         lines += [] if rig is None else _next(recording, rig)
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
-    return Answer(check_text(found), lambda: print("\n".join(lines)), warnings, failure)
+    return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
 
 
 def _next(recording: "Recording", path: Path) -> list[str]:
@@ -56,9 +57,8 @@ def _next(recording: "Recording", path: Path) -> list[str]:
     from ..files.rig_toml import read_rig
     from ..pipeline import calibrate
     from ..planning.advice import advice_lines, next_stations
-    from ..results.lines import wrapped
 
     rig = read_rig(path)
     found = calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
     plan = next_stations(found, rig.sensor, rig.workspace, rig.goal)
-    return [] if plan is None else [part for line in advice_lines(plan) for part in wrapped(line)]
+    return [] if plan is None else advice_lines(plan)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .log_level import LogLevel, LogLevelOption, logging_at
+
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
     from ..files.rig_toml import Rig
@@ -113,8 +115,12 @@ class Model:
         )
 
 
+def _with_log(log_level: LogLevelOption = None) -> None:
+    """Carry the option that every verb has."""
+
+
 def expanded(verb: Callable[..., None]) -> Callable[..., None]:
-    """Return a verb that takes the fields of its groups, instead of the groups, by keyword."""
+    """Return a verb that takes the fields of its groups, instead of the groups, and --log-level."""
     groups: dict[str, Callable[..., object]] = {}
     parameters: list[inspect.Parameter] = []
     for one in inspect.signature(verb).parameters.values():
@@ -124,12 +130,15 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
         else:
             parameters.append(one)
 
+    parameters.append(inspect.signature(_with_log).parameters["log_level"])
+
     @functools.wraps(verb)
-    def flat(**values: object) -> None:
+    def flat(log_level: LogLevel | None = None, **values: object) -> None:
         for name, group in groups.items():
             mine = inspect.signature(group).parameters
             values[name] = group(**{field: values.pop(field) for field in mine})
-        verb(**values)
+        with logging_at(log_level):
+            verb(**values)
 
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     flat.__annotations__ = {one.name: one.annotation for one in parameters}

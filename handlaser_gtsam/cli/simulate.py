@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .answer import print_wrapped
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def simulate(
         _write(folder, scene, noise, seed, force=force)
     if not quiet:
         place, counts = printable(str(folder)), f"{scene.planes} planes, {scene.stations} stations"
-        print(f"wrote {', '.join(FILES)} to {place}: {counts} each")
+        print_wrapped([f"wrote {', '.join(FILES)} to {place}: {counts} each"])
 
 
 def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .answer import Answer
+from .answer import Answer, print_wrapped
 from .options import JsonOption, QuietOption
 
 if TYPE_CHECKING:
@@ -135,7 +135,8 @@ def _show(found: "Study") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from .tables import TableConsole
+    from .tables import TableConsole, fitting
+    from .width import columns
 
     table = Table(box=SIMPLE_HEAD)
     for name, _ in COLUMNS:
@@ -144,10 +145,11 @@ def _show(found: "Study") -> None:
     for row in found.summary().iter_rows(named=True):
         cells = [(row[name], form) for name, form in COLUMNS]
         table.add_row(*("-" if value is None else form.format(value) for value, form in cells))
-    TableConsole(width=140, highlight=False).print(table)
-    power = found.power()
-    for row in power.iter_rows(named=True):
-        print(f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %")
+    TableConsole(width=columns(), highlight=False, markup=False).print(fitting(table))
+    print_wrapped(
+        f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"
+        for row in found.power().iter_rows(named=True)
+    )
 
 
 def _json(found: "Study") -> str:

@@ -12,13 +12,14 @@ from rich.table import Table
 
 from ..data.recording import Recording
 from ..results.calibration import Calibration
-from ..results.lines import MM, UNDETERMINED
+from ..results.lines import MM, UNDETERMINED, wrapped
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.reports import Beam, Plane
 from ..results.spots import spot, typical_plane
 from ..results.summary import sizes
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
+from .width import ENDLESS, columns, text_width
 
 SHOWN_PLANES = 12
 SHOWN_REJECTED = 10
@@ -44,6 +45,23 @@ class TableConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def fitting(table: Table, least: int = 0) -> RenderableType:
+    """Return a table, or its rows in words where the screen has not the columns that it needs.
+
+    A table needs as many as it has at its widest; or `least`, where a column of prose can be wrapped.
+    """
+    if (least or Console(width=ENDLESS).measure(table).maximum) <= columns():
+        return table
+    lines = [str(table.title)] if table.title else []
+    titles = [str(column.header) for column in table.columns]
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        first, *rest = map(str, row)
+        pairs = (f"{title} {cell}" for title, cell in zip(titles[1:], rest, strict=True) if cell)
+        lines += wrapped(f"{first}: {', '.join(pairs)}", None, text_width())
+    lines += wrapped(str(table.caption), None, text_width()) if table.caption else []
+    return "\n".join([*lines, ""])
+
+
 def calibration_tables(
     result: Calibration, recording: Recording, verdict: Verdict
 ) -> Iterator[RenderableType]:
@@ -52,8 +70,8 @@ def calibration_tables(
     yield _head(result, recording)
     if any(beam.sigma is not None for beam in result.beams.values()):
         for beam in result.beams.values():
-            yield _beam_table(beam, result)
-        yield _plane_table(list(result.planes.values()))
+            yield fitting(_beam_table(beam, result))
+        yield fitting(_plane_table(list(result.planes.values())))
         yield from _spot_lines(result, verdict.reading)
         found = typical_plane(result, recording)
         if found is not None:

@@ -1,27 +1,43 @@
 """The verbs of the command line, and what they share."""
 
+from typing import cast
+
 import typer
 
 from .._version import __version__
 from .calibrate import calibrate
 from .check import check
+from .examples import epilog
+from .export import export
 from .options import expanded
 from .plan import plan
 from .simulate import simulate
 from .study import study
 from .validate import validate
 
+NAME = "handlaser"
+UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
+"""Of the click that typer uses, which newer versions bring along."""
 app = typer.Typer(
-    name="handlaser",
+    name=NAME,
     help="Calibrate laser distance sensors on a robot hand.",
-    no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, plan, simulate, study, validate):
-    app.command()(expanded(verb))
+for verb in (calibrate, check, export, plan, simulate, study, validate):
+    app.command(epilog=epilog(verb.__name__))(expanded(verb))
+
+
+def usage_words(error: Exception) -> str:
+    """Return in one line what is wrong with a command line, and where to look."""
+    from ..text import printable
+
+    message = " ".join(error.format_message().split())  # type: ignore[attr-defined]
+    message = message.replace("Value error, ", "").rstrip(".")
+    context = getattr(error, "ctx", None)
+    command = NAME if context is None else context.command_path
+    return f"{printable(message)} ({command} --help shows what there is)"
 
 
 def _print_version(wanted: bool) -> None:

@@ -295,17 +295,24 @@ def read_mounts(path: Path | str) -> Mounts:
         No such file, no calibration that converged, or numbers that cannot be.
     """
     path, file = path_of(path), read_checked(path, _Beams, json_value, EXPECTED)
-    if file.status != "converged" or file.beam_covariance is None:
-        found = f"a calibration that is {shown(file.status)[1:-1]}"
-        raise InputError(found, "a converged one, with its covariance", path)
     try:
-        return _mounts(file, file.beam_covariance)
+        return mounts_of(file)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
 
-def _mounts(file: _Beams, rows: Many[Numbers]) -> Mounts:
-    beams, pose = file.beams, file.fit.pose_covariance
+def mounts_of(file: CalibrationFile | _Beams) -> Mounts:
+    """Return the beams of a file that was read, and their joint covariance.
+
+    Raises
+    ------
+    InputError
+        No calibration that converged, or numbers that cannot be.
+    """
+    beams, pose, rows = file.beams, file.fit.pose_covariance, file.beam_covariance
+    if file.status != "converged" or rows is None:
+        found = f"a calibration that is {shown(file.status)[1:-1]}"
+        raise InputError(found, "a converged one, with its covariance")
     if not beams:
         raise InputError("no beams", "one or more")
     return Mounts(

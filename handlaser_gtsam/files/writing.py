@@ -26,7 +26,12 @@ def path_of(path: Path | str) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` (UTF-8) to `path` in one step.
+    """Write `text` (UTF-8, line ends as they are) to `path` in one step; raises as `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write `content` to `path` in one step.
 
     Raises
     ------
@@ -37,8 +42,8 @@ def write_text(path: Path, text: str) -> None:
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
             Path(name).chmod(mode)
             Path(name).replace(target)
         except BaseException:

@@ -13,17 +13,25 @@ UNDETERMINED = "undetermined"
 """Stands for a number that the recording does not determine."""
 
 
-def wrapped(text: str, most: int | None = None) -> list[str]:
-    """Return `text` in lines of at most `WIDTH` columns, further ones indented, at most so many.
+def as_many(lines: int, width: int) -> int:
+    """Return how many lines of `width` columns hold what so many of `WIDTH` columns hold.
 
-    Words, such as paths, are not broken.
+    One more than their letters need, for what is lost at the ends of narrower lines.
+    """
+    return lines if width >= WIDTH else math.ceil(lines * WIDTH / width) + 1
+
+
+def wrapped(text: str, most: int | None = None, width: int = WIDTH) -> list[str]:
+    """Return `text` in lines of at most `width` columns, further ones indented.
+
+    At most so many lines, if `most` is given. Words, such as paths, are not broken.
     """
     return [
         line
         for part in text.splitlines()
         for line in textwrap.wrap(
             part,
-            WIDTH,
+            width,
             subsequent_indent="  ",
             break_long_words=False,
             break_on_hyphens=False,

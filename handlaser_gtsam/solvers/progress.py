@@ -1,9 +1,12 @@
 """What a long computation tells its caller while it runs.
 
 The callback travels beside the computation, in a context variable: an algorithm says in one line where
-it is, and no function takes the callback as an argument only to hand it on.
+it is, and no function takes the callback as an argument only to hand it on. What is told is logged,
+too: the stages as information, and the trial steps for debugging. Nobody hears that unless logging is
+set up.
 """
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -51,8 +54,12 @@ class Progress:
     trial: Trial | None = None
 
 
+LOGGER = logging.getLogger("handlaser_gtsam")
+"""The one logger of the package."""
+LOGGER.addHandler(logging.NullHandler())  # else Python itself would print what is a warning
 Listener = Callable[[Progress], None]
 _listener: ContextVar[Listener | None] = ContextVar("handlaser_progress", default=None)
+_stage: ContextVar[str] = ContextVar("handlaser_stage", default="")
 
 
 @contextmanager
@@ -77,10 +84,23 @@ def tell(
 ) -> None:
     """Tell whoever listens where the computation is."""
     listener = _listener.get()
+    if trial is None and LOGGER.isEnabledFor(logging.INFO):
+        words = f"stage: {phase}" + (f", {done + 1} of {total} {name}".rstrip() if total else "")
+        again = words == _stage.get()  # a phase that goes on
+        LOGGER.log(logging.DEBUG if again else logging.INFO, "%s", words)
+        _stage.set(words)
     if listener is not None:
         listener(Progress(phase, done, total, name, trial))
 
 
 def tell_trial(trial: Trial) -> None:
     """Tell of a trial step of the joint solution."""
+    LOGGER.debug(
+        "step %d: cost %.6g, damping %.1e, step %.1e, %s",
+        trial.number,
+        trial.cost,
+        trial.damping,
+        trial.step,
+        "accepted" if trial.accepted else "rejected",
+    )
     tell("solve", trial=trial)

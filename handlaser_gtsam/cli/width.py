@@ -1,0 +1,20 @@
+"""How wide the screen is."""
+
+import shutil
+
+from ..results.lines import WIDTH
+
+LEAST = 40
+"""Columns below which nothing gets any narrower."""
+ENDLESS = 1000
+"""Columns of what is no screen: a pipe or a file."""
+
+
+def columns() -> int:
+    """Return the columns of the terminal, or COLUMNS where that is set; `ENDLESS` where neither is."""
+    return max(shutil.get_terminal_size((ENDLESS, 24)).columns, LEAST)
+
+
+def text_width() -> int:
+    """Return the columns of text: those of the screen, but at most `WIDTH`."""
+    return min(columns(), WIDTH)

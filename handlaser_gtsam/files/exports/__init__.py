@@ -1,0 +1,1 @@
+"""Calibrated beams as robots, ROS and programs take them."""

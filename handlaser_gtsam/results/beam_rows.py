@@ -1,0 +1,156 @@
+"""The mounts of beams on a screen: as much of every number as there is room for."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..arrays import FloatArray
+from .lines import DEG, MM, WIDTH, decimals, with_sigma
+from .reports import Beam
+
+SHOWN_BEAMS = 8
+FEW = 4
+"""Up to so many beams, every number has its own standard deviation."""
+THREE_WIDE = 76
+"""Columns that three numbers need with their standard deviations."""
+NAME = 8
+"""Columns of a beam's name."""
+
+
+def beam_rows(beams: list[Beam], width: int) -> Iterator[str]:
+    """Yield the mounts of beams: every number with its standard deviation, as far as `width` allows."""
+    if width < THREE_WIDE:
+        yield from _compact_rows(beams)
+    elif len(beams) > FEW:
+        yield from _beam_table(beams) if width >= WIDTH else _compact_rows(beams)
+    else:
+        yield from _two_rows(beams) if width >= WIDTH else _three_rows(beams)
+
+
+def _two_rows(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of few beams: two rows each, every number with its standard deviation."""
+    yield "beam      hand frame: location r [mm], unit direction v        range error k1, k2 [1/m]"
+    for beam in beams:
+        sigma = _sigma(beam)
+        for k, (symbol, rows, scale, most) in enumerate(
+            (("r", slice(3), MM, 4), ("v", slice(3, 6), 1.0, 6))
+        ):
+            values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
+            digits = _row_decimals(sigmas, most)
+            pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+            cells = "".join(f"{with_sigma(x, s, digits):>21}" for x, s in pairs)
+            error, own = "0", _row_decimals(sigma[6 + k : 7 + k], 6 - 2 * k)
+            if k < beam.terms:
+                error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
+            yield f"{'' if k else _short(beam.name):<{NAME}} {symbol}{cells}  k{k + 1} {error}"
+
+
+def _three_rows(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of few beams on a screen of 80 columns: three rows each."""
+    yield "beam      hand frame: location r [mm], unit direction v, errors k1, k2 [1/m]"
+    for beam in beams:
+        sigma = _sigma(beam)
+        for symbol, rows, scale, most in (("r", slice(3), MM, 4), ("v", slice(3, 6), 1.0, 6)):
+            values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
+            digits = _row_decimals(sigmas, most)
+            pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+            cells = "".join(f"{with_sigma(x, s, digits):>21}" for x, s in pairs)
+            yield f"{_short(beam.name) if symbol == 'r' else '':<{NAME}} {symbol}{cells}"
+        errors = (
+            with_sigma(
+                float(beam.range_error[i]),
+                float(sigma[6 + i]),
+                _row_decimals(sigma[6 + i : 7 + i], 6 - 2 * i),
+            )
+            if i < beam.terms
+            else "0"
+            for i in range(2)
+        )
+        yield f"{'':<{NAME}} k" + "".join(f"{one:>21}" for one in errors)
+
+
+def _compact_rows(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of beams on a narrow screen: three rows each, with the largest sigmas."""
+    yield "beam, hand frame: location, direction, k1, k2"
+    for beam in beams[:SHOWN_BEAMS]:
+        sigma, most = _sigma(beam), float(_sigma(beam)[:3].max()) * MM
+        turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
+        location = _cells(beam.location * MM, sigma[:3] * MM, 3)
+        direction = _cells(beam.direction, sigma[3:6], 5)
+        yield f"{_short(beam.name):<{NAME}}{location} +- {_size(most)} mm"
+        yield f"{'':<{NAME}}{direction} +- {_size(turn)} deg"
+        k1, k2 = _range_errors(beam)
+        yield f"{'':<{NAME}} k1 {k1}, k2 {k2} 1/m"
+    yield from _more(beams)
+
+
+def _range_errors(beam: Beam) -> tuple[str, str]:
+    """Return k1 and k2 [1/m], each with the standard deviation of its last digits."""
+    sigma = _sigma(beam)
+    k1, k2 = (
+        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 4 - i) if i < beam.terms else "0"
+        for i in range(2)
+    )
+    return k1, k2
+
+
+def _more(beams: list[Beam]) -> Iterator[str]:
+    if len(beams) > SHOWN_BEAMS:
+        yield f"and {len(beams) - SHOWN_BEAMS} more beams: --verbose"
+
+
+def _beam_table(beams: list[Beam]) -> Iterator[str]:
+    """Yield the mounts of many beams: one row each, with the largest standard deviations."""
+    yield (
+        f"{'beam':<{NAME}}{'x':>9}{'y':>9}{'z [mm]':>9} {'+-':<6}{'vx':>9}{'vy':>9}{'vz':>9} "
+        f"{'+- deg':<6}  {'k1':>11} {'k2 [1/m]':>10}"
+    )
+    for beam in beams[:SHOWN_BEAMS]:
+        sigma, most = _sigma(beam), float(_sigma(beam)[:3].max()) * MM
+        location = _cells(beam.location * MM, sigma[:3] * MM, 3)
+        direction = _cells(beam.direction, sigma[3:6], 5)
+        turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
+        k1, k2 = _range_errors(beam)
+        yield (
+            f"{_short(beam.name):<{NAME}}{location} {_size(most):<6}{direction} {_size(turn):<6}  "
+            f"{k1:>11} {k2:>10}"
+        )
+    yield from _more(beams)
+
+
+def _sigma(beam: Beam) -> FloatArray:
+    return np.full(8, math.inf) if beam.sigma is None else beam.sigma
+
+
+def _row_decimals(sigmas: FloatArray, most: int) -> int:
+    """Return the decimals of a row: two digits of the smallest sigma, three of the largest at most."""
+    finite = sigmas[np.isfinite(sigmas)]
+    if not len(finite):
+        return most
+    return min(decimals(float(finite.min()), most), decimals(float(finite.max()), most) + 1, most)
+
+
+def _cells(values: FloatArray, sigmas: FloatArray, most: int) -> str:
+    digits = _row_decimals(sigmas, most)
+    cells = [
+        f"{x:.{digits}f}" if math.isfinite(s) else "undet."
+        for x, s in zip(values.tolist(), sigmas.tolist(), strict=True)
+    ]
+    return "".join(f"{cell:>9}" for cell in cells)
+
+
+def _concise(value: float, sigma: float, most: int) -> str:
+    """Return a value with the standard deviation of its last digits: "0.0207(56)"."""
+    if not math.isfinite(sigma):
+        return "undet."
+    digits = decimals(sigma, most)
+    return f"{value:.{digits}f}({sigma * 10.0**digits:.0f})"
+
+
+def _size(sigma: float) -> str:
+    return f"{sigma:.2g}"[:6] if math.isfinite(sigma) else "undet."
+
+
+def _short(name: str) -> str:
+    return name if len(name) < NAME else name[: NAME - 3] + ".."

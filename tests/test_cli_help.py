@@ -1,0 +1,220 @@
+"""Help with examples that run, errors of usage in one line, shell completion, and --log-level."""
+
+import logging
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+from helpers import GRIPPER, ROOT
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.cli.examples import EXAMPLES
+from handlaser_gtsam.cli.log_level import LogLevel, logging_at
+from handlaser_gtsam.cli.verbs import app
+
+RECORDING = GRIPPER / "recording.csv"
+VERBS = [one.callback.__name__ for one in app.registered_commands]
+QUICK = ("--poses", "exact", "--range-error", "k1k2", "--range-sigma-mm", "0.03")
+
+
+# --- help --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the files that examples name, and what earlier ones wrote."""
+    path = tmp_path_factory.mktemp("examples")
+    for source in (RECORDING, GRIPPER / "rig.toml", ROOT / "examples" / "study" / "study.toml"):
+        shutil.copy(source, path)
+    return path
+
+
+def test_every_verb_has_examples():
+    assert sorted(EXAMPLES) == sorted(VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_examples_run_as_the_help_has_them(handlaser, folder, monkeypatch, verb):
+    monkeypatch.chdir(folder)
+    _, text, _ = handlaser(verb, "--help")
+    lines = text.split("Examples:\n")[1].replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line) for line in lines if line.strip()]
+    assert len(commands) == len(EXAMPLES[verb]) >= 2
+    for command in commands:
+        assert command[:2] == ["handlaser", verb]
+        code, _, err = handlaser(*command[1:])
+        assert (code, err) == (0, ""), command
+    if verb == "calibrate":
+        assert hl.read_calibration(folder / "calibration.json").success
+
+
+@pytest.mark.parametrize("columns", ["50", "80"])
+@pytest.mark.parametrize("verb", ["", *VERBS])
+def test_help_is_no_wider_than_the_terminal(handlaser, monkeypatch, verb, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    code, text, err = handlaser(*verb.split(), "--help")
+    assert (code, err) == (0, "")
+    assert max(map(len, text.splitlines())) <= int(columns)
+
+
+def test_nothing_but_the_name_shows_the_help(handlaser):
+    assert handlaser() == handlaser("--help")
+    assert handlaser()[0] == 0
+
+
+# --- errors ------------------------------------------------------------------------------------------
+
+WRONG = {
+    "levitate": "No such command 'levitate'",
+    "calibrate": "Missing argument",
+    "calibrate a b": "unexpected extra argument",
+    "calibrate x --rnge 3": "--range-error",
+    "calibrate x --range-error k3": "'k3' is not one of 'auto', 'none', 'k1', 'k1k2'",
+    "calibrate x --range-sigma-mm thin": "'--range-sigma-mm'",
+    "calibrate x --range-mm 3": "2 arguments",
+    "calibrate x --out": "requires an argument",
+    "simulate x --beams 0": "'--beams'",
+    "check x --log-level loud": "'debug', 'info', 'warning', 'error'",
+    "export x --to karel": "'kuka'",
+    "export x": "Missing option '--to'",
+    "--show-completion=x": "--show-completion",
+    "calibrate x --r\x1b[31m": "\\x1b[31m",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_errors_of_usage_are_one_line_with_a_hint(handlaser, line):
+    code, out, err = handlaser(*line.split())
+    assert (code, out) == (2, "")
+    assert err.endswith("\n")
+    assert err[:-1].isprintable()
+    assert err.startswith("handlaser: ")
+    assert WRONG[line] in err
+    verb = line.split()[0]
+    if verb in VERBS and "--range-mm" not in line and not line.endswith("--out"):
+        assert f"handlaser {verb} --help" in err
+    assert "--help shows what there is" in err
+
+
+# --- completion --------------------------------------------------------------------------------------
+
+
+def completed(*words):
+    """Return what bash is told for the last of the words."""
+    environment = os.environ | {
+        "_HANDLASER_COMPLETE": "complete_bash",
+        "COMP_WORDS": " ".join(words),
+        "COMP_CWORD": str(len(words) - 1),
+    }
+    command = [sys.executable, "-m", "handlaser_gtsam.cli"]
+    run = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    return run.stdout.split()
+
+
+def test_verbs_options_and_choices_are_completed():
+    assert completed("handlaser", "ca") == ["calibrate"]
+    assert set(completed("handlaser", "")) == set(VERBS)
+    assert completed("handlaser", "calibrate", "--range-e") == ["--range-error"]
+    assert completed("handlaser", "export", "x.json", "--to", "ku") == ["kuka"]
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_bash_takes_the_completion_that_is_shown(tmp_path):
+    """By the script itself, in a shell whose handlaser is this one."""
+    fake = tmp_path / "handlaser"
+    fake.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m handlaser_gtsam.cli "$@"\n')
+    fake.chmod(0o755)
+    script = (
+        "export _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION=1\n"
+        "source <(handlaser --show-completion bash)\n"
+        "COMP_WORDS=(handlaser vali); COMP_CWORD=1\n"
+        "_handlaser_completion handlaser\n"
+        'echo "${COMPREPLY[@]}"; complete -p handlaser\n'
+    )
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    run = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, env=environment, check=True
+    )
+    first, second = run.stdout.splitlines()
+    assert first == "validate"
+    assert "_handlaser_completion handlaser" in second
+
+
+def test_completion_imports_nothing_heavy():
+    code = (
+        "import sys, os; os.environ.update(_HANDLASER_COMPLETE='complete_bash',"
+        " COMP_WORDS='handlaser export x --to', COMP_CWORD='4')\n"
+        "from handlaser_gtsam.cli import main\n"
+        "sys.argv = ['handlaser']\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'gtsam', 'numpy', 'scipy', 'polars'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+# --- logging -----------------------------------------------------------------------------------------
+
+STAGES = [
+    "calibrating 44 stations, 4 planes, 4 beams",
+    "stage: search",
+    "start: ",
+    "converged",
+]
+
+
+def test_stages_are_logged_to_stderr(handlaser):
+    run = ("calibrate", RECORDING, *QUICK, "--json")
+    quiet = handlaser(*run)
+    code, out, err = handlaser(*run, "--log-level", "info")
+    assert (code, out) == quiet[:2]
+    assert quiet[2] == ""
+    lines = err.splitlines()
+    assert all(re.fullmatch(r" *\d+\.\d{3} s (info|warning) +\S.*", line) for line in lines)
+    found = [next(i for i, line in enumerate(lines) if stage in line) for stage in STAGES]
+    assert found == sorted(found)
+    debug = handlaser(*run, "--log-level", "debug")[2].splitlines()
+    assert any("debug   step 1: cost" in line for line in debug)
+    assert len(debug) > len(lines)
+    assert handlaser(*run, "--log-level", "error")[2] == ""
+    assert logging.getLogger("handlaser_gtsam").level == logging.NOTSET
+
+
+def test_warnings_of_a_calibration_are_logged(handlaser):
+    run = ("calibrate", RECORDING, *QUICK[:2], "--range-sigma-mm", "0.003", "--json")
+    err = handlaser(*run, "--log-level", "warning")[2]
+    logged = [line for line in err.splitlines() if " s warning " in line]
+    assert logged
+    assert len(logged) == sum(line.startswith("WARNING") for line in err.splitlines())
+
+
+def test_names_are_logged_escaped(capsys):
+    logger = logging.getLogger("handlaser_gtsam")
+    with logging_at(LogLevel.info):
+        logger.info("plane %s", "a\x1b[31m\nb")
+        logger.debug("never")
+    logger.info("never")
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.endswith(" s info    plane a\\x1b[31m\\nb\n")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("configured", [False, True])
+def test_from_python_nothing_is_heard_unless_logging_is_set_up(configured):
+    setup = "logging.basicConfig(level=logging.INFO)" if configured else "pass"
+    code = (
+        f"import logging\n{setup}\nimport handlaser_gtsam as hl\n"
+        f"recording = hl.read_recording({str(RECORDING)!r})\n"
+        "noise = hl.Noise(3e-5, 0.0, 1e-4)\n"
+        "hl.calibrate(recording, noise, hl.CalibrationOptions('none', poses='exact'))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == ""
+    assert ("INFO:handlaser_gtsam:stage: search" in run.stderr) == configured
+    assert bool(run.stderr) == configured

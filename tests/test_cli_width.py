@@ -1,0 +1,207 @@
+"""Screens of any width, without colours where none belong, in any encoding."""
+
+import io
+import os
+import pty
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+from helpers import GRIPPER, ROOT
+from rich.table import Table
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.cli import main
+from handlaser_gtsam.cli.examples import EXAMPLES
+from handlaser_gtsam.cli.tables import fitting
+from handlaser_gtsam.results.beam_rows import beam_rows
+from handlaser_gtsam.results.lines import WIDTH, as_many
+
+RECORDING = GRIPPER / "recording.csv"
+RUN = [sys.executable, "-m", "handlaser_gtsam.cli"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder where every example runs, in any order, and the names are of all scripts."""
+    path = tmp_path_factory.mktemp("foreign")
+    text = RECORDING.read_text()
+    for old, new in (("\nA,", "\nStraße,"), ("\nB,", "\n壁,"), ("range_2", "range_β")):
+        text = text.replace(old, new)
+    (path / "recording.csv").write_text(text)
+    for source in (GRIPPER / "rig.toml", ROOT / "examples" / "study" / "study.toml"):
+        shutil.copy(source, path)
+    recording = hl.read_recording(path / "recording.csv")
+    found = hl.calibrate(recording, hl.read_rig(path / "rig.toml").noise)
+    hl.write_calibration(path / "calibration.json", found)
+    return path
+
+
+def words_of(example):
+    return shlex.split(example.replace("\\\n", " "))[1:]
+
+
+FURTHER = (
+    "handlaser calibrate recording.csv --rig rig.toml --incremental --verbose",
+    "handlaser validate recording.csv --rig rig.toml --hold-out recording.csv",
+    "handlaser plan --rig planned.toml",
+)
+SCREENS = [
+    *(one for examples in EXAMPLES.values() for one in examples if "--json" not in one),
+    *FURTHER,
+]
+COPIED = ("kuka", "urdf", "xacro", "--to c")
+"""Exports to the screen are for copying, and not wrapped."""
+
+
+@pytest.mark.parametrize("columns", [50, 80])
+@pytest.mark.parametrize("example", SCREENS)
+def test_no_screen_is_wider_than_the_terminal(handlaser, folder, monkeypatch, example, columns):
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    shutil.copy(ROOT / "examples" / "planned" / "rig.toml", "planned.toml")
+    extra = ["--force"] if "simulate" in example and "--force" not in example else []
+    code, out, err = handlaser(*words_of(example), *extra)
+    assert (code, err) == (0, "")
+    if "--out" not in example and any(one in example for one in COPIED):
+        return
+    assert out
+    assert max(map(len, out.splitlines())) <= columns
+    assert "\x1b" not in out
+
+
+def test_nothing_is_lost_on_a_narrow_screen(handlaser, monkeypatch):
+    """The words are the same, but for where the lines end, and the mounts."""
+    arguments = ("calibrate", RECORDING, "--rig", GRIPPER / "rig.toml", "--cross-check")
+    texts = {}
+    for columns in (50, 80, 100, 200):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        texts[columns] = handlaser(*arguments)[1]
+    monkeypatch.delenv("COLUMNS")
+    assert handlaser(*arguments)[1] == texts[100] == texts[200]
+    for columns in (50, 80):
+        assert "moving a spot by 0.42 mm" in " ".join(texts[columns].split())
+        assert len(texts[columns].splitlines()) <= as_many(30, columns)
+        for value in ("10.812", "13.458", "-2.111", "0.10406", "0.99180"):
+            assert value in texts[columns]
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    recording = hl.read_recording(RECORDING)
+    return hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0), hl.CalibrationOptions("k1"))
+
+
+@pytest.mark.parametrize("width", [50, 75, 76, 80, 99, 100])
+@pytest.mark.parametrize("count", [1, 4, 5, 12])
+def test_mounts_of_any_number_fit(calibration, width, count):
+    beams = ([*calibration.beams.values()] * 3)[:count]
+    lines = list(beam_rows(beams, width))
+    assert max(map(len, lines)) <= width
+    shown = min(count, 8) if count > 4 or width < 76 else count
+    for beam in beams[:shown]:
+        assert any(line.startswith(f"{beam.name}  ") for line in lines)
+    assert ("more beams" in lines[-1]) == (count == 12)
+    if width < 76:  # values are followed by their standard deviation
+        assert sum("+-" in line for line in lines) == 2 * shown
+
+
+def test_a_table_that_does_not_fit_is_said_in_words(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "45")
+    small = Table("plane", "b mm", "+- mm")
+    small.add_row("A", "-583.809", "0.1553")
+    assert fitting(small) is small
+    names = ("plane", "b mm", "+- mm", "a long name of a column")
+    table = Table(*names, title="planes", caption="and more")
+    table.add_row("A", "-583.809", "0.1553", "")
+    table.add_row("B", "", "0.2", "")
+    table.add_row("C", "1", "2", "x" * 30)
+    words = fitting(table)
+    assert words.splitlines() == [
+        "planes",
+        "A: b mm -583.809, +- mm 0.1553",
+        "B: +- mm 0.2",
+        "C: b mm 1, +- mm 2, a long name of a column",
+        f"  {'x' * 30}",
+        "and more",
+    ]
+    monkeypatch.delenv("COLUMNS")
+    assert fitting(table) is table
+    assert fitting(table, WIDTH) is table
+
+
+# --- colours -----------------------------------------------------------------------------------------
+
+
+def on_a_terminal(*arguments, **environment):
+    """Return what a terminal of 100 columns gets."""
+    outside, inside = pty.openpty()
+    shown = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100"} | environment
+    with subprocess.Popen([*RUN, *map(str, arguments)], stdout=inside, env=shown) as run:
+        os.close(inside)
+        text = b""
+        try:
+            while part := os.read(outside, 65536):
+                text += part
+        except OSError:  # the other end is closed
+            pass
+    os.close(outside)
+    assert run.returncode == 0
+    return text.decode().replace("\r\n", "\n")
+
+
+def test_colours_are_for_terminals_that_want_them():
+    arguments = ("calibrate", RECORDING, "--rig", GRIPPER / "rig.toml", "--verbose")
+    piped = subprocess.run([*RUN, *map(str, arguments)], capture_output=True, text=True, check=True)
+    assert "\x1b" not in piped.stdout
+    styled = on_a_terminal(*arguments)
+    assert "\x1b[" in styled  # the heads of tables
+    plain = on_a_terminal(*arguments, NO_COLOR="1")
+    assert re.search(r"\x1b\[[\d;]*[349]\d", plain) is None
+    assert re.sub(r"\x1b\[[\d;]*m", "", styled).split() == piped.stdout.split()
+    assert "\x1b" not in on_a_terminal(*arguments, TERM="dumb")
+
+
+# --- encodings ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("example", [*(one[0] for one in EXAMPLES.values()), *FURTHER])
+def test_every_verb_speaks_any_encoding(folder, monkeypatch, example, encoding):
+    monkeypatch.chdir(folder)
+    shutil.copy(ROOT / "examples" / "planned" / "rig.toml", "planned.toml")
+    streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2)]
+    monkeypatch.setattr(sys, "stdout", streams[0])
+    monkeypatch.setattr(sys, "stderr", streams[1])
+    extra = ["--force"] if "simulate" in example else []
+    monkeypatch.setattr(sys, "argv", ["handlaser", *words_of(example), *extra])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    texts = []
+    for stream in streams:
+        stream.flush()
+        texts.append(stream.buffer.getvalue().decode(encoding))
+    assert (stop.value.code or 0, texts[1]) == (0, "")
+    assert texts[0]
+    assert "\\u2500" not in texts[0]  # the lines of a table are made of what there is
+
+
+@pytest.mark.parametrize(
+    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}]
+)
+def test_the_environment_decides_the_encoding(folder, environment):
+    for example in ("handlaser check recording.csv", FURTHER[0]):
+        run = subprocess.run(
+            [*RUN, *words_of(example)],
+            cwd=folder,
+            env={**os.environ, **environment, "PYTHONUTF8": "0"},
+            capture_output=True,
+            check=False,
+        )
+        assert (run.returncode, run.stderr) == (0, b"")
+        assert run.stdout.isascii()
+        assert b"\\u58c1" in run.stdout
+        assert b"\\u2500" not in run.stdout

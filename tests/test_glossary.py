@@ -1,0 +1,113 @@
+"""Every term that the screen shows stands in the glossary."""
+
+import re
+import shutil
+
+import pytest
+from helpers import GRIPPER, ROOT, degenerate
+from rich.table import Table
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.cli.study import COLUMNS, TITLES
+from handlaser_gtsam.cli.tables import ROWS
+from handlaser_gtsam.results.verdict import OPENING
+from handlaser_gtsam.results.wording import WORDING
+
+PAGE = (ROOT / "docs" / "glossary.md").read_text()
+ENTRIES = re.findall(r"^\| (\*\*.*?) \| (.*) \|$", PAGE, flags=re.MULTILINE)
+TERMS = [term for names, _ in ENTRIES for term in re.findall(r"\*\*(.+?)\*\*", names)]
+RIG = ("--rig", "rig.toml")
+SCREENS = (
+    ("calibrate", "recording.csv", *RIG, "-v", "--incremental", "--cross-check"),
+    ("calibrate", "recording.csv", *RIG, "--cross-check"),
+    ("calibrate", "recording.csv", "-v", "--range-error", "k1"),
+    ("calibrate", "recording.csv", "-v", "--range-error", "none", "--poses", "exact"),
+    ("calibrate", "recording.csv", "--rig", "tight.toml"),
+    ("calibrate", "outliers.csv", *RIG, "-v"),
+    ("calibrate", "degenerate.csv"),
+    ("calibrate", "degenerate.csv", "-v"),
+    ("check", "recording.csv", *RIG),
+    ("validate", "recording.csv", *RIG, "--splits", "1"),
+    ("validate", "recording.csv", *RIG, "--hold-out", "recording.csv"),
+    ("plan", "recording.csv", *RIG, "--stations", "3"),
+    ("plan", "--rig", "planned.toml"),
+    ("study", "study.toml", "--runs", "2"),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("screens")
+    for source in (GRIPPER / "recording.csv", GRIPPER / "rig.toml"):
+        shutil.copy(source, path)
+    shutil.copy(ROOT / "examples" / "planned" / "rig.toml", path / "planned.toml")
+    shutil.copy(ROOT / "examples" / "study" / "study.toml", path)
+    rig = (path / "rig.toml").read_text()
+    (path / "tight.toml").write_text(f"{rig}\n[limits]\nrms_mm = 0.001\nlocation_sigma_mm = 5\n")
+    hl.write_recording(path / "degenerate.csv", degenerate("two planes, no rotation"))
+    rows = (path / "recording.csv").read_text().splitlines()
+    for number in (4, 17):  # two readings that are far off
+        cells = rows[number].split(",")
+        cells[-1] = str(float(cells[-1]) + 0.004)
+        rows[number] = ",".join(cells)
+    (path / "outliers.csv").write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.fixture
+def headings(monkeypatch):
+    """Collect what rich puts at the head of columns."""
+    found = set()
+    add = Table.add_column
+
+    def adding(self, header="", *rest, **named):
+        found.add(str(header))
+        return add(self, header, *rest, **named)
+
+    monkeypatch.setattr(Table, "add_column", adding)
+    return found
+
+
+def known(label):
+    """Tell whether terms of the glossary begin all parts of a label, as of "2 beams, start"."""
+    parts = [label]
+    if label[0].isdigit() and not label.startswith("30 %"):
+        parts = [re.sub(r"^\d+ ", "", part) for part in re.split("[,;] ", label)]
+    return all(any(re.match(rf"{re.escape(t)}s?(?![\w-])", part) for t in TERMS) for part in parts)
+
+
+@pytest.mark.parametrize("screen", SCREENS, ids=" ".join)
+def test_what_lines_begin_with_and_heads_of_tables(
+    handlaser, folder, monkeypatch, headings, screen
+):
+    monkeypatch.chdir(folder)
+    code, out, _ = handlaser(*screen)
+    assert code in (0, 3, 4)
+    assert headings <= set(TERMS), headings - set(TERMS)
+    labels = {m[1] for m in re.finditer(r"^([^\s:][^:\n]{0,70}):(?=\s|$)", out, re.MULTILINE)}
+    assert labels or screen[0] in ("plan", "study")
+    missing = {label for label in labels if not known(label)}
+    assert not missing
+    for head in re.findall(r"^(stations  .*|beam   .*)$", out, re.MULTILINE):
+        for word in re.split(r"  +|: |, ", head):
+            term = re.sub(r" \[.*?\]", "", word).replace("unit direction", "direction")
+            assert known(term), word
+
+
+def test_words_of_the_code_are_there():
+    """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
+    words = [name for name, _, _ in ROWS] + [*OPENING.values(), *WORDING]
+    words += [TITLES.get(name, name) for name, _ in COLUMNS]
+    assert set(words) <= set(TERMS), set(words) - set(TERMS)
+
+
+def test_every_term_stands_once_and_means_something():
+    assert len(TERMS) > 100
+    assert sorted(TERMS) == sorted(set(TERMS))
+    for names, meaning in ENTRIES:
+        assert len(meaning.split()) >= 3, names
+        assert meaning.endswith("."), names
+    rows = [
+        line for line in PAGE.splitlines() if line.startswith("| ") and "| meaning |" not in line
+    ]
+    assert len(rows) == len(ENTRIES)
