@@ -39,6 +39,10 @@ if TYPE_CHECKING:
     from .files.calibration_reading import CalibrationFile as CalibrationFile
     from .files.calibration_reading import read_calibration as read_calibration
     from .files.calibration_reading import read_mounts as read_mounts
+    from .files.logs.format import LogFormat as LogFormat
+    from .files.logs.reading import describe_log as describe_log
+    from .files.logs.reading import read_log as read_log
+    from .files.logs.report import LogReport as LogReport
     from .files.recording_csv import read_recording as read_recording
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
@@ -149,6 +153,9 @@ _NAMES = {
     "estimation.scales": "Scale Scales",
     "files.calibration_json": "write_calibration",
     "files.calibration_reading": "CalibrationFile read_calibration read_mounts",
+    "files.logs.format": "LogFormat",
+    "files.logs.reading": "describe_log read_log",
+    "files.logs.report": "LogReport",
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",

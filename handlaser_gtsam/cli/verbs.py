@@ -5,6 +5,7 @@ import typer
 from .._version import __version__
 from .calibrate import calibrate
 from .check import check
+from .convert import convert
 from .options import expanded
 from .plan import plan
 from .simulate import simulate
@@ -20,7 +21,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, plan, simulate, study, validate):
+for verb in (calibrate, check, convert, plan, simulate, study, validate):
     app.command()(expanded(verb))
 
 

@@ -1,7 +1,8 @@
 """Recordings as CSV: one row a station.
 
 Columns: `plane` (label), optional `station` (unique label), `x, y, z, qx, qy, qz, qw` (world_T_hand,
-metres), then `range_NAME` for every beam (metres; empty = no reading). The separator is a comma, a
+metres), then `range_NAME` for every beam (metres; empty = no reading), and optional `samples_NAME`
+where readings are means: how many independent readings each is worth. The separator is a comma, a
 semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`. How lines
 become rows stands in `table`.
 """
@@ -27,7 +28,7 @@ from .table import column_numbers, read_table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-PREFIX = "range_"
+PREFIX, SAMPLES = "range_", "samples_"
 QUATERNION_TOLERANCE = 1e-3
 MISSPELT = 0.75
 """A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
@@ -56,7 +57,8 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         require_kind("sensor", sensor, Sensor)
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
-    if _used(table.frame.columns[-1]):
+    samples = {SAMPLES + beam for beam in beams} & set(table.frame.columns)
+    if _used(table.frame.columns[-1]) or table.frame.columns[-1] in samples:
         table.refuse_cut()
     rotation, position, planes, stations = stations_of(table)
     columns = [PREFIX + beam for beam in beams]
@@ -71,8 +73,9 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         planes,
         tuple(beams),
         stations,
-        tuple(name for name in table.frame.columns if not _used(name)),
-        warnings=warnings,
+        tuple(name for name in table.frame.columns if not _used(name) and name not in samples),
+        _samples(table, beams, ranges) if samples else None,
+        warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
     )
 
@@ -81,8 +84,13 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
     names = [PREFIX + beam for beam in recording.beam_names]
-    ranges = pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
-    write_text(path_of(path), station_columns(recording).hstack(ranges).write_csv())
+    table = station_columns(recording).hstack(
+        pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
+    )
+    if recording.samples is not None:
+        names = [SAMPLES + beam for beam in recording.beam_names]
+        table = table.hstack(pl.DataFrame(recording.samples, schema=names, orient="row"))
+    write_text(path_of(path), table.write_csv())
 
 
 def station_columns(stations: Recording | StationList) -> pl.DataFrame:
@@ -156,6 +164,22 @@ def labels_of(table: _Table, name: str) -> tuple[str, ...]:
 def _used(column: str) -> bool:
     """Tell whether a column is read; the others are ignored, and named."""
     return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
+
+
+def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
+    """Return how many readings each is worth: one where the cell or the column is missing."""
+    found = np.ones(ranges.shape)
+    for i, name in enumerate(SAMPLES + beam for beam in beams):
+        if name not in table.frame.columns:
+            continue
+        number = column_numbers(table, name, empty=True)
+        table.refuse(
+            (number < 1.0) | (number > LARGEST),
+            name,
+            "how many readings the range is worth, from 1",
+        )
+        found[:, i] = np.where(np.isnan(number), 1.0, number)
+    return found
 
 
 def _positions(table: _Table) -> FloatArray:
