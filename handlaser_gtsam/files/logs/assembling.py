@@ -100,7 +100,7 @@ def assembled(
             (readings, "reading"),
         )
     )
-    lines = (counts, *log.lines, *_average_lines(mean, given))
+    lines = (counts, *log.lines, *_lag_lines(*lag), *_average_lines(mean, given))
     return LogReport(recording, mean.scatter, scatter_of, *lag, lines), chosen
 
 
@@ -163,6 +163,17 @@ def _planes(
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     words = f"{count} of {total} stations {what}, and were left out"
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
+
+
+def _lag_lines(lag: float, sigma: float | None) -> Iterator[str]:
+    later = "later" if lag >= 0.0 else "earlier"
+    if sigma is not None:
+        yield (
+            f"readings are stamped {1e3 * abs(lag):.1f} ms {later} than poses, estimated to "
+            f"{1e3 * sigma:.2g} ms"
+        )
+    elif lag:
+        yield f"readings are taken to be stamped {1e3 * abs(lag):.3g} ms {later} than poses"
 
 
 def _average_lines(mean: Averaged, given: LogFormat) -> Iterator[str]:

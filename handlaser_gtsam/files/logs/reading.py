@@ -14,7 +14,8 @@ from ..writing import path_of
 from .assembling import Known, Stationed, assembled
 from .columns import formats_in
 from .format import LogFormat, convention_of
-from .joining import Joined, by_station, by_time, one_table
+from .joining import Joined, by_station, one_table
+from .joining_time import by_time, lag_of_tables
 from .motion import Some
 from .poses import hand_poses
 from .report import LogReport
@@ -129,6 +130,9 @@ def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
         return _report(path, poses, readings, joined, given, known, (0.0, None))
     poses, readings = poses.in_time(), readings.in_time()
     lag: tuple[float, float | None] = (given.lag_s, None)
+    if given.estimate_lag:
+        found = lag_of_tables(poses, readings, given)
+        lag = found.value, found.sigma
     return _report(
         path, poses, readings, by_time(poses, readings, given, lag[0]), given, known, lag
     )
