@@ -80,13 +80,13 @@ def averaged(
     """
     ranges, none = np.full(shape, np.nan), np.full(shape[1], np.nan)
     key = given.station * shape[1] + given.beam
+    if not len(key) or np.bincount(key).max() == 1:
+        ranges.ravel()[key] = given.value
+        return Averaged(ranges, None, None, none, 0)
     order = np.lexsort((given.value, key))
     key, value = key[order], given.value[order]
     start = np.flatnonzero(np.diff(key, prepend=-1))
     count = np.diff(np.append(start, len(key)))
-    if len(start) == len(key):
-        ranges.ravel()[key] = value
-        return Averaged(ranges, None, None, none, 0)
     middle = _middles(value, start, count, how)
     ranges.ravel()[key[start]] = middle
     group = np.repeat(np.arange(len(start)), count)

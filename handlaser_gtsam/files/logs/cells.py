@@ -12,6 +12,8 @@ from .conventions import Convention
 from .format import LogFormat, convention_of
 from .poses import faults
 
+PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
+"""Names of ASCII, which most are, need no closer look."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -92,7 +94,8 @@ def labels(table: Table, column: str) -> list[str]:
     cells = table.frame[column]
     table.refuse(cells.is_null().to_numpy(), column, "a label")
     text = _text(cells)
-    faults = {name: name_fault(name) for name in text.unique().to_list()}
+    strange = text.filter(~text.str.contains(PLAIN))
+    faults = {name: name_fault(name) for name in strange.unique().to_list()}
     wrong = {name: fault for name, fault in faults.items() if fault}
     if wrong:
         rows = text.is_in(list(wrong)).to_numpy()

@@ -21,6 +21,10 @@ class Rows:
         """Return the poses of stations from those of rows."""
         return R[self.row], t[self.row]
 
+    def narrowed(self, stations: IntArray) -> "tuple[IntArray, Rows]":
+        """Return the rows that some stations need, and how they get their poses from these."""
+        return self.row[stations], Rows(np.arange(len(stations), dtype=np.intp))
+
 
 @dataclass(frozen=True, slots=True)
 class Means:
@@ -54,6 +58,14 @@ class Means:
         U, _, V = np.linalg.svd(np.add.reduceat(R[self.row], self.start, axis=0))
         mean = np.where((count == 1)[:, None, None], R[first], U @ V)
         return mean, t[first] + shift
+
+    def narrowed(self, stations: IntArray) -> "tuple[IntArray, Means]":
+        """Return the rows that some stations need, and how they get their poses from these."""
+        ends = np.append(self.start, len(self.row))
+        parts = [self.row[ends[s] : ends[s + 1]] for s in stations.tolist()]
+        start = np.cumsum([0, *map(len, parts)])[:-1].astype(np.intp)
+        rows = np.concatenate(parts)
+        return rows, Means(np.arange(len(rows), dtype=np.intp), start)
 
     def spread(self, R: FloatArray, t: FloatArray) -> Pair:
         """Return how far each row (N,) is from the first of its station: angle [rad], distance [m]."""
@@ -97,21 +109,14 @@ class Between:
         w = self.part[:, None]
         return first @ step, (1.0 - w) * t[self.row] + w * t[following]
 
-
-@dataclass(frozen=True, slots=True)
-class Some:
-    """Some of the stations of another way."""
-
-    way: "Way"
-    chosen: IntArray
-
-    def place(self, R: FloatArray, t: FloatArray) -> Pair:
-        """Return the poses of those stations from those of rows."""
-        rotation, position = self.way.place(R, t)
-        return rotation[self.chosen], position[self.chosen]
+    def narrowed(self, stations: IntArray) -> "tuple[IntArray, Between]":
+        """Return the rows that some stations need, and how they get their poses from these."""
+        rows = np.stack((self.row[stations], self.row[stations] + 1), axis=1).ravel()
+        even = 2 * np.arange(len(stations), dtype=np.intp)
+        return rows, Between(even, self.part[stations])
 
 
-Way = Rows | Means | Between | Some
+Way = Rows | Means | Between
 """How stations get their poses from rows."""
 
 

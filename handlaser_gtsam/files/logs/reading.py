@@ -14,9 +14,9 @@ from ..writing import path_of
 from .assembling import Known, Stationed, assembled
 from .columns import formats_in
 from .format import LogFormat, convention_of
+from .held import held_poses
 from .joining import Joined, by_station, one_table
 from .joining_time import by_time, lag_of_tables
-from .motion import Some
 from .poses import hand_poses
 from .report import LogReport
 from .rows import LogRows, rows_of
@@ -168,15 +168,19 @@ def _report(
         tuple(line for line in (_words(given), joined.words) if line),
     )
     report, chosen = assembled(log, given, known, lag)
+    held = held_poses(report.recording)
     doubts = refuse_wrong_convention(
         report.recording,
-        replace(raw, way=Some(joined.way, np.flatnonzero(chosen))),
+        raw,
+        np.flatnonzero(chosen),
         given.range_units,
         path,
         as_stated=given.as_stated,
     )
-    recording = replace(report.recording, warnings=(*report.recording.warnings, *doubts))
-    return replace(report, recording=recording)
+    if not held and not doubts:
+        return report
+    warnings = (*report.recording.warnings, *held, *doubts)
+    return replace(report, recording=replace(report.recording, warnings=warnings))
 
 
 def _words(given: LogFormat) -> str:

@@ -54,6 +54,11 @@ class Raw:
     inverted: bool
     way: Way
 
+    def narrowed(self, stations: IntArray) -> "Raw":
+        """Return what is needed of some stations."""
+        rows, way = self.way.narrowed(stations)
+        return replace(self, numbers=self.numbers[rows], way=way)
+
     def poses(self) -> Pair:
         """Return rotations and positions of stations."""
         R, t = poses_of(self.numbers, self.convention)
@@ -61,7 +66,13 @@ class Raw:
 
 
 def refuse_wrong_convention(
-    recording: Recording, raw: Raw, range_units: str, path: Path, *, as_stated: bool
+    recording: Recording,
+    raw: Raw,
+    chosen: IntArray,
+    range_units: str,
+    path: Path,
+    *,
+    as_stated: bool,
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
@@ -71,6 +82,8 @@ def refuse_wrong_convention(
         As it was read.
     raw : Raw
         Its poses; tool and base are constant, and do not matter.
+    chosen : (S,)
+        Which of the stations of `raw` each station of the recording is.
     range_units, path
         As stated.
     as_stated : bool
@@ -83,11 +96,11 @@ def refuse_wrong_convention(
     some = _some(recording)
     if some is None:
         return ()
-    part, stations = some
-    now = _misfit(part, raw.poses(), stations, 1.0)
+    part, raw = some[0], raw.narrowed(chosen[some[1]])
+    now = _misfit(part, raw.poses(), 1.0)
     if now <= FITS:
         return ()
-    best, words = _best(part, raw, stations, range_units)
+    best, words = _best(part, raw, range_units)
     ratio = now / max(best, 1e-30)
     if ratio < BETTER:
         return ()
@@ -104,10 +117,10 @@ def refuse_wrong_convention(
     )
 
 
-def _best(part: Recording, raw: Raw, stations: IntArray, range_units: str) -> tuple[float, str]:
+def _best(part: Recording, raw: Raw, range_units: str) -> tuple[float, str]:
     """Return the lowest misfit under another convention, and what it is."""
     found = [
-        (_misfit(part, other.poses(), stations, factor), words)
+        (_misfit(part, other.poses(), factor), words)
         for other, factor, words in _alternatives(raw, range_units)
     ]
     return min(found)
@@ -134,9 +147,9 @@ def _some(recording: Recording) -> tuple[Recording, IntArray] | None:
     return part.without(drop), rows
 
 
-def _misfit(part: Recording, poses: Pair, stations: IntArray, factor: float) -> float:
+def _misfit(part: Recording, poses: Pair, factor: float) -> float:
     """Return the mean squared residual in parts of the variance; infinite where nothing is found."""
-    R, t = poses[0][stations], poses[1][stations]
+    R, t = poses
     ranges = factor * part.ranges
     try:
         changed = replace(part, world_R_hand=R, world_t_hand=t, ranges=ranges, warnings=())

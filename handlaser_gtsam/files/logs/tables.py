@@ -67,7 +67,8 @@ def _of_text(path: Path, given: LogFormat) -> Table:
     table = table_of(text, path, (), separator)
     if offset:
         table = replace(table, header_line=0, lines=table.lines - offset)
-    table = _with_points(table, given)
+    if '"' in text or (separator != "," and "," in text):
+        table = _with_points(table, given)
     table.refuse_cut()
     return table
 
