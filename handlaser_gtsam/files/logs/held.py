@@ -40,6 +40,7 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         )
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
-        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or stamped late"
+        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or that "
+        "are stamped late"
     )
     return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)

@@ -12,6 +12,7 @@ from ...model.sensor import Sensor
 from ..recording_csv import POSE, read_recording
 from ..writing import path_of
 from .assembling import Known, Stationed, assembled
+from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
 from .columns import formats_in
 from .format import LogFormat, convention_of
 from .held import held_poses
@@ -22,8 +23,6 @@ from .report import LogReport
 from .rows import LogRows, rows_of
 from .suspicion import Raw, refuse_wrong_convention
 from .tables import FOREIGN, read_log_table
-
-BAGS = (".bag", ".mcap", ".db3")
 
 
 def read_log(
@@ -76,6 +75,9 @@ def describe_log(
     known = Known(sensor or Sensor(), range_sigma)
     if not path.exists():
         raise InputError("no such file", "a log", path)
+    if is_bag(path):
+        return describe_bag(path, given, known)
+    refuse_stated(given, OF_BAGS, "a table", path)
     return _of_tables(path, given, known)
 
 
@@ -88,8 +90,7 @@ def read_any(
     ------
     InputError
     """
-    foreign = path.is_dir() or path.suffix.lower() in (*FOREIGN, *BAGS)
-    if given.stated or foreign:
+    if given.stated or is_bag(path) or path.suffix.lower() in FOREIGN:
         return describe_log(path, given, sensor, range_sigma)
     try:
         return LogReport(read_recording(path, sensor))
