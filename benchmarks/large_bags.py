@@ -35,7 +35,8 @@ class _Maker:
     def new(self, name: str, *values: object) -> Any:
         """Return a message of a type."""
         package, kind = name.split("/")
-        return self.store.types[f"{package}/msg/{kind}"](*values)
+        make: Any = self.store.types[f"{package}/msg/{kind}"]
+        return make(*values)
 
     def header(self, time: float, frame: str) -> Any:
         """Return a header."""

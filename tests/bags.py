@@ -90,18 +90,22 @@ class Messages:
         return self.store.serialize_cdr(message, name)
 
 
-def write_bag(folder, kind, messages):
+def write_bag(folder, kind, messages, compression=""):
     """Write (topic, time, message) in order; return the path that a person would name."""
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     path = bag_path(folder, kind)
     make = Messages(kind)
     if kind == "ros1":
         writer = Writer1(path)
+        if compression:
+            writer.set_compression(Writer1.CompressionFormat[compression])
     else:
         plugin = StoragePlugin.SQLITE3 if kind == "ros2" else StoragePlugin.MCAP
         writer = Writer(path, version=9, storage_plugin=plugin)
+        if compression:
+            writer.set_compression(CompressionMode.MESSAGE, CompressionFormat[compression])
     with writer:
         known = {}
         for topic, time, message in messages(make):

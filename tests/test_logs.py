@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 import zipfile
 from dataclasses import fields
 from xml.sax.saxutils import escape
@@ -13,8 +14,19 @@ from controllers import CONTROLLERS, about_z_y_x, written
 from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
+from benchmarks.log_conventions import (
+    RESIDUAL,
+    SAME,
+    UNNOTICED,
+    WARNED,
+    log_recording,
+    matrix,
+    meanings,
+    numbers,
+    study,
+)
 from handlaser_gtsam.cli.log_options import Log
-from handlaser_gtsam.files.logs.conventions import FORMATS
+from handlaser_gtsam.files.logs.conventions import FORMATS, formats_of
 from handlaser_gtsam.files.rig_log import LogTable
 
 
@@ -540,3 +552,123 @@ def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
     code, out, _ = handlaser("convert", gripper_log, "--rig", rig, *spelled, "--plane", "one")
     assert code == 0
     assert "4 beams, 1 plane, " in out
+
+
+# --- wrong conventions -------------------------------------------------------------------------------
+
+
+def test_no_wrong_convention_of_all_ordered_pairs_goes_unnoticed():
+    """Of one scene, with the tool down; the benchmark has others, and every rotation in all units."""
+    several = [one for one in meanings() if formats_of(one.meaning)]
+    told = list(study(log_recording("paper", "tool down"), several))
+    assert len(told) == len(several) ** 2 >= 100
+    assert "\n".join(matrix(told)).count(UNNOTICED) == 0
+    same = [(one.written, one.read) for one in told if one.outcome == SAME]
+    assert same == [(one.written, one.written) for one in told if one.written == one.read]
+    by_fit = [one for one in told if one.outcome in (RESIDUAL, WARNED)]
+    assert len(by_fit) >= 12
+    assert [one for one in by_fit if not one.named] == []
+
+
+@pytest.mark.parametrize("name", ["kuka", "ros", "ur"])
+@pytest.mark.parametrize("spoilt", [0.0, 0.1])
+def test_the_right_convention_is_never_doubted(tmp_path, name, spoilt):
+    """Neither with errors of robot and sensor, nor with a tenth of the readings wrong by a half."""
+    recording = log_recording("arm", "askew", seed=5)
+    rng = np.random.default_rng(0)
+    d = recording.ranges.copy()
+    wrong = rng.random(d.shape) < spoilt
+    d[wrong] *= rng.uniform(0.5, 1.5, wrong.sum())
+    rows = numbers(recording, FORMATS[name])
+    names = CONTROLLERS[name].names
+    extra = [("plane", recording.plane_labels)]
+    extra += [(f"range_{b}", d[:, i].tolist()) for i, b in enumerate(recording.beam_names)]
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(names, rows, extra))
+    found = hl.read_log(path, hl.LogFormat(pose_format=name))
+    assert [one.code for one in found.warnings] == []
+    assert_poses(found, recording.world_R_hand, recording.world_t_hand)
+
+
+SIGNS = {
+    "quaternions of another length": (
+        "ros",
+        lambda x: x * [1, 1, 1, 0.5, 0.5, 0.5, 0.5],
+        {},
+        "length",
+    ),
+    "degrees as radians": (
+        "fanuc",
+        lambda x: x,
+        {"angles": "rad"},
+        "read as radians; expected at most 2 pi; are they degrees?",
+    ),
+    "millimetres as metres": ("kuka", lambda x: x, {"units": "m"}, "then state --pose-format kuka"),
+    "metres as millimetres": ("ur", lambda x: x, {"units": "mm"}, "then state --pose-format ur"),
+    "inverted": ("kuka", lambda x: x, {"inverted": True}, "the poses are not inverted"),
+    "ranges in millimetres": ("kuka", lambda x: x, {"range_units": "mm"}, "--range-units m"),
+    "one pose": ("kuka", lambda x: x[:1].repeat(len(x), axis=0), {}, "one pose at all 44 stations"),
+}
+
+
+@pytest.mark.parametrize("case", SIGNS)
+def test_signs_of_a_wrong_convention_are_refused_and_the_right_one_named(tmp_path, case):
+    name, change, given, words = SIGNS[case]
+    recording = log_recording("paper", "tool down")
+    rows = change(numbers(recording, FORMATS[name]))
+    extra = [("plane", recording.plane_labels)]
+    for i, beam in enumerate(recording.beam_names):
+        extra.append((f"range_{beam}", ["" if np.isnan(d) else d for d in recording.ranges[:, i]]))
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(CONTROLLERS[name].names, rows, extra))
+    with pytest.raises(hl.InputError) as caught:
+        hl.read_log(path, hl.LogFormat(pose_format=name, **given))
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_who_insists_is_warned(tmp_path):
+    recording = log_recording("paper", "tool down")
+    path = tmp_path / "log.csv"
+    extra = [("plane", recording.plane_labels)]
+    for i, beam in enumerate(recording.beam_names):
+        extra.append((f"range_{beam}", ["" if np.isnan(d) else d for d in recording.ranges[:, i]]))
+    rows = numbers(recording, FORMATS["kuka"])
+    path.write_text(text_of(CONTROLLERS["kuka"].names, rows, extra))
+    found = hl.read_log(path, hl.LogFormat(pose_format="mitsubishi", as_stated=True))
+    (warning,) = found.warnings
+    assert warning.code == "pose-convention"
+    assert "--pose-format kuka" in warning.message
+
+
+def test_poses_that_were_held_are_warned_of(tmp_path):
+    recording = log_recording("paper", "tool down")
+    rows = numbers(recording, FORMATS["kuka"])
+    rows[20:24] = rows[19]
+    extra = [("plane", recording.plane_labels), ("range_1", recording.ranges[:, 0].tolist())]
+    path = tmp_path / "log.csv"
+    path.write_text(text_of(CONTROLLERS["kuka"].names, rows, extra))
+    found = hl.read_log(path, hl.LogFormat(pose_format="kuka", as_stated=True))
+    (held,) = [one for one in found.warnings if one.code == "held-poses"]
+    assert held.values["stations"] in (3, 4)  # station 22 is before another plane than the first
+
+
+def test_a_long_table_is_read_and_checked_in_time(tmp_path):
+    """20,000 rows in a tenth of the 2 s that 200,000 may take, and twice that for other machines."""
+    rng = np.random.default_rng(0)
+    rows = 20_000
+    x = np.column_stack(
+        (rng.uniform(-200.0, 200.0, (rows, 3)), rng.uniform(-20.0, 20.0, (rows, 3)))
+    )
+    table = pl.DataFrame(np.round(x, 6), schema=list(KUKA), orient="row")
+    table = table.with_columns(plane=pl.lit("A"), range_1=100.0 + pl.col("X") * 0.1)
+    table.write_csv(tmp_path / "log.csv")
+    given = hl.LogFormat(pose_format="kuka", range_units="mm", as_stated=True)
+    seconds = []
+    for _ in range(3):
+        begin = time.process_time()
+        found = hl.read_log(tmp_path / "log.csv", given)
+        seconds.append(time.process_time() - begin)
+    assert len(found.ranges) == rows
+    # The check of the convention takes a second at most, whatever the table's length.
+    assert min(seconds) < 0.4 + 1.2

@@ -2,14 +2,18 @@
 
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 
 import pytest
+from bags import HAS_ROSBAGS
 from helpers import ROOT
 
 import handlaser_gtsam as hl
 
 PAGE = (ROOT / "docs" / "logs.md").read_text()
+BAGS = "".join(re.findall(r"```ros\n(.*?)```", PAGE, flags=re.DOTALL)).splitlines()
 COMMANDS = "".join(re.findall(r"```sh\n(.*?)```", PAGE, flags=re.DOTALL)).splitlines()
 
 
@@ -30,6 +34,22 @@ def test_commands_of_the_page(line, handlaser, monkeypatch, tmp_path):
     code, _, err = handlaser(*words[1:])
     assert (code, err) == (0, "")
     assert len(list(tmp_path.iterdir())) == len(outputs)
+
+
+@pytest.mark.skipif(not HAS_ROSBAGS, reason="needs rosbags")
+def test_commands_for_bags(handlaser, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    first, *others = map(shlex.split, BAGS)
+    subprocess.run([sys.executable, ROOT / first[1], *first[2:]], check=True)
+    for words in others:
+        assert words[0] == "handlaser"
+        code, out, err = handlaser(*words[1:])
+        assert (code, err) == (0, "")
+        if "--estimate-lag" in words:
+            (lag,) = re.findall(r"stamped ([\d.]+) ms later", " ".join(out.split()))
+            assert abs(float(lag) - 40.0) < 10.0
+    assert (tmp_path / "recording.csv").exists()
+    assert len(others) == 3
 
 
 def test_the_rig_of_the_page_reads_the_log_of_the_page(tmp_path):

@@ -189,11 +189,11 @@ def _show(outcome: _Outcome, output: Output) -> None:
     closing = [] if outcome.check is None else wrapped(cross_check_line(outcome.check), 2)
     for line in [] if outcome.advice is None else advice_lines(outcome.advice):
         closing += wrapped(line)
+    if outcome.read:
+        closing += wrapped(f"log: {printable('; '.join(outcome.read))}")
     closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
     width = None if sys.stdout.isatty() else WIDTH
     console = TableConsole(highlight=False, markup=False, width=width)
-    for line in outcome.read:
-        console.print("\n".join(wrapped(f"log: {printable(line)}")), soft_wrap=True)
     if output.verbose:
         for part in calibration_tables(result, outcome.recording, outcome.verdict):
             text = "\n".join(wrapped(part)) if isinstance(part, str) else part

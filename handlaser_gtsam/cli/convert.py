@@ -12,7 +12,9 @@ from .options import QuietOption
 from .progress_line import Working
 
 if TYPE_CHECKING:
+    from ..files.logs.format import LogFormat
     from ..files.logs.report import LogReport
+    from ..model.sensor import Sensor
 
 LogArgument = Annotated[
     Path,
@@ -56,20 +58,36 @@ def _converted(
     from ..errors import InputError
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
-    from ..files.rig_toml import known_rig
     from ..files.writing import require_writable, same_file
 
-    known = known_rig(rig, {"range_mm": range_mm} | log.stated())
+    given, sensor, sigma = _known(log, rig, range_mm)
     if out is not None:
-        sources = (path, rig, known.log.readings, known.log.plane_file)
+        sources = (path, rig, given.readings, given.plane_file)
         if any(source is not None and same_file(out, source) for source in sources):
             raise InputError("the input itself as --out", "another file to write to", out)
         require_writable(out)
-    report = describe_log(path, known.log, known.sensor, known.noise.range_sigma)
+    report = describe_log(path, given, sensor, sigma)
     if out is not None:
         write_recording(out, report.recording)
     warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
     return Answer("", partial(print_wrapped, _lines(report, out)), warnings)
+
+
+def _known(
+    log: Log, rig: Path | None, range_mm: tuple[float, float] | None
+) -> "tuple[LogFormat, Sensor, float | None]":
+    """Return how the log is written, the sensor, and the standard deviation of a reading if known."""
+    from ..files.logs.format import LogFormat
+    from ..files.rig_log import with_stated
+    from ..model.sensor import Sensor
+
+    if rig is not None:
+        from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
+
+        known = known_rig(rig, {"range_mm": range_mm} | log.stated())
+        return known.log, known.sensor, known.noise.range_sigma
+    sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
+    return with_stated(LogFormat(), log.stated()), sensor, None
 
 
 def _lines(report: "LogReport", out: Path | None) -> list[str]:

@@ -113,23 +113,18 @@ def _recording(
     sensor: Sensor,
 ) -> Recording:
     rows = np.flatnonzero(chosen)
-    try:
-        return Recording(
-            log.R[rows],
-            log.t[rows],
-            mean.ranges[rows],
-            tuple(planes[i] for i in rows.tolist()),
-            log.beams,
-            tuple(log.names[i] for i in rows.tolist()),
-            log.ignored,
-            None if mean.samples is None else mean.samples[rows],
-            warnings,
-            min(0.0, sensor.range_min),
-        )
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, log.path) from error
+    return Recording(
+        log.R[rows],
+        log.t[rows],
+        mean.ranges[rows],
+        tuple(planes[i] for i in rows.tolist()),
+        log.beams,
+        tuple(log.names[i] for i in rows.tolist()),
+        log.ignored,
+        None if mean.samples is None else mean.samples[rows],
+        warnings,
+        min(0.0, sensor.range_min),
+    )
 
 
 def _planes(

@@ -11,23 +11,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from ...arrays import FloatArray
+from ...data.recording import LARGEST
 from ...errors import HandlaserError, InputError
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
-from .bag_types import LaserScan, PoseStamped, Range, Transforms
+from .bag_types import Bag, LaserScan, PoseStamped, Range, Transforms
 from .bag_types import Stamped as HasHeader
 from .conventions import LENGTHS
 from .format import LogFormat
 from .frames import Frames, Stamped, track_of_rows
+from .ros1_bag import Ros1Bag
 from .stands import Track
-
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
 
 Reading = Range | LaserScan
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
@@ -74,7 +73,7 @@ class BagContent:
 
 
 @contextmanager
-def opened(path: Path) -> "Iterator[AnyReader]":
+def opened(path: Path) -> Iterator[Bag]:
     """Open a bag; whatever rosbags says against it is an InputError.
 
     Raises
@@ -89,8 +88,12 @@ def opened(path: Path) -> "Iterator[AnyReader]":
             "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
         ) from error
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
+        if path.suffix.lower() == ".bag":
+            with path.open("rb") as file:
+                yield cast(Bag, Ros1Bag(path, file))
+        else:
+            with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+                yield cast(Bag, reader)
     except (HandlaserError, MemoryError):
         raise
     except Exception as error:  # the readers of rosbags have no common root
@@ -153,10 +156,7 @@ def _content(
             )
     if frames is None and not len(stamped.numbers):
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand", path)
-    try:
-        track = track_of_rows(stamped.rows()) if frames is None else frames.track()
-    except InputError as error:
-        raise InputError(error.found, error.expected, path) from error
+    track = track_of_rows(stamped.rows()) if frames is None else frames.track()
     words = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
     unused = tuple(name for name in topics if name not in wanted and not name_fault(name))
     return BagContent(track, beams, words, unused)
@@ -191,7 +191,8 @@ def _read(
                 raise InputError(found, f"ray {beam.ray}, of beam {beam.name}")
             least, most, d = scan.range_min, scan.range_max, float(scan.ranges[beam.ray])
             delay = beam.ray * scan.time_increment
-        if math.isfinite(d) and least <= d <= most:
+        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST
+        if known and (d > 0.0 or least < 0.0):
             beam.numbers.extend((time + delay, unit * d))
 
 

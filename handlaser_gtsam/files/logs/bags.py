@@ -71,15 +71,8 @@ def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
     content = read_bag(path, given)
     first = [beam.rows()[0, 0] for beam in content.beams]
     begin = min(float(content.track.time[0]), *map(float, first))
-    try:
-        lag = Lag(given.lag_s, 0.0)
-        if given.estimate_lag:
-            lag = _lag(content, given, begin)
-        log, stations = _stations(path, content, given, begin, lag.value)
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, path) from error
+    lag = _lag(content, given, begin) if given.estimate_lag else Lag(given.lag_s, 0.0)
+    log, stations = _stations(path, content, given, begin, lag.value)
     sigma = lag.sigma if given.estimate_lag else None
     report, chosen = assembled(log, given, known, (lag.value, sigma))
     doubts = refuse_wrong_convention(

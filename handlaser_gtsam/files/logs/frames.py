@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...data.recording import LARGEST
 from ...errors import InputError
 from ...text import shown, some
 from .bag_types import Quaternion, TransformStamped, Vector
@@ -35,14 +36,19 @@ class Stamped:
         Raises
         ------
         InputError
-            A quaternion that is none.
+            A quaternion that is none, or a position that is not finite.
         """
         x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, WIDTH)
         step = np.diff(x[:, 0])
         if (step <= 0.0).any():
             order = np.argsort(x[:, 0], kind="stable")
             x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
-        length = np.linalg.norm(x[:, 4:], axis=1)
+        with np.errstate(over="ignore"):  # an infinite length is refused like any other
+            length = np.linalg.norm(x[:, 4:], axis=1)
+        far = ~(np.abs(x[:, 1:4]) <= LARGEST).all(axis=1)
+        if far.any():
+            found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
+            raise InputError(found, f"metres, at most {LARGEST:.0f}")
         if not (np.abs(length - 1.0) <= 1e-3).all():  # nan, too
             worst = float(length[~(np.abs(length - 1.0) <= 1e-3)][0])
             raise InputError(f"a pose with a quaternion of length {worst:.6g}", "length 1")

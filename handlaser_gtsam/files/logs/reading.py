@@ -75,10 +75,15 @@ def describe_log(
     known = Known(sensor or Sensor(), range_sigma)
     if not path.exists():
         raise InputError("no such file", "a log", path)
-    if is_bag(path):
-        return describe_bag(path, given, known)
-    refuse_stated(given, OF_BAGS, "a table", path)
-    return _of_tables(path, given, known)
+    try:
+        if is_bag(path):
+            return describe_bag(path, given, known)
+        refuse_stated(given, OF_BAGS, "a table", path)
+        return _of_tables(path, given, known)
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise InputError(error.found, error.expected, path) from error
 
 
 def read_any(
