@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from .files.exports.export import ExportOptions as ExportOptions
     from .files.exports.export import export_text as export_text
     from .files.exports.export import write_export as write_export
+    from .files.logs.format import LogFormat as LogFormat
+    from .files.logs.reading import describe_log as describe_log
+    from .files.logs.reading import read_log as read_log
+    from .files.logs.report import LogReport as LogReport
     from .files.recording_csv import read_recording as read_recording
     from .files.recording_csv import write_recording as write_recording
     from .files.rig_toml import Rig as Rig
@@ -156,6 +160,9 @@ _NAMES = {
     "files.calibration_json": "write_calibration",
     "files.calibration_reading": "CalibrationFile read_calibration read_mounts",
     "files.exports.export": "ExportOptions export_text write_export",
+    "files.logs.format": "LogFormat",
+    "files.logs.reading": "describe_log read_log",
+    "files.logs.report": "LogReport",
     "files.recording_csv": "read_recording write_recording",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",

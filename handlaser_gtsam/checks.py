@@ -71,10 +71,14 @@ def require_names(kind: str, names: object) -> None:
     """
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise InputError(f"{shown(names)} for {kind}, one each", "a sequence of texts")
+    good: set[str] = set()
     for name in names:
+        if isinstance(name, str) and name in good:
+            continue
         fault = name_fault(name)
         if fault:
             raise InputError(f"{fault} as {kind}".replace(", as", " as"), A_NAME)
+        good.add(name)
 
 
 def number_array(name: str, values: ArrayLike, expected: str = "numbers") -> FloatArray:

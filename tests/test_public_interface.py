@@ -292,6 +292,7 @@ OPTIONS = (
     hl.IncrementalOptions,
     hl.LevenbergOptions,
     hl.Limits,
+    hl.LogFormat,
     hl.Noise,
     hl.ObservabilityOptions,
     hl.Sensor,

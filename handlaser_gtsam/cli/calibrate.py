@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument
+from .log_options import Log
+from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, logged
 from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
     from ..results.verdict import Verdict
@@ -110,10 +112,16 @@ class _Outcome:
     check: "CrossCheck | None"
     fed: "PlaneByPlane | None"
     advice: "Plan | None"
+    read: tuple[str, ...]
 
 
 def calibrate(
-    recording: RecordingArgument, given: Given, model: Model, manner: Manner, output: Output
+    recording: RecordingArgument,
+    given: Given,
+    log: Log,
+    model: Model,
+    manner: Manner,
+    output: Output,
 ) -> None:
     """Find the mount of every beam and every plane in RECORDING, with covariances.
 
@@ -122,7 +130,7 @@ def calibrate(
     larger than what the result states; 130 stopped by Ctrl-C.
     """
     with Working():
-        outcome = _calibrated(recording, given, model, manner, output)
+        outcome = _calibrated(recording, given.read(log), model, manner, output, given.rig)
         aloud = output.json_ or output.quiet
         answer = Answer(
             outcome.text,
@@ -133,28 +141,29 @@ def calibrate(
     answer.give(json=output.json_, quiet=output.quiet)
 
 
-def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: Output) -> _Outcome:
+def _calibrated(
+    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
+) -> _Outcome:
     """Calibrate, and write the result where it is asked for."""
     from .. import pipeline
     from ..files.calibration_json import calibration_text
-    from ..files.recording_csv import read_recording
     from ..files.writing import write_text
     from ..planning.advice import next_stations
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
-    output.check((path, given.rig))
+    output.check((path, rig_file, rig.log.readings, rig.log.plane_file))
     reading = output.reading
-    rig = given.read()
-    recording, fed = read_recording(path, rig.sensor), None
+    log, noise = logged(path, rig)
+    recording, fed = log.recording, None
     options = replace(model.options(rig), outliers=manner.outliers.value, loss=manner.loss.value)
     if manner.incremental:
         from .incremental import plane_by_plane
 
-        fed = plane_by_plane(recording, rig.noise, options)
+        fed = plane_by_plane(recording, noise, options)
         result, recording = fed.result, fed.recording
     else:
-        result = pipeline.calibrate(recording, rig.noise, options)
+        result = pipeline.calibrate(recording, noise, options)
     text = calibration_text(result, reading)
     if output.out is not None:
         write_text(output.out, text)
@@ -165,7 +174,7 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
     advice = None
     if not (output.json_ or output.quiet):
         advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
-    return _Outcome(result, recording, text, judged, check, fed, advice)
+    return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
 
 
 def _show(outcome: _Outcome, output: Output) -> None:
@@ -184,6 +193,8 @@ def _show(outcome: _Outcome, output: Output) -> None:
     )
     for line in [] if outcome.advice is None else advice_lines(outcome.advice):
         closing += wrapped(line, None, width)
+    if outcome.read:
+        closing += wrapped(f"log: {printable('; '.join(outcome.read))}", None, width)
     closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
     console = TableConsole(
         highlight=False, markup=False, width=None if sys.stdout.isatty() else width

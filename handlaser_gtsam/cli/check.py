@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import UNDETERMINED, Answer, print_wrapped
-from .options import JsonOption, RecordingArgument
+from .log_options import Log
+from .options import JsonOption, RecordingArgument, logged
 from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..files.rig_toml import Rig
 
 
 RigOption = Annotated[
@@ -20,23 +22,26 @@ RigOption = Annotated[
 ]
 
 
-def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
+def check(
+    recording: RecordingArgument, log: Log, rig: RigOption = None, json_: JsonOption = False
+) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
     Exit codes: 0 the motion determines everything, for beams and planes in general position; 2 bad
     input; 3 it leaves something open.
     """
     with Working():
-        answer = _checked(recording, None if json_ else rig)
+        answer = _checked(recording, log, rig, json=json_)
     answer.give(json=json_)
 
 
-def _checked(path: Path, rig: Path | None) -> Answer:
+def _checked(path: Path, log: Log, rig: Path | None, *, json: bool) -> Answer:
     from ..files.calibration_json import check_text
-    from ..files.recording_csv import read_recording
+    from ..files.rig_toml import known_rig
     from ..observability.motion import check_motion, lemma_words
 
-    recording = read_recording(path)
+    known = known_rig(rig, log.stated())
+    recording = logged(path, known)[0].recording
     found = check_motion(recording)
     lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
     lines += lemma_words(found, recording.beam_names)
@@ -46,19 +51,17 @@ def _checked(path: Path, rig: Path | None) -> Answer:
         failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
     else:
         lines.append("the motion determines everything, for beams and planes in general position")
-        lines += [] if rig is None else _next(recording, rig)
+        lines += [] if rig is None or json else _next(recording, known)
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
 
 
-def _next(recording: "Recording", path: Path) -> list[str]:
+def _next(recording: "Recording", rig: "Rig") -> list[str]:
     """Return the next best stations in words, after a calibration; nothing where there is none."""
     from ..estimation.options import CalibrationOptions
-    from ..files.rig_toml import read_rig
     from ..pipeline import calibrate
     from ..planning.advice import advice_lines, next_stations
 
-    rig = read_rig(path)
     found = calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
     plan = next_stations(found, rig.sensor, rig.workspace, rig.goal)
     return [] if plan is None else advice_lines(plan)

@@ -14,6 +14,10 @@ EXAMPLES = {
         "handlaser check recording.csv",
         "handlaser check recording.csv --rig rig.toml",
     ),
+    "convert": (
+        "handlaser convert recording.csv",
+        "handlaser convert recording.csv \\\n    --pose-format ros --out again.csv",
+    ),
     "export": (
         "handlaser export calibration.json --to kuka",
         "handlaser export calibration.json --to urdf \\\n    --link tool0 --out beams.urdf",

@@ -6,7 +6,7 @@ A verb takes a group as one argument; `expanded` gives the command line one opti
 import functools
 import inspect
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .log_level import LogLevel, LogLevelOption, logging_at
+from .log_options import Log
 
 if TYPE_CHECKING:
+    from ..data.noise import Noise
     from ..estimation.options import CalibrationOptions
+    from ..files.logs.report import LogReport
     from ..files.rig_toml import Rig
 
 
@@ -27,7 +30,13 @@ PosesChoice = StrEnum(
     "PosesChoice",
     {"auto": "auto", "exact": "exact", "marginalised": "marginalised", "estimated": "estimated"},
 )
-RecordingArgument = Annotated[Path, typer.Argument(help="Recording, CSV.", show_default=False)]
+RecordingArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="Recording, CSV; or a log of a robot controller, a spreadsheet or a bag (docs/logs.md).",
+        show_default=False,
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
 ]
@@ -65,11 +74,11 @@ class Given:
         float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
     ] = None
 
-    def read(self) -> "Rig":
+    def read(self, log: Log | None = None) -> "Rig":
         """Return the rig file with what the command line says instead."""
         from ..files.rig_toml import known_rig
 
-        return known_rig(self.rig, asdict(self))
+        return known_rig(self.rig, asdict(self) | ({} if log is None else log.stated()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +126,16 @@ class Model:
 
 def _with_log(log_level: LogLevelOption = None) -> None:
     """Carry the option that every verb has."""
+
+
+def logged(path: Path, rig: "Rig") -> "tuple[LogReport, Noise]":
+    """Return what is read from a recording or a log, and the noise with what its scatter says."""
+    from ..files.logs.reading import read_any
+
+    report, noise = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma), rig.noise
+    if rig.log.range_sigma_from_scatter and noise.range_sigma is None:
+        noise = replace(noise, range_sigma=report.scatter)
+    return report, noise
 
 
 def expanded(verb: Callable[..., None]) -> Callable[..., None]:

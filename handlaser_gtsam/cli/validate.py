@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import NOT_USABLE, Answer, print_wrapped
-from .options import Given, JsonOption, Model, RecordingArgument
+from .log_options import Log
+from .options import Given, JsonOption, Model, RecordingArgument, logged
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def validate(
     recording: RecordingArgument,
     against: Against,
     given: Given,
+    log: Log,
     model: Model,
     splits: Splits,
     json_: JsonOption = False,
@@ -59,19 +61,18 @@ def validate(
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
     """
     with Working():
-        answer = _answered(recording, against, given, model, splits)
+        answer = _answered(recording, against, given.read(log), model, splits)
     answer.give(json=json_)
 
 
-def _answered(path: Path, against: Against, given: Given, model: Model, splits: Splits) -> Answer:
+def _answered(path: Path, against: Against, rig: "Rig", model: Model, splits: Splits) -> Answer:
     from ..errors import InputError
-    from ..files.recording_csv import read_recording
 
     if against.calibration is not None and against.hold_out is not None:
         raise InputError("--calibration and --hold-out", "one of the two")
-    rig = given.read()
     options = model.options(rig)
-    recording = read_recording(path, rig.sensor)
+    report, noise = logged(path, rig)
+    recording, rig = report.recording, replace(rig, noise=noise)
     if against == Against():
         return _validated(recording, rig, options, splits)
     return _tested(recording, rig, options, against)
@@ -101,7 +102,6 @@ def _tested(
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
     from ..files.calibration_reading import read_mounts
-    from ..files.recording_csv import read_recording
     from ..files.validation_json import hold_out_text
     from ..model.sensor import within
     from ..results.significance import SINGLE_LEVEL
@@ -117,7 +117,7 @@ def _tested(
         mounts = read_mounts(against.calibration)
     else:
         mounts, noise = _mounts(recording, rig, options, noise)
-        recording = read_recording(against.hold_out or Path(), rig.sensor)
+        recording = logged(against.hold_out or Path(), rig)[0].recording
     found = hold_out(mounts, within(recording, rig.sensor), noise)
     failure = None
     if found.p_value < SINGLE_LEVEL:

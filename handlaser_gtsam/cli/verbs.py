@@ -7,6 +7,7 @@ import typer
 from .._version import __version__
 from .calibrate import calibrate
 from .check import check
+from .convert import convert
 from .examples import epilog
 from .export import export
 from .options import expanded
@@ -25,7 +26,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, export, plan, simulate, study, validate):
+for verb in (calibrate, check, convert, export, plan, simulate, study, validate):
     app.command(epilog=epilog(verb.__name__))(expanded(verb))
 
 

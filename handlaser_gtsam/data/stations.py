@@ -156,7 +156,7 @@ class _Samples:
         worth = np.ones(len(mean))
         if some.any():
             w2 = float(square[some].sum() / (number[some] - 1.0).sum())
-            worth[some] = _worth(number[some], w2, sigma)
+            worth[some] = worth_of_mean(number[some], w2, sigma)
         return mean, worth, agree, held & (self.count > 1)
 
     def first_of(self, agree: BoolArray) -> IntArray:
@@ -166,7 +166,7 @@ class _Samples:
         return np.asarray(rows[np.diff(self.key[rows], prepend=-1) != 0])
 
 
-def _worth(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
+def worth_of_mean(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
     """Return how many independent readings the mean of `number` samples of a variance is worth."""
     if sigma is None or scatter >= (SCATTERING * sigma) ** 2:
         return number

@@ -1,7 +1,8 @@
 """Recordings as CSV: one row a station.
 
 Columns: `plane` (label), optional `station` (unique label), `x, y, z, qx, qy, qz, qw` (world_T_hand,
-metres), then `range_NAME` for every beam (metres; empty = no reading). The separator is a comma, a
+metres), then `range_NAME` for every beam (metres; empty = no reading), and optional `samples_NAME`
+where readings are means: how many independent readings each is worth. The separator is a comma, a
 semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`. How lines
 become rows stands in `table`.
 """
@@ -14,23 +15,21 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.recording import LARGEST, Recording, first_repeated
-from ..data.screen import code_warning, coded_numbers
 from ..data.station_list import StationList
-from ..errors import CalibrationWarning, InputError
+from ..errors import InputError
 from ..model.sensor import Sensor
 from ..text import A_NAME, name_fault, some
+from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
-from .table import read_table
+from .table import column_numbers, read_table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-PREFIX = "range_"
+PREFIX, SAMPLES = "range_", "samples_"
 QUATERNION_TOLERANCE = 1e-3
-NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
-"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
 MISSPELT = 0.75
 """A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
 
@@ -58,10 +57,14 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         require_kind("sensor", sensor, Sensor)
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
-    if _used(table.frame.columns[-1]):
+    samples = {SAMPLES + beam for beam in beams} & set(table.frame.columns)
+    if _used(table.frame.columns[-1]) or table.frame.columns[-1] in samples:
         table.refuse_cut()
     rotation, position, planes, stations = stations_of(table)
-    ranges, warnings = _ranges(table, beams, sensor or Sensor())
+    columns = [PREFIX + beam for beam in beams]
+    ranges, coded = range_numbers(table, columns, sensor or Sensor())
+    cells = [table.frame[name] for name in columns]
+    warnings = code_warnings(cells, [[beam] for beam in beams], coded)
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
         rotation,
@@ -70,8 +73,9 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         planes,
         tuple(beams),
         stations,
-        tuple(name for name in table.frame.columns if not _used(name)),
-        warnings=warnings,
+        tuple(name for name in table.frame.columns if not _used(name) and name not in samples),
+        _samples(table, beams, ranges) if samples else None,
+        warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
     )
 
@@ -80,8 +84,13 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
     names = [PREFIX + beam for beam in recording.beam_names]
-    ranges = pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
-    write_text(path_of(path), station_columns(recording).hstack(ranges).write_csv())
+    table = station_columns(recording).hstack(
+        pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
+    )
+    if recording.samples is not None:
+        names = [SAMPLES + beam for beam in recording.beam_names]
+        table = table.hstack(pl.DataFrame(recording.samples, schema=names, orient="row"))
+    write_text(path_of(path), table.write_csv())
 
 
 def station_columns(stations: Recording | StationList) -> pl.DataFrame:
@@ -102,10 +111,10 @@ def stations_of(
     ------
     InputError
     """
-    planes = _labels(table, "plane")
+    planes = labels_of(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
-        stations = _labels(table, "station")
+        stations = labels_of(table, "station")
         _refuse_repeated(table, stations)
     position, rotation = _positions(table), _rotations(table)
     return rotation, position, planes, stations
@@ -137,7 +146,13 @@ def _check_header(table: _Table) -> list[str]:
     return beams
 
 
-def _labels(table: _Table, name: str) -> tuple[str, ...]:
+def labels_of(table: _Table, name: str) -> tuple[str, ...]:
+    """Return the labels in a column; refuse empty cells and what cannot be a name.
+
+    Raises
+    ------
+    InputError
+    """
     column = table.frame[name]
     table.refuse(column.is_null().to_numpy(), name, f"the label of the {name}")
     faults = [name_fault(label) for label in column]
@@ -151,72 +166,20 @@ def _used(column: str) -> bool:
     return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
 
 
-def column_numbers(
-    table: _Table, name: str, *, empty: bool = False, but: BoolArray | None = None
-) -> FloatArray:
-    """Return a column as finite floats, `but` some; NaN where a cell is empty and may be."""
-    text = table.frame[name]
-    values = text.cast(pl.Float64, strict=False).to_numpy().astype(np.float64)
-    wrong = ~np.isfinite(values)
-    if but is not None:
-        wrong &= ~but
-    if empty:
-        wrong &= ~text.is_null().to_numpy()
-    expected = "a finite number" + (" or an empty cell" if empty else "")
-    if wrong.any() and "," in (text[int(wrong.argmax())] or ""):
-        expected += "; write decimals with a point"
-    table.refuse(wrong, name, expected)
-    return values
-
-
-def _ranges(
-    table: _Table, beams: list[str], sensor: Sensor
-) -> tuple[FloatArray, tuple[CalibrationWarning, ...]]:
-    """Return the ranges, NaN where there is no reading, and which codes stood for that."""
-    columns = [table.frame[PREFIX + beam] for beam in beams]
-    words = np.column_stack([_word_codes(column) for column in columns])
-    d = np.column_stack(
-        [
-            column_numbers(table, PREFIX + beam, empty=True, but=word)
-            for beam, word in zip(beams, words.T, strict=True)
-        ]
-    )
-    d[words] = np.nan
-    with np.errstate(invalid="ignore"):
-        impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
-        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST)
-    coded = impossible & sensor.range_stated
-    coded |= coded_numbers(d, impossible)
-    least = "a range" if sensor.range_min < 0.0 else "a positive range"
-    expected = (
-        f"{least} in metres up to {LARGEST:.0f}, or an empty cell for no reading; if the sensor can "
-        "read this, or says so that it reads nothing, state its range: range_mm in the rig file"
-    )
-    for i, beam in enumerate(beams):
-        table.refuse((impossible & ~coded)[:, i], PREFIX + beam, expected)
-    warnings = _code_warnings(columns, beams, coded | words)
-    d[coded] = np.nan
-    return d, warnings
-
-
-def _word_codes(column: pl.Series) -> BoolArray:
-    """Return which cells say in a word that there is no reading."""
-    word = column.str.to_lowercase().str.strip_chars_start("+-")
-    return np.asarray(word.is_in(NO_READING).fill_null(value=False).to_numpy(), dtype=bool)
-
-
-def _code_warnings(
-    columns: list[pl.Series], beams: list[str], coded: BoolArray
-) -> tuple[CalibrationWarning, ...]:
-    """Return a warning for every code, as it is written, with its beams and its count."""
-    found: dict[str, list[str]] = {}
-    for i, beam in enumerate(beams):
-        for cell in columns[i].filter(pl.Series(coded[:, i])).to_list():
-            found.setdefault(str(cell), []).append(beam)
-    return tuple(
-        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
-        for cell, whose in found.items()
-    )
+def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
+    """Return how many readings each is worth: one where the cell or the column is missing."""
+    found = np.ones(ranges.shape)
+    for i, name in enumerate(SAMPLES + beam for beam in beams):
+        if name not in table.frame.columns:
+            continue
+        number = column_numbers(table, name, empty=True)
+        table.refuse(
+            (number < 1.0) | (number > LARGEST),
+            name,
+            "how many readings the range is worth, from 1",
+        )
+        found[:, i] = np.where(np.isnan(number), 1.0, number)
+    return found
 
 
 def _positions(table: _Table) -> FloatArray:

@@ -6,6 +6,7 @@
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
+    [log]     how logs are written, see `rig_log`
     [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
 
 Every table is optional, and so is every field but those that say where something is.
@@ -29,6 +30,8 @@ from ..planning.plate import Placement
 from ..planning.workspace import Workspace
 from ..results.limits import Limits
 from .checked_text import FileRecord, read_checked, square_matrix
+from .logs.format import LogFormat
+from .rig_log import LogTable, with_stated
 from .rig_planning import BlindTable, GoalTable, PlacementTable, RobotTable, WorkspaceTable
 from .writing import path_of, write_text
 
@@ -61,6 +64,7 @@ class _Rig(FileRecord):
     noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
     limits: _Limits = _Limits()
+    log: LogTable = LogTable()
     workspace: WorkspaceTable | None = None
     robot: RobotTable | None = None
     blind: BlindTable | None = None
@@ -85,6 +89,8 @@ class Rig:
         What to plan for; the limits stand in it where it states nothing else.
     placement : Placement
         How the plate can be put anew.
+    log : LogFormat
+        How logs are written.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -94,6 +100,7 @@ class Rig:
     bounds: Bounds | None = None
     goal: Goal = field(default_factory=Goal)
     placement: Placement = field(default_factory=Placement)
+    log: LogFormat = field(default_factory=LogFormat)
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -126,7 +133,8 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
     for name, table in (("noise", rig.noise), ("sensor", rig.sensor)):
         own = {field: stated[field] for field in type(table).model_fields if field in stated}
         tables[name] = table.model_copy(update=own)
-    return _to_si(rig.model_copy(update=tables), Path() if path is None else path.parent)
+    found = _to_si(rig.model_copy(update=tables), Path() if path is None else path.parent)
+    return replace(found, log=with_stated(found.log, given))
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
@@ -168,6 +176,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         None if rig.blind is None else rig.blind.to_si(),
         rig.goal.to_si().within(limits),
         rig.placement.to_si(),
+        rig.log.to_format(folder),
     )
 
 

@@ -13,8 +13,8 @@ import polars as pl
 from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.station_list import StationList
-from .recording_csv import POSE, column_numbers, station_columns, stations_of
-from .table import Table, read_table
+from .recording_csv import POSE, station_columns, stations_of
+from .table import Table, column_numbers, read_table
 from .writing import path_of, write_text
 
 JOINT = "joint_"

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ..arrays import BoolArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import InputError
 from ..text import LONGEST_NAME, name_fault, shown
@@ -42,7 +42,7 @@ class Table:
     Attributes
     ----------
     frame : polars.DataFrame
-        Of strings; its columns have the names of the header.
+        Of strings, or of numbers where the file has numbers; its columns have the names of the header.
     path : Path
     header_line : int
     lines : (M,)
@@ -86,8 +86,8 @@ class Table:
         self.refuse(last, name, "a line end; add one if the line is whole", found)
 
 
-def _cell(text: str | None) -> str:
-    return "an empty cell" if text is None else shown(text)
+def _cell(content: object) -> str:
+    return "an empty cell" if content is None else shown(content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,19 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
         No readable file, bytes that are no UTF-8, control characters, a stray quote, a row that has not
         as many cells as the header, or a header whose names cannot be printed or stand twice.
     """
-    lines = _lines(_text(path), path, known)
+    return table_of(table_text(path), path, known)
+
+
+def table_of(
+    text: str, path: Path, known: Collection[str] = (), separator: str | None = None
+) -> Table:
+    """Take a text apart as `read_table` does, at a separator that is given or told by `known`.
+
+    Raises
+    ------
+    InputError
+    """
+    lines = _lines(text, path, known, separator)
     if len(lines.text) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells = [_split(lines, index) for index in range(len(lines.text))]
@@ -136,8 +148,32 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
     return Table(frame, path, lines.numbers[0], numbers, open_ended)
 
 
-def _text(path: Path) -> str:
-    """Return the text of a file, whose lines end with a line feed."""
+def column_numbers(
+    table: Table, name: str, *, empty: bool = False, but: BoolArray | None = None
+) -> FloatArray:
+    """Return a column as finite floats, `but` some; NaN where a cell is empty and may be."""
+    cells = table.frame[name]
+    values = cells.cast(pl.Float64, strict=False).to_numpy().astype(np.float64)
+    wrong = ~np.isfinite(values)
+    if but is not None:
+        wrong &= ~but
+    if empty:
+        wrong &= ~cells.is_null().to_numpy()
+    expected = "a finite number" + (" or an empty cell" if empty else "")
+    if wrong.any() and "," in str(cells[int(wrong.argmax())]):
+        expected += "; write decimals with a point"
+    table.refuse(wrong, name, expected)
+    return values
+
+
+def table_text(path: Path) -> str:
+    """Return the text of a file, whose lines end with a line feed.
+
+    Raises
+    ------
+    InputError
+        No readable file, bytes that are no UTF-8, or control characters.
+    """
     text = read_text(path, "a recording")
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     if "\n" not in text:
@@ -159,11 +195,11 @@ def _refuse_control(text: str, path: Path) -> None:
         raise InputError("a carriage return within a line", expected, path, line)
 
 
-def _lines(text: str, path: Path, known: Collection[str]) -> _Lines:
+def _lines(text: str, path: Path, known: Collection[str], separator: str | None) -> _Lines:
     """Return the lines with anything but blanks and separators: the header, then the rows."""
     lines = text.split("\n")
     header = next((line for line in lines if line.strip()), "")
-    separator = _separator(header, set(known))
+    separator = separator or _separator(header, set(known))
     blank = BLANK + separator
     kept = [index for index, line in enumerate(lines) if line.strip(blank)]
     if not kept:

@@ -51,9 +51,9 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     mistakes = [*_promising(recording, terms), *_swaps(recording, terms)]
     if not mistakes:
         return ()
-    now, found = _misfit(recording, terms, "normal"), []
+    now, found = misfit(recording, terms, "normal"), []
     for words, undone, effort in mistakes:
-        ratio = now / max(_misfit(undone(recording), terms, effort), 1e-30)
+        ratio = now / max(misfit(undone(recording), terms, effort), 1e-30)
         if ratio >= MUCH_BETTER:
             found.append((ratio, words))
     return tuple(
@@ -67,14 +67,14 @@ def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, 
 
     Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
     """
-    one = _one_beam(recording)
-    now = _misfit(one, terms, "glance")
+    one = one_beam(recording)
+    now = misfit(one, terms, "glance")
     for words, undone in HYPOTHESES.items():
-        if now >= PROMISING * _misfit(undone(one), terms, "glance"):
+        if now >= PROMISING * misfit(undone(one), terms, "glance"):
             yield words, undone, "normal"
 
 
-def _one_beam(recording: Recording) -> Recording:
+def one_beam(recording: Recording) -> Recording:
     """Return the readings of the beam with most of them, where they suffice."""
     seen = ~np.isnan(recording.ranges)
     beam = int(np.argmax(seen.sum(axis=0)))
@@ -95,14 +95,14 @@ def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effo
     pairs = list(combinations(range(len(beams)), 2))
     if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
         return
-    now = _misfit(recording, terms, "glance")
+    now = misfit(recording, terms, "glance")
     for group in range(min(GROUPS, planes)):
         out = np.arange(planes) % GROUPS == group
         try:
             rest = recording.part(~out[recording.plane_of_station])
         except InputError:
             continue
-        if rest.beam_names != beams or now < PROMISING * _misfit(rest, terms, "glance"):
+        if rest.beam_names != beams or now < PROMISING * misfit(rest, terms, "glance"):
             continue
         for plane, (i, j) in product(np.flatnonzero(out).tolist(), pairs):
             name = recording.plane_names[plane]
@@ -118,7 +118,7 @@ def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
     return replace(recording, ranges=ranges)
 
 
-def _misfit(recording: Recording, terms: int, effort: Effort) -> float:
+def misfit(recording: Recording, terms: int, effort: Effort) -> float:
     """Return the mean squared residual in parts of the variance of the readings: no unit matters."""
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))

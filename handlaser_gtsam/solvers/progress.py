@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Phase = Literal[
-    "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes"
+    "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes", "read"
 ]
 
 
@@ -38,7 +38,8 @@ class Progress:
     phase : str
         `search`: of a start and of the readings that agree; `solve`: the joint solution; `scales`:
         unknown standard deviations; `tests`: for systematic errors; `leave-out`, `hold-out`,
-        `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session.
+        `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session;
+        `read`: the messages of a bag.
     done, total : int
         Parts that are finished, and all of them; zero where they are not counted.
     name : str

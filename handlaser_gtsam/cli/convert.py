@@ -1,0 +1,102 @@
+"""handlaser convert: a log becomes a recording in CSV."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .answer import Answer, print_wrapped
+from .log_options import Log
+from .options import QuietOption
+from .progress_line import Working
+
+if TYPE_CHECKING:
+    from ..files.logs.format import LogFormat
+    from ..files.logs.report import LogReport
+    from ..model.sensor import Sensor
+
+LogArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="Log: CSV, TSV, XLSX, Parquet, JSON Lines, or a ROS 1, ROS 2 or MCAP bag.",
+        show_default=False,
+    ),
+]
+
+
+def convert(
+    log_file: LogArgument,
+    log: Log,
+    out: Annotated[
+        Path | None,
+        typer.Option(readable=False, help="Write the recording to this CSV file; else only say."),
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="Rig file, TOML: table [log], and the sensor's range.")
+    ] = None,
+    range_mm: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn the log of a robot controller, a spreadsheet or a bag into a recording.
+
+    Example: handlaser convert log.csv --pose-format kuka --range-units mm --out recording.csv
+
+    Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
+    """
+    with Working():
+        answer = _converted(log_file, log, out, rig, range_mm)
+    answer.give(json=False, quiet=quiet)
+
+
+def _converted(
+    path: Path, log: Log, out: Path | None, rig: Path | None, range_mm: tuple[float, float] | None
+) -> Answer:
+    from ..errors import InputError
+    from ..files.logs.reading import describe_log
+    from ..files.recording_csv import write_recording
+    from ..files.writing import require_writable, same_file
+
+    given, sensor, sigma = _known(log, rig, range_mm)
+    if out is not None:
+        sources = (path, rig, given.readings, given.plane_file)
+        if any(source is not None and same_file(out, source) for source in sources):
+            raise InputError("the input itself as --out", "another file to write to", out)
+        require_writable(out)
+    report = describe_log(path, given, sensor, sigma)
+    if out is not None:
+        write_recording(out, report.recording)
+    warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
+    return Answer("", partial(print_wrapped, _lines(report, out)), warnings)
+
+
+def _known(
+    log: Log, rig: Path | None, range_mm: tuple[float, float] | None
+) -> "tuple[LogFormat, Sensor, float | None]":
+    """Return how the log is written, the sensor, and the standard deviation of a reading if known."""
+    from ..files.logs.format import LogFormat
+    from ..files.rig_log import with_stated
+    from ..model.sensor import Sensor
+
+    if rig is not None:
+        from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
+
+        known = known_rig(rig, {"range_mm": range_mm} | log.stated())
+        return known.log, known.sensor, known.noise.range_sigma
+    sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
+    return with_stated(LogFormat(), log.stated()), sensor, None
+
+
+def _lines(report: "LogReport", out: Path | None) -> list[str]:
+    from ..text import printable, some
+
+    lines = list(report.lines)
+    ignored = report.recording.ignored_columns
+    if ignored:
+        lines.append(f"not used: {some(ignored, 8)}")
+    if out is not None:
+        lines.append(f"wrote {printable(str(out))}")
+    return [printable(line) for line in lines]

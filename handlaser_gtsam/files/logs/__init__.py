@@ -1,0 +1,1 @@
+"""Logs of robot controllers, spreadsheets and bags, read as recordings."""

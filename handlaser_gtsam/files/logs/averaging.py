@@ -1,0 +1,137 @@
+r"""Repeated readings of a station become one, and their scatter the sensor's sigma.
+
+With n_g readings d of a station and beam g around their mean m_g, the variance of one reading is
+
+    sigma^2 = sum_g sum_i (d_gi - m_g)^2 / sum_g (n_g - 1).
+
+The mean of n independent readings has the variance sigma^2 / n, and the median about
+(pi / 2) sigma^2 / n for three or more (Kendall and Stuart, The Advanced Theory of Statistics, 10.10).
+Around medians, sigma is 1.4826 times the median of |d_gi - m_g| sqrt(n_g / (n_g - 1)): one wild
+reading in a station moves neither.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...data.stations import HELD, worth_of_mean
+from .format import Average
+
+MEDIAN_TO_SIGMA = 1.4826
+LEAST = 3
+"""So many readings have a median that is not their mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Readings one by one: station (N,), beam (N,), value (N,) [m]."""
+
+    station: IntArray
+    beam: IntArray
+    value: FloatArray
+
+    @classmethod
+    def of_rows(cls, station: IntArray, d: FloatArray) -> "Samples":
+        """Return the readings of a table d (M, B) whose rows belong to stations (M,), -1 for none."""
+        row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
+        return cls(station[row], beam.astype(np.intp), d[row, beam])
+
+
+@dataclass(frozen=True, slots=True)
+class Averaged:
+    """Means or medians.
+
+    Attributes
+    ----------
+    ranges : (S, B)
+        [m]; NaN where there is no reading.
+    samples : (S, B) or None
+        How many independent readings each is worth; None where nothing is averaged.
+    scatter : float or None
+        Standard deviation of one reading [m].
+    scatter_of : (B,)
+        Of each beam; NaN where none repeats.
+    repeated : int
+        Readings that were averaged.
+    """
+
+    ranges: FloatArray
+    samples: FloatArray | None
+    scatter: float | None
+    scatter_of: FloatArray
+    repeated: int
+
+
+def averaged(
+    given: Samples, shape: tuple[int, int], how: Average, sigma: float | None = None
+) -> Averaged:
+    """Average the readings of each of S stations and B beams.
+
+    Parameters
+    ----------
+    given : Samples
+    shape : (S, B)
+    how : {"mean", "median"}
+    sigma : float, optional
+        Standard deviation of a reading, if it is known [m]: what of it does not scatter is common
+        to all readings of a station, and is not averaged away.
+    """
+    ranges, none = np.full(shape, np.nan), np.full(shape[1], np.nan)
+    key = given.station * shape[1] + given.beam
+    if not len(key) or np.bincount(key).max() == 1:
+        ranges.ravel()[key] = given.value
+        return Averaged(ranges, None, None, none, 0)
+    order = np.lexsort((given.value, key))
+    key, value = key[order], given.value[order]
+    start = np.flatnonzero(np.diff(key, prepend=-1))
+    count = np.diff(np.append(start, len(key)))
+    middle = _middles(value, start, count, how)
+    ranges.ravel()[key[start]] = middle
+    group = np.repeat(np.arange(len(start)), count)
+    off = value - middle[group]
+    held = np.maximum.reduceat(np.abs(off), start) <= HELD
+    several = (count > 1) & ~held
+    beam = key[start] % shape[1]
+    each = [_scatter(off, count, group, several & (beam == b), how) for b in range(shape[1])]
+    scatter = _scatter(off, count, group, several, how)
+    samples = np.ones(shape)
+    samples.ravel()[key[start[several]]] = _worth(count[several], how, scatter, sigma)
+    return Averaged(
+        ranges,
+        samples if (samples != 1.0).any() else None,
+        None if math.isnan(scatter) else scatter,
+        np.array(each),
+        int(count[count > 1].sum()),
+    )
+
+
+def _worth(count: IntArray, how: Average, scatter: float, sigma: float | None) -> FloatArray:
+    """Return how many independent readings the mean or median of so many is worth."""
+    number = count.astype(np.float64)
+    if how == "median":
+        number = np.where(number >= LEAST, np.maximum(2.0 * number / math.pi, 1.0), number)
+    return number if math.isnan(scatter) else worth_of_mean(number, scatter**2, sigma)
+
+
+def _middles(value: FloatArray, start: IntArray, count: IntArray, how: Average) -> FloatArray:
+    """Return the mean or the median of each group of sorted values."""
+    if how == "median":
+        return np.asarray(0.5 * (value[start + (count - 1) // 2] + value[start + count // 2]))
+    first = value[start]  # subtracted, so that the mean of equal readings is that reading
+    total = np.add.reduceat(value - np.repeat(first, count), start)
+    return np.asarray(first + total / count)
+
+
+def _scatter(
+    off: FloatArray, count: IntArray, group: IntArray, chosen: np.ndarray, how: Average
+) -> float:
+    """Return the standard deviation of one reading in the groups that are chosen; NaN without any."""
+    rows = chosen[group]
+    if not rows.any():
+        return math.nan
+    n = count[group[rows]]
+    if how == "mean":
+        return math.sqrt(float((off[rows] ** 2).sum()) / float((count[chosen] - 1).sum()))
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))

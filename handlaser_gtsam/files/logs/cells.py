@@ -1,0 +1,124 @@
+"""Columns of a log as arrays: poses, times, labels."""
+
+import numpy as np
+import polars as pl
+
+from ...arrays import FloatArray
+from ...data.recording import LARGEST
+from ...errors import CalibrationWarning, InputError
+from ...text import A_NAME, name_fault
+from ..table import Table, column_numbers
+from .conventions import Convention
+from .format import LogFormat, convention_of
+from .poses import faults
+
+PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
+"""Names of ASCII, which most are, need no closer look."""
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def pose_numbers(
+    table: Table, columns: tuple[str, ...], given: LogFormat
+) -> tuple[FloatArray, tuple[CalibrationWarning, ...]]:
+    """Return the numbers (M, k) of poses, and what was doubtful of them but stated.
+
+    Raises
+    ------
+    InputError
+        A cell that is no number, or numbers that can hardly be under the convention.
+    """
+    x = np.column_stack([column_numbers(table, name) for name in columns])
+    for i, name in enumerate(columns):
+        table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST, name, "a number of a pose")
+    return x, doubts(table, x, columns, convention_of(given), as_stated=given.as_stated)
+
+
+def doubts(
+    table: Table,
+    x: FloatArray,
+    columns: tuple[str, ...],
+    convention: Convention,
+    *,
+    as_stated: bool,
+) -> tuple[CalibrationWarning, ...]:
+    """Refuse numbers x (M, k) of poses that cannot be; warn of those that are doubtful but stated."""
+    found = []
+    for fault in faults(x, convention):
+        if not fault.wrong.any():
+            continue
+        if not (fault.doubt and as_stated):
+            names = columns[fault.numbers]
+            where = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+            insist = "; or --as-stated if it is right" if fault.doubt else ""
+            table.refuse(fault.wrong, where, fault.expected + insist, fault.found)
+        words = f"{fault.found}, as stated; expected {fault.expected}"
+        found.append(CalibrationWarning("pose-convention", words))
+    return tuple(found)
+
+
+def times(table: Table, column: str, given: LogFormat) -> FloatArray:
+    """Return times (M,) [s]; text in the form of ISO 8601 is read, too.
+
+    Raises
+    ------
+    InputError
+    """
+    cells = table.frame[column]
+    unit = TIME_UNITS[given.time_units]
+    if cells.dtype == pl.String:
+        dates = _dates(cells)
+        if dates is not None:
+            return dates
+    return np.asarray(unit * column_numbers(table, column))
+
+
+def _dates(cells: pl.Series) -> FloatArray | None:
+    """Return texts as times [s]; None where they are no dates."""
+    try:
+        dates = cells.str.to_datetime(time_unit="ns", time_zone="UTC")
+    except pl.exceptions.PolarsError:
+        return None
+    if dates.is_null().any():
+        return None
+    return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+
+
+def labels(table: Table, column: str) -> list[str]:
+    """Return the labels in a column, numbers as text.
+
+    Raises
+    ------
+    InputError
+        An empty cell, or what cannot be a name.
+    """
+    cells = table.frame[column]
+    table.refuse(cells.is_null().to_numpy(), column, "a label")
+    text = _text(cells)
+    strange = text.filter(~text.str.contains(PLAIN))
+    faults = {name: name_fault(name) for name in strange.unique().to_list()}
+    wrong = {name: fault for name, fault in faults.items() if fault}
+    if wrong:
+        rows = text.is_in(list(wrong)).to_numpy()
+        first = text[int(rows.argmax())]
+        table.refuse(rows, column, A_NAME, wrong[first].rstrip(","))
+    return list(text.to_list())
+
+
+def _text(cells: pl.Series) -> pl.Series:
+    """Return labels as text: 3.0 of a workbook is 3."""
+    if cells.dtype == pl.String:
+        return cells
+    if cells.dtype.is_float() and (cells == cells.round()).all():
+        return cells.cast(pl.Int64).cast(pl.String)
+    return cells.cast(pl.String)
+
+
+def require_increasing(name: str, t: FloatArray, table: Table, column: str) -> None:
+    """Refuse times that go back."""
+    back = np.concatenate(([False], np.diff(t) < 0.0))
+    table.refuse(back, column, f"times of {name} that do not go back")
+
+
+def no_such(what: str, expected: str, table: Table) -> InputError:
+    """Return the error for something that a table lacks."""
+    return InputError(what, expected, table.path, table.header_line or None)

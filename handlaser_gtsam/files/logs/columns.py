@@ -1,0 +1,257 @@
+"""Which column of a log is what: by its usual name, or as the user says."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ...errors import InputError
+from ...text import A_NAME, name_fault, shown, some
+from ..table import Table
+from .conventions import FORMATS, Convention
+from .format import LogFormat, convention_of
+
+POSITIONS = (
+    ("x", "y", "z"),
+    ("tx", "ty", "tz"),
+    ("px", "py", "pz"),
+    ("pos_x", "pos_y", "pos_z"),
+    ("position.x", "position.y", "position.z"),
+    ("pose.position.x", "pose.position.y", "pose.position.z"),
+    ("translation.x", "translation.y", "translation.z"),
+    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
+)
+UNIT_IN_NAME = re.compile(r"[\s_]*[\[(]\s*(mm|m|deg|°|rad|s|ms|us|ns)\s*[\])]$|_(mm|m|deg|rad)$")
+"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`."""
+TIMES = ("time", "timestamp", "stamp", "t", "time_s")
+RANGE = "range_"
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a table by what they are; empty where there are none.
+
+    Attributes
+    ----------
+    pose : names
+        In the order of the numbers of a pose.
+    beams : {beam: column}
+        Of a wide table.
+    beam, range : str
+        Of a long table.
+    plane, station, time : str
+    """
+
+    pose: tuple[str, ...]
+    beams: dict[str, str]
+    beam: str
+    range: str
+    plane: str
+    station: str
+    time: str
+
+    @property
+    def used(self) -> set[str]:
+        """The names of all of them."""
+        single = {self.beam, self.range, self.plane, self.station, self.time} - {""}
+        return {*self.pose, *self.beams.values(), *single}
+
+
+def plain(name: str) -> str:
+    """Return a column's name in lower case without a unit."""
+    return UNIT_IN_NAME.sub("", name.strip().lower()).strip()
+
+
+def unit_of(name: str) -> str:
+    """Return the unit in a column's name; empty if there is none."""
+    found = UNIT_IN_NAME.search(name.strip().lower())
+    unit = "" if found is None else found[1] or found[2]
+    return "deg" if unit == "°" else unit
+
+
+def columns_of(
+    table: Table, given: LogFormat, *, poses: bool = True, readings: bool = True
+) -> Columns:
+    """Return the columns of a table that has poses, readings, or both.
+
+    Raises
+    ------
+    InputError
+        A column that is needed is not there, or not the only one of its name.
+    """
+    names = table.frame.columns
+    pose = _pose_columns(table, given) if poses else ()
+    other = not poses  # the second file
+    station = (given.readings_station_column if other else "") or given.station_column
+    time = (given.readings_time_column if other else "") or given.time_column
+    beams = _beam_columns(table, given) if readings and not given.beam_column else {}
+    if readings and given.beam_column:
+        for name in (given.beam_column, given.range_column):
+            _require(table, name)
+    _check_units(table, pose, [*beams.values(), given.range_column], given)
+    return Columns(
+        pose,
+        beams,
+        given.beam_column if readings else "",
+        given.range_column if readings else "",
+        _named(table, given.plane_column, ("plane",)),
+        _named(table, station, ("station",)),
+        _named(table, time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
+    )
+
+
+def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
+    convention, names = convention_of(given), table.frame.columns
+    if given.pose_columns:
+        found = [part for one in given.pose_columns for part in _expanded(table, one)]
+        if len(found) not in convention.numbers:
+            counts = " or ".join(map(str, convention.numbers))
+            raise InputError(
+                f"{len(found)} pose columns",
+                f"{counts}, for poses of {convention.words}",
+                table.path,
+            )
+        return tuple(found)
+    position = () if convention.is_matrix else _first_found(table, POSITIONS)
+    rotation = _first_found(table, convention.columns)
+    if rotation and (position or convention.is_matrix):
+        return (*position, *rotation)
+    others = formats_in(names)
+    what = f"{given.pose_format or given.rotation or 'ros'}: {convention.words}"
+    looked = "position x, y, z" if rotation else _usual(convention)
+    hint = f"; these are columns as of --pose-format {'|'.join(others)}" if others else ""
+    raise InputError(
+        f"no columns of poses of {what} ({looked}) among {_short(names)}{hint}",
+        "those, or their names by --pose-columns, or the right --pose-format",
+        table.path,
+        table.header_line or None,
+    )
+
+
+def _usual(convention: Convention) -> str:
+    first = convention.columns[0] if convention.columns else ()
+    return some(first, 8) or "no usual names"
+
+
+def formats_in(names: Sequence[str]) -> list[str]:
+    """Return the formats whose columns of rotations are among some names."""
+    return [name for name, one in FORMATS.items() if _present(names, one)]
+
+
+def _present(names: Sequence[str], convention: Convention) -> bool:
+    """Tell whether columns of a rotation are there."""
+    lower = {plain(name) for name in names}
+    return any(set(spelling) <= lower for spelling in convention.columns)
+
+
+def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the columns of the first spelling that is there as a whole."""
+    for spelling in spellings:
+        found = [_alike(table.frame.columns, (name,)) for name in spelling]
+        if not all(found):
+            continue
+        for name, columns in zip(spelling, found, strict=True):
+            if len(columns) > 1:
+                raise InputError(
+                    f"several columns that may be {name}: {_short(columns)}",
+                    "one of them, by --pose-columns",
+                    table.path,
+                    table.header_line or None,
+                )
+        return tuple(columns[0] for columns in found)
+    return ()
+
+
+def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    """Return the columns that have one of the wanted names; exactly so if there are such."""
+    exact = [name for name in names if name in wanted]
+    return exact or [name for name in names if plain(name) in wanted]
+
+
+def _expanded(table: Table, name: str) -> list[str]:
+    """Return a column, or the columns name[0], name[1], ... of an array."""
+    names = table.frame.columns
+    if name in names:
+        return [name]
+    parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
+    if parts:
+        return parts
+    _require(table, name)
+    return []
+
+
+def _require(table: Table, name: str) -> None:
+    if name not in table.frame.columns:
+        raise InputError(
+            f"no column {shown(name)} among {_short(table.frame.columns)}",
+            "the name of a column as the header has it",
+            table.path,
+            table.header_line or None,
+        )
+
+
+def _named(table: Table, stated: str, usual: Sequence[str]) -> str:
+    """Return the column that is stated, or the one of a usual name, or an empty text."""
+    if stated:
+        _require(table, stated)
+        return stated
+    found = _alike(table.frame.columns, usual)
+    return found[0] if found else ""
+
+
+def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
+    """Return the columns of ranges by the names of beams."""
+    found: dict[str, str] = {}
+    pairs = [_beam_of(one, table.frame.columns) for one in given.range_columns]
+    if not pairs:
+        columns = [name for name in table.frame.columns if name.lower().startswith(RANGE)]
+        pairs = [(UNIT_IN_NAME.sub("", name[len(RANGE) :]), name) for name in columns]
+    for beam, column in pairs:
+        _require(table, column)
+        fault = name_fault(beam).rstrip(",") or (f"beam {beam!r} twice" if beam in found else "")
+        if fault:
+            expected = f"one column a beam: {A_NAME}"
+            raise InputError(fault, expected, table.path, table.header_line or None, column)
+        found[beam] = column
+    if not found:
+        raise InputError(
+            f"no column of ranges among {_short(table.frame.columns)}",
+            "range_NAME for every beam, or --range-columns, or --beam-column and --range-column",
+            table.path,
+            table.header_line or None,
+        )
+    return found
+
+
+def _beam_of(text: str, names: Sequence[str]) -> tuple[str, str]:
+    """Return beam and column of `BEAM=COLUMN` or `COLUMN`."""
+    beam, equals, column = text.partition("=")
+    if equals and text not in names:
+        return beam.strip(), column.strip()
+    return UNIT_IN_NAME.sub("", text.strip()).removeprefix(RANGE), text
+
+
+def _check_units(
+    table: Table, pose: Sequence[str], ranges: Sequence[str], given: LogFormat
+) -> None:
+    """Refuse columns whose names say another unit than is stated."""
+    convention = convention_of(given)
+    count = 0 if convention.is_matrix else 3
+    wanted = [
+        *((name, convention.units, ("m", "mm"), "--units") for name in pose[:count]),
+        *((name, convention.angles, ("deg", "rad"), "--angles") for name in pose[count:]),
+        *((name, given.range_units, ("m", "mm"), "--range-units") for name in ranges),
+    ]
+    for name, unit, units, option in wanted:
+        stated = unit_of(name)
+        if stated in units and stated != unit and not given.as_stated:
+            raise InputError(
+                f"the unit {stated} in the name of the column, which is read as {unit}",
+                f"{option} {stated}; or --as-stated if the name is wrong",
+                table.path,
+                table.header_line or None,
+                name,
+            )
+
+
+def _short(names: Sequence[str]) -> str:
+    return some([name[:40] for name in names], 12)

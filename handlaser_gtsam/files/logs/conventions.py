@@ -1,0 +1,203 @@
+r"""How controllers write poses: units, and what the numbers of a rotation mean.
+
+A rotation is spelled `xyzw` or `wxyz` (quaternion), `rotvec` (axis times angle), `matrix` or
+`matrix-columns` (a homogeneous matrix, row by row or column by column), or as SciPy spells Euler
+angles: three letters, in lower case about fixed axes and in upper case about moving ones, so that
+
+    'xyz', [a, b, c]:  R = Rz(c) Ry(b) Rx(a)        'ZYX', [a, b, c]:  R = Rz(a) Ry(b) Rx(c)
+
+KUKA's A B C and FANUC's W P R are the same matrix with the numbers reversed. Sources: the manuals of
+the controllers, as collected in the table of the how-to page (docs/logs.md).
+"""
+
+import math
+import re
+from dataclasses import dataclass
+
+from ...checks import require_word
+from ...errors import InputError
+from ...text import shown
+
+QUATERNIONS, MATRICES = ("xyzw", "wxyz"), ("matrix", "matrix-columns")
+LENGTHS = {"m": 1.0, "mm": 1e-3}
+"""Units of length [m]."""
+ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
+"""Units of angle [rad]."""
+EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
+"""Three axes of which neighbours differ."""
+MATRIX_NUMBERS = (12, 16)
+"""Numbers of a matrix without its last row (0, 0, 0, 1), or with it."""
+ROTATIONS = (
+    "xyzw, wxyz, rotvec, matrix, matrix-columns, or Euler angles as SciPy spells them (ZYX, xyz)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Convention:
+    """What the numbers of a pose mean.
+
+    Attributes
+    ----------
+    rotation : str
+        As above.
+    units : {"m", "mm"}
+    angles : {"rad", "deg"}
+        "rad" where there are none.
+    columns : tuples of names
+        What the columns of the rotation are usually called, in the order of its numbers; of a matrix,
+        the columns of the whole pose.
+    """
+
+    rotation: str
+    units: str = "m"
+    angles: str = "rad"
+    columns: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        require_word("units", self.units, LENGTHS)
+        require_word("angles", self.angles, ANGLES)
+        if self.rotation not in (*QUATERNIONS, *MATRICES, "rotvec") and not EULER.fullmatch(
+            self.rotation
+        ):
+            raise InputError(f"rotation {shown(self.rotation)}", ROTATIONS)
+
+    @property
+    def is_matrix(self) -> bool:
+        """Whether a pose is 12 or 16 numbers."""
+        return self.rotation in MATRICES
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether a rotation is three angles, or an axis times an angle."""
+        return self.rotation not in (*QUATERNIONS, *MATRICES)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """How many numbers a pose may have."""
+        if self.is_matrix:
+            return MATRIX_NUMBERS
+        return (7 if self.rotation in QUATERNIONS else 6,)
+
+    @property
+    def meaning(self) -> tuple[str, str, str]:
+        """Rotation and units: conventions that share them give the same poses."""
+        return self.rotation, self.units, self.angles if self.has_angles else "rad"
+
+    @property
+    def words(self) -> str:
+        """The meaning for a person."""
+        angles = f", {self.angles}" if self.has_angles else ""
+        return (
+            f"{self.units}{angles}, {ROTATION_WORDS.get(self.rotation, f'angles {self.rotation}')}"
+        )
+
+
+ROTATION_WORDS = {
+    "xyzw": "quaternion x y z w",
+    "wxyz": "quaternion w x y z",
+    "rotvec": "rotation vector",
+    "matrix": "matrix row by row",
+    "matrix-columns": "matrix column by column",
+}
+
+
+def _columns(*spellings: str) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(one.split()) for one in spellings)
+
+
+def _matrix(by: str) -> tuple[tuple[str, ...], ...]:
+    """Return the names of 16 and of 12 numbers, row by row or column by column."""
+    found = []
+    for rows, first in ((4, 0), (3, 0), (4, 1), (3, 1)):
+        cells = [(i, j) for i in range(rows) for j in range(4)]
+        if by == "columns":
+            cells = [(i, j) for j in range(4) for i in range(rows)]
+        found += [tuple(f"{letter}{i + first}{j + first}" for i, j in cells) for letter in "rmt"]
+    return tuple(found)
+
+
+def _counted(*names: str, numbers: tuple[int, ...] = (16, 12)) -> tuple[tuple[str, ...], ...]:
+    """Return name[0], name[1], ... as arrays in tables are spelled."""
+    return tuple(
+        tuple(f"{name}{left}{i}{right}" for i in range(count))
+        for name in names
+        for count in numbers
+        for left, right in (("[", "]"), ("_", ""), (".", ""), ("", ""))
+    )
+
+
+_XYZW = _columns(
+    "qx qy qz qw",
+    "q_x q_y q_z q_w",
+    "orientation.x orientation.y orientation.z orientation.w",
+    "pose.orientation.x pose.orientation.y pose.orientation.z pose.orientation.w",
+    "rotation.x rotation.y rotation.z rotation.w",
+)
+_WXYZ = _columns("q1 q2 q3 q4", "qw qx qy qz", "q_w q_x q_y q_z")
+_ABC, _R_XYZ = _columns("a b c"), _columns("rx ry rz", "r_x r_y r_z")
+_RTDE = _columns("actual_tcp_pose_3 actual_tcp_pose_4 actual_tcp_pose_5")
+_MM_DEG = ("mm", "deg")
+
+FORMATS: dict[str, Convention] = {
+    "ros": Convention("xyzw", columns=_XYZW),
+    "tum": Convention("xyzw", columns=_XYZW),
+    "kuka": Convention("ZYX", *_MM_DEG, _ABC),
+    "abb": Convention("wxyz", "mm", columns=_WXYZ),
+    "abb-euler": Convention("ZYX", *_MM_DEG, _columns("rz ry rx", "ez ey ex")),
+    "fanuc": Convention("xyz", *_MM_DEG, _columns("w p r")),
+    "yaskawa": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "denso": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "mitsubishi": Convention("xyz", *_MM_DEG, _ABC),
+    "tm": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "jaka": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "aubo": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "omron": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "dobot": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "hyundai": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "elite": Convention("xyz", *_MM_DEG, _R_XYZ),
+    "ur": Convention("rotvec", "m", "rad", (*_R_XYZ, *_RTDE)),
+    "staubli": Convention("XYZ", *_MM_DEG, _R_XYZ),
+    "kawasaki": Convention("ZYZ", *_MM_DEG, _columns("o a t")),
+    "doosan": Convention("ZYZ", *_MM_DEG, (*_ABC, *_R_XYZ)),
+    "comau": Convention("ZYZ", *_MM_DEG, _columns("a e r")),
+    "nachi": Convention("ZYX", *_MM_DEG, _columns("roll pitch yaw")),
+    "epson": Convention("ZYX", *_MM_DEG, _columns("u v w")),
+    "estun": Convention("ZYX", *_MM_DEG, _ABC),
+    "franka": Convention(
+        "matrix-columns", columns=_counted("o_t_ee", "state.o_t_ee", numbers=(16,))
+    ),
+    "urdf-rpy": Convention("xyz", "m", "rad", _columns("roll pitch yaw", "r p y")),
+    "matrix": Convention(
+        "matrix", columns=(*_matrix("rows"), *_counted("t", "m", "pose", "matrix"))
+    ),
+}
+"""Every pose format by its name: the table of this package."""
+
+
+def formats_of(meaning: tuple[str, str, str]) -> list[str]:
+    """Return the names of all formats of a meaning."""
+    return [name for name, one in FORMATS.items() if one.meaning == meaning]
+
+
+def called(convention: Convention) -> str:
+    """Return the options that state a convention: by the names of formats, or spelled out."""
+    names = formats_of(convention.meaning)
+    if names:
+        others = f" (as {', '.join(names[1:])})" if names[1:] else ""
+        return f"--pose-format {names[0]}{others}"
+    angles = f" --angles {convention.angles}" if convention.has_angles else ""
+    return f"--rotation {convention.rotation} --units {convention.units}{angles}"
+
+
+def spelled_columns(rotation: str) -> tuple[tuple[str, ...], ...]:
+    """Return what the columns of a rotation that is spelled out are called."""
+    if rotation in QUATERNIONS:
+        return _columns(" ".join(f"q{axis}" for axis in rotation))
+    if rotation in MATRICES:
+        by = "rows" if rotation == "matrix" else "columns"
+        return _matrix(by)
+    if rotation == "rotvec":
+        return _R_XYZ
+    if len(set(rotation.lower())) == len(rotation):
+        return _columns(" ".join(f"r{axis}" for axis in rotation.lower()))
+    return ()

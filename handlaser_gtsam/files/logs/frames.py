@@ -1,0 +1,181 @@
+"""Chains of frames as tf publishes them: the pose of one frame in another, in time."""
+
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import FloatArray
+from ...data.recording import LARGEST
+from ...errors import InputError
+from ...text import shown, some
+from .bag_types import Quaternion, TransformStamped, Vector
+from .motion import Between
+from .stands import Track
+
+WIDTH = 8
+"""Numbers of a stamped pose: time, position, quaternion."""
+AT_ONCE = 50_000
+"""Poses that are composed at once, for the memory they take."""
+
+
+@dataclass(slots=True, eq=False)
+class Stamped:
+    """Poses as they come: 64 bytes each."""
+
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def add(self, time: float, p: Vector, q: Quaternion) -> None:
+        """Add a pose at a time [s]."""
+        self.numbers.extend((time, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+
+    def rows(self) -> FloatArray:
+        """Return the poses (M, 8) in the order of time, each time once, with unit quaternions.
+
+        Raises
+        ------
+        InputError
+            A quaternion that is none, or a position that is not finite.
+        """
+        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, WIDTH)
+        step = np.diff(x[:, 0])
+        if (step <= 0.0).any():
+            order = np.argsort(x[:, 0], kind="stable")
+            x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
+        with np.errstate(over="ignore"):  # an infinite length is refused like any other
+            length = np.linalg.norm(x[:, 4:], axis=1)
+        far = ~(np.abs(x[:, 1:4]) <= LARGEST).all(axis=1)
+        if far.any():
+            found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
+            raise InputError(found, f"metres, at most {LARGEST:.0f}")
+        if not (np.abs(length - 1.0) <= 1e-3).all():  # nan, too
+            worst = float(length[~(np.abs(length - 1.0) <= 1e-3)][0])
+            raise InputError(f"a pose with a quaternion of length {worst:.6g}", "length 1")
+        return x
+
+
+def track_of_rows(x: FloatArray) -> Track:
+    """Return stamped poses (M, 8) as a track."""
+    return Track(x[:, 0], x[:, 1:4], x[:, 4:])
+
+
+class Frames:
+    """The tree of frames; what is not between world and hand is forgotten once the way is known."""
+
+    def __init__(self, world: str, hand: str) -> None:
+        self.world, self.hand = world.lstrip("/"), hand.lstrip("/")
+        self.parent: dict[str, str] = {}
+        self.static: set[str] = set()
+        self.poses: dict[str, Stamped] = {}
+        self.way: tuple[list[str], list[str]] | None = None
+
+    def add(self, time: float, transform: TransformStamped, *, static: bool) -> None:
+        """Add a TransformStamped.
+
+        Raises
+        ------
+        InputError
+            A frame with two parents.
+        """
+        child = transform.child_frame_id.lstrip("/")
+        if self.way is not None and child not in self.poses:
+            return
+        parent = transform.header.frame_id.lstrip("/")
+        if self.parent.setdefault(child, parent) != parent:
+            raise InputError(
+                f"frame {shown(child)} below {shown(self.parent[child])} and below {shown(parent)}",
+                "one parent of every frame",
+            )
+        if static:
+            self.static.add(child)
+            self.poses[child] = Stamped()
+        both = transform.transform
+        new = child not in self.poses
+        self.poses.setdefault(child, Stamped()).add(time, both.translation, both.rotation)
+        if self.way is None and (new or static):
+            self._find_way()
+
+    def _find_way(self) -> None:
+        up, down = self._ancestors(self.hand), self._ancestors(self.world)
+        common = next((name for name in up if name in down), None)
+        if common is None or (self.hand not in self.parent and self.world not in self.parent):
+            return
+        self.way = up[: up.index(common)], down[: down.index(common)]
+        needed = {*self.way[0], *self.way[1]}
+        self.poses = {name: poses for name, poses in self.poses.items() if name in needed}
+
+    def _ancestors(self, name: str) -> list[str]:
+        found = [name]
+        while found[-1] in self.parent and len(found) <= len(self.parent):
+            found.append(self.parent[found[-1]])
+        return found
+
+    def track(self) -> Track:
+        """Return the hand in the world, at the times of the frame on the way that is sent most often.
+
+        Raises
+        ------
+        InputError
+            No way between the two, or nothing moves on it.
+        """
+        if self.way is None or not self.poses:
+            names = sorted({*self.parent, *self.parent.values()})
+            known = some([name[:60] for name in names], 12) or "the frames, of which there are none"
+            raise InputError(
+                f"no chain of tf frames from {shown(self.world)} to {shown(self.hand)}",
+                f"two of {known}",
+            )
+        rows = {name: poses.rows() for name, poses in self.poses.items()}
+        moving = {name: len(x) for name, x in rows.items() if name not in self.static}
+        if not moving:
+            raise InputError(
+                f"only static tf frames between {shown(self.world)} and {shown(self.hand)}",
+                "a hand that moves",
+            )
+        base = rows[max(moving, key=lambda name: moving[name])][:, 0]
+        begin = max(rows[name][0, 0] for name in moving)
+        end = min(rows[name][-1, 0] for name in moving)
+        time = base[(base >= begin) & (base <= end)]
+        if not len(time):
+            raise InputError("tf frames of the chain at times of their own", "times that overlap")
+        p, q = np.empty((len(time), 3)), np.empty((len(time), 4))
+        for first in range(0, len(time), AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            R, t = self._hand_in_world(rows, time[part])
+            p[part], q[part] = t, R.as_quat()
+        return Track(time, p, q)
+
+    def _hand_in_world(
+        self, rows: dict[str, FloatArray], time: FloatArray
+    ) -> tuple[Rotation, FloatArray]:
+        assert self.way is not None
+        R, t = _chain([self._at(rows[name], name, time) for name in self.way[0]], len(time))
+        S, s = _chain([self._at(rows[name], name, time) for name in self.way[1]], len(time))
+        back = S.inv()
+        return back * R, back.apply(t - s)
+
+    def _at(self, x: FloatArray, name: str, time: FloatArray) -> tuple[Rotation, FloatArray]:
+        """Return the pose of a frame in its parent at some times."""
+        if name in self.static:
+            last = np.repeat(x[-1:], len(time), axis=0)
+            return Rotation.from_quat(last[:, 4:]), last[:, 1:4]
+        return between(x, time)
+
+
+def between(x: FloatArray, time: FloatArray) -> tuple[Rotation, FloatArray]:
+    """Return stamped poses (M, 8) at times (N,) between them."""
+    way = Between.at(x[:, 0], time)
+    following = np.minimum(way.row + 1, len(x) - 1)
+    w = way.part[:, None]
+    first, last = Rotation.from_quat(x[way.row, 4:]), Rotation.from_quat(x[following, 4:])
+    turn = first * Rotation.from_rotvec(w * (first.inv() * last).as_rotvec())
+    return turn, (1.0 - w) * x[way.row, 1:4] + w * x[following, 1:4]
+
+
+def _chain(poses: list[tuple[Rotation, FloatArray]], count: int) -> tuple[Rotation, FloatArray]:
+    """Return the pose of the first frame in the parent of the last one."""
+    R, t = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))), np.zeros((count, 3))
+    for S, s in poses:
+        R, t = S * R, s + S.apply(t)
+    return R, t

@@ -1,0 +1,173 @@
+"""Poses and readings of two tables put together by time."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.recording import first_repeated
+from ...errors import InputError
+from .averaging import Samples
+from .format import LogFormat, convention_of
+from .joining import Joined, groups, unmatched
+from .lag import Lag, estimated_lag
+from .motion import Between, Rows, Way, bracketed, nearest
+from .planes import intervals, planes_of
+from .poses import poses_of
+from .rows import LogRows
+from .stands import Track, find_stands
+
+
+def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> Joined:
+    """Return stations of two tables in time; `lag` [s] is how much later readings are stamped.
+
+    The rows of the shorter table are the stations. To each row of readings belongs the nearest pose, or
+    one between two; to a row of poses all readings within the tolerance.
+
+    Raises
+    ------
+    InputError
+    """
+    assert poses.times is not None
+    assert readings.times is not None
+    wanted = readings.times - lag
+    if given.stands:
+        return _standing(poses, readings, given, wanted)
+    if given.tolerance_s is None:
+        raise InputError(
+            "poses and readings joined by time without a tolerance",
+            "--tolerance-s: how far pose and reading may be apart; or --stands",
+        )
+    if given.interpolate:
+        return _between(poses, readings, wanted, given.tolerance_s)
+    if len(poses.times) < len(wanted):
+        return _around(poses, readings, wanted, given.tolerance_s)
+    row, off = nearest(poses.times, wanted)
+    near = off <= given.tolerance_s
+    _require_any(near, poses, readings, off)
+    return _at_readings(Rows(row[near]), readings, near, poses, row, "the nearest pose")
+
+
+def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
+    assert poses.times is not None
+    near = bracketed(poses.times, wanted, tolerance)
+    row, off = nearest(poses.times, wanted)
+    _require_any(near, poses, readings, off)
+    way = Between.at(poses.times, wanted[near])
+    return _at_readings(way, readings, near, poses, row, "a pose between its neighbours")
+
+
+def _at_readings(
+    way: Way, readings: LogRows, near: BoolArray, poses: LogRows, row: IntArray, words: str
+) -> Joined:
+    """Return the rows of readings that have a pose, as stations."""
+    kept = np.flatnonzero(near)
+    names, planes = readings.names, readings.planes
+    if planes is None and poses.planes is not None:
+        planes = [poses.planes[i] for i in row.tolist()]
+    chosen = [names[i] for i in kept.tolist()]
+    if first_repeated(chosen) is not None:
+        raise InputError(
+            f"station {chosen[first_repeated(chosen) or 0]!r} twice among the readings",
+            "every label once where each row of readings is a station",
+            readings.table.path,
+        )
+    assert readings.times is not None
+    return Joined(
+        way,
+        chosen,
+        None if planes is None else [planes[i] for i in kept.tolist()],
+        readings.times[kept],
+        Samples.of_rows(np.arange(len(kept), dtype=np.intp), readings.ranges[kept]),
+        unmatched(len(near) - len(kept), len(near), "have no pose within the tolerance"),
+        f"{len(kept)} rows of readings, each with {words}",
+    )
+
+
+def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
+    """Return the rows of poses as stations, with all readings around them."""
+    assert poses.times is not None
+    row, off = nearest(poses.times, wanted)
+    near = off <= tolerance
+    _require_any(near, poses, readings, off)
+    station = np.where(near, row, -1).astype(np.intp)
+    every = np.arange(len(poses.times), dtype=np.intp)
+    planes = poses.planes
+    if planes is None and readings.planes is not None:
+        closest = nearest(wanted, poses.times)[0] if (np.diff(wanted) >= 0.0).all() else every
+        planes = [readings.planes[i] for i in closest.tolist()]
+    return Joined(
+        Rows(every),
+        poses.names,
+        planes,
+        poses.times,
+        Samples.of_rows(station, readings.ranges),
+        (),
+        f"{len(every)} poses, each with the readings within {tolerance:g} s: {int(near.sum())} of "
+        f"{len(near)} rows",
+    )
+
+
+def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Joined:
+    """Return the moments at which the hand stands as stations."""
+    track = track_of(poses, given)
+    stands = find_stands(track, given)
+    station = stands.stand_of(wanted)
+    planes = None
+    if poses.planes is not None:
+        planes = [poses.planes[i] for i in stands.first.tolist()]
+    return Joined(
+        stands.means,
+        [str(i + 1) for i in range(len(stands.begin))],
+        planes,
+        stands.times,
+        Samples.of_rows(station, readings.ranges),
+        (),
+        f"{len(stands.begin)} moments at which the hand stands, with {int((station >= 0).sum())} of "
+        f"{len(station)} rows of readings",
+    )
+
+
+def lag_of_tables(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
+    """Return how much later readings are stamped than poses, from their motion.
+
+    Raises
+    ------
+    InputError
+        The planes are not known in time, or the motion does not tell.
+    """
+    assert readings.times is not None
+    time = readings.times
+    found = intervals(given)
+    if found:
+        assert poses.times is not None
+        plane = planes_of(found, readings.names, time, float(poses.times[0]))
+    elif readings.planes is not None:
+        plane = groups(readings.planes)[1]
+    elif poses.planes is not None:
+        assert poses.times is not None
+        plane = groups(poses.planes)[1][nearest(poses.times, time)[0]]
+    else:
+        plane = np.zeros(len(time), dtype=np.intp)
+    return estimated_lag(track_of(poses, given), time, readings.ranges, plane)
+
+
+def track_of(poses: LogRows, given: LogFormat) -> Track:
+    """Return the poses of rows in time."""
+    assert poses.poses is not None
+    assert poses.times is not None
+    R, t = poses_of(poses.poses, convention_of(given))
+    return Track(poses.times, t, Rotation.from_matrix(R).as_quat())
+
+
+def _require_any(near: BoolArray, poses: LogRows, readings: LogRows, off: FloatArray) -> None:
+    assert poses.times is not None
+    assert readings.times is not None
+    if near.any():
+        return
+    raise InputError(
+        f"no reading with a pose within the tolerance: the nearest two are {off.min():.3g} s apart "
+        f"(poses from {poses.times[0]:.10g} to {poses.times[-1]:.10g} s, readings from "
+        f"{readings.times.min():.10g} to {readings.times.max():.10g} s)",
+        "one clock and one unit (--time-units), a larger --tolerance-s, or --lag-s",
+        readings.table.path,
+    )

@@ -1,0 +1,181 @@
+r"""How much later readings are stamped than poses of the same moment, from the motion itself.
+
+Before one plane, what a beam reads is a function of the hand's pose alone, whatever mount and plane
+are. So, with the poses x(t) and readings d_i stamped t_i, the right lag tau is the one at which
+
+    d_i = f(x(t_i - tau)),    f a polynomial of the pose (position, and turn from the middle one),
+
+leaves the smallest sum of squares S(tau), added over planes and beams. Motion that stops, turns back
+or changes its speed identifies the lag; a sweep at constant speed does not, for a shift of it is
+another polynomial. The curvature at the minimum says how well: with residuals of variance s^2, the
+variance of tau is 2 s^2 / S''(tau). Nothing of mounts, planes or starts is needed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import FloatArray, IntArray
+from ...errors import InputError
+from .motion import Between
+from .stands import Track
+
+MOST = 0.5
+"""Lags up to this [s] are looked for."""
+COARSE, FINE = 0.02, 0.002
+"""Steps of the search [s]."""
+WORST = 0.01
+"""A standard deviation above this [s] says that the motion does not tell the lag."""
+TRUNCATED = 5e-4
+"""What the polynomial leaves out may move the minimum by so much [s]."""
+MOVES_M, MOVES_RAD = 1e-3, 2e-3
+"""Readings count where the hand moves by so much within `MOST` before or after."""
+A_FEATURE = 12
+"""So many readings for every coefficient of the polynomial."""
+AT_MOST = 6000
+"""Readings of one plane and beam that are looked at, evenly spread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """A lag and its standard deviation [s]."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Readings d (N,) of one beam before one plane, at times (N,) [s], and the polynomial's degree."""
+
+    time: FloatArray
+    d: FloatArray
+    degree: int
+
+
+def estimated_lag(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> Lag:
+    """Return the lag of readings.
+
+    Parameters
+    ----------
+    track : Track
+    time : (N,)
+        Stamps of readings [s].
+    d : (N, B)
+        Readings [m]; NaN where there is none.
+    plane : (N,)
+        Which plane each row looks at; -1 for rows that do not count.
+
+    Raises
+    ------
+    InputError
+        Too few readings while the hand moves, or a motion that does not tell.
+    """
+    parts = list(_parts(track, time, d, plane))
+    if not parts:
+        raise InputError(
+            "too few readings while the hand moves to estimate the lag",
+            f"some {A_FEATURE * len(_exponents(2))} of one beam before one plane, with stops, turns "
+            "and changes of speed; or state --lag-s",
+        )
+    steps = round(MOST / COARSE)
+    lags = COARSE * np.arange(-steps, steps + 1)
+    coarse = np.array([_squares(track, parts, lag) for lag in lags])
+    best = int(coarse.argmin())
+    if best in (0, len(lags) - 1):
+        raise InputError(
+            f"no lag within {MOST:g} s at which readings follow the motion",
+            "clocks that agree better; or state --lag-s",
+        )
+    return _refined(track, parts, float(lags[best]))
+
+
+def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
+    """Return the minimum of a parabola through the sums of squares near a lag."""
+    steps = round(COARSE / FINE)
+    lags = near + FINE * np.arange(-steps, steps + 1)
+    sums = np.array([_squares(track, parts, lag) for lag in lags])
+    low = np.clip(int(sums.argmin()), 3, len(lags) - 4)
+    rows = slice(low - 3, low + 4)
+    bend, slope, _ = np.polyfit(lags[rows] - lags[low], sums[rows], 2)
+    count = sum(len(one.d) - len(_exponents(one.degree)) for one in parts)
+    variance = float(sums.min()) / max(count, 1)
+    if bend > 0.0:
+        shift = float(np.clip(-0.5 * slope / bend, -3 * FINE, 3 * FINE))
+        sigma = float(np.hypot(np.sqrt(variance / bend), TRUNCATED))
+        if sigma <= WORST:
+            return Lag(float(lags[low]) + shift, sigma)
+    raise InputError(
+        "a motion that does not tell the lag of the readings",
+        "a log with stops, turns and changes of speed before a plane; or state --lag-s",
+    )
+
+
+def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> Iterator[_Part]:
+    """Yield the readings of each plane and beam that tell something."""
+    inside = (time - MOST >= track.time[0]) & (time + MOST <= track.time[-1]) & (plane >= 0)
+    moves = inside & _moves(track, time)
+    for index in np.unique(plane[moves]).tolist():
+        for beam in range(d.shape[1]):
+            rows = np.flatnonzero(moves & (plane == index) & ~np.isnan(d[:, beam]))
+            if len(rows) > AT_MOST:
+                rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
+            for degree in (3, 2):
+                if len(rows) >= A_FEATURE * len(_exponents(degree)):
+                    yield _Part(time[rows], d[rows, beam], degree)
+                    break
+
+
+def _moves(track: Track, time: FloatArray) -> np.ndarray:
+    """Tell at which times (N,) the hand moves, a little before or after."""
+    rows = [
+        np.clip(np.searchsorted(track.time, time + shift), 0, len(track.time) - 1)
+        for shift in (-MOST, 0.0, MOST)
+    ]
+    moves = np.zeros(len(time), dtype=bool)
+    for other in (rows[0], rows[2]):
+        shift = track.position[other] - track.position[rows[1]]
+        cosine = np.abs((track.quaternion[other] * track.quaternion[rows[1]]).sum(axis=1))
+        moves |= (np.linalg.norm(shift, axis=1) > MOVES_M) | (cosine < np.cos(0.5 * MOVES_RAD))
+    return moves
+
+
+def _squares(track: Track, parts: list[_Part], lag: float) -> float:
+    """Return the sum of squares that is left at a lag, over all planes and beams."""
+    total = 0.0
+    for part in parts:
+        X = _features(track, part, lag)
+        coefficients = np.linalg.lstsq(X, part.d, rcond=1e-10)[0]
+        total += float(((part.d - X @ coefficients) ** 2).sum())
+    return total
+
+
+def _features(track: Track, part: _Part, lag: float) -> FloatArray:
+    """Return the monomials (N, F) of the poses at the times of readings less the lag."""
+    wanted = part.time - lag
+    first = int(np.searchsorted(track.time, wanted[0] - 1.0))
+    last = int(np.searchsorted(track.time, wanted[-1] + 1.0))
+    q, p = track.quaternion[first:last], track.position[first:last]
+    way = Between.at(track.time[first:last], wanted)
+    following = np.minimum(way.row + 1, len(p) - 1)
+    w = way.part[:, None]
+    position = (1.0 - w) * p[way.row] + w * p[following]
+    start = Rotation.from_quat(q[way.row])
+    step = (start.inv() * Rotation.from_quat(q[following])).as_rotvec()
+    middle = Rotation.from_quat(q[way.row[len(wanted) // 2]])
+    turn = (middle.inv() * start * Rotation.from_rotvec(w * step)).as_rotvec()
+    x = np.hstack((position - position.mean(axis=0), turn))
+    x /= np.maximum(np.abs(x).max(axis=0), 1e-12)
+    columns = [np.ones(len(x))]
+    columns += [np.prod(x[:, list(one)], axis=1) for one in _exponents(part.degree)[1:]]
+    return np.column_stack(columns)
+
+
+def _exponents(degree: int) -> list[tuple[int, ...]]:
+    """Return which of the six coordinates each monomial multiplies."""
+    return [
+        one for power in range(degree + 1) for one in combinations_with_replacement(range(6), power)
+    ]

@@ -1,0 +1,243 @@
+"""Numbers of poses become rotations and positions; signs that the numbers mean something else."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import InputError
+from .conventions import ANGLES, FORMATS, LENGTHS, Convention, called
+
+QUATERNION_TOLERANCE = 1e-3
+"""A quaternion's length may be off by as much: controllers write six digits or fewer."""
+MATRIX_TOLERANCE = 1e-3
+"""And so may every entry of R'R; the nearest rotation is taken."""
+FARTHEST = 30.0
+"""A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
+NEAREST = 5.0
+"""Positions that all stay within so many millimetres of the origin are metres."""
+TURN = 2.0 * math.pi * (1.0 + 1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Rows that cannot be under a convention.
+
+    Attributes
+    ----------
+    wrong : (M,)
+    numbers : slice
+        Which of the numbers of the pose show it.
+    found, expected : str
+    doubt : bool
+        Whether the user may insist: it is a sign, not an impossibility.
+    """
+
+    wrong: BoolArray
+    numbers: slice
+    found: str
+    expected: str
+    doubt: bool = False
+
+
+def poses_of(x: FloatArray, convention: Convention) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (M, 3, 3) and positions (M, 3) [m] of the numbers x (M, k) of poses.
+
+    The numbers have no fault; rotations that are nearly orthonormal are made so.
+    """
+    length = LENGTHS[convention.units]
+    if convention.is_matrix:
+        T = _matrices(x, convention)
+        U, _, V = np.linalg.svd(T[:, :3, :3])
+        return np.asarray(U @ V), length * T[:, :3, 3]
+    return _rotation(x[:, 3:], convention).as_matrix(), length * x[:, :3]
+
+
+def _rotation(numbers: FloatArray, convention: Convention) -> Rotation:
+    kind, angle = convention.rotation, ANGLES[convention.angles]
+    if kind in ("xyzw", "wxyz"):
+        return Rotation.from_quat(numbers, scalar_first=kind == "wxyz")
+    if kind == "rotvec":
+        return Rotation.from_rotvec(angle * numbers)
+    return Rotation.from_euler(kind, angle * numbers)
+
+
+def _matrices(x: FloatArray, convention: Convention) -> FloatArray:
+    """Return (M, 4, 4)."""
+    rows = x.shape[1] // 4
+    by_columns = convention.rotation == "matrix-columns"
+    T = np.tile(np.eye(4), (len(x), 1, 1))
+    T[:, :rows] = (
+        np.swapaxes(x.reshape(-1, 4, rows), 1, 2) if by_columns else x.reshape(-1, rows, 4)
+    )
+    return T
+
+
+def faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
+    """Yield what cannot be, or can hardly be, of the numbers x (M, k) under a convention."""
+    if convention.is_matrix:
+        yield from _matrix_faults(x, convention)
+    elif convention.rotation in ("xyzw", "wxyz"):
+        yield from _quaternion_faults(x[:, 3:])
+    else:
+        yield from _angle_faults(x[:, 3:], convention)
+    yield from _position_faults(x, convention)
+
+
+def _quaternion_faults(q: FloatArray) -> Iterator[Fault]:
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(q, axis=1)
+    wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
+    off = length[wrong.argmax()]
+    yield Fault(
+        wrong,
+        slice(3, 7),
+        f"a quaternion of length {off:.6g}",
+        f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?",
+    )
+
+
+def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
+    T = _matrices(x, convention)
+    other = "matrix" if convention.rotation == "matrix-columns" else "matrix-columns"
+    transposed = (T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1)
+    row = T[transposed.argmax(), 3]
+    yield Fault(
+        transposed,
+        slice(0, x.shape[1]),
+        f"a matrix whose last row is {np.array2string(row, precision=6, separator=', ')}",
+        f"0, 0, 0, 1 ({ROWS[convention.rotation]}); is it {ROWS[other]}: "
+        f"{called(replace(convention, rotation=other))}?",
+    )
+    R = np.clip(T[:, :3, :3], -2.0, 2.0)
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    wrong = ~(off <= MATRIX_TOLERANCE) | (np.linalg.det(R) < 0.0)
+    yield Fault(
+        wrong,
+        slice(0, x.shape[1]),
+        f"a matrix that is no rotation (R'R differs from the identity by {off[wrong.argmax()]:.2g})",
+        f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {ROWS[other]}: "
+        f"{called(replace(convention, rotation=other))}",
+    )
+
+
+ROWS = {"matrix": "row by row", "matrix-columns": "column by column"}
+
+
+def _angle_faults(a: FloatArray, convention: Convention) -> Iterator[Fault]:
+    if convention.angles != "rad":
+        return
+    size = np.linalg.norm(a, axis=1) if convention.rotation == "rotvec" else np.abs(a).max(axis=1)
+    wrong = size > TURN
+    yield Fault(
+        wrong,
+        slice(3, 6),
+        f"angles of {size.max():.4g} read as radians",
+        f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}",
+        doubt=True,
+    )
+
+
+def _position_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
+    which = slice(0, 3)
+    t = x[:, :3]
+    if convention.is_matrix:
+        which, t = slice(0, x.shape[1]), _matrices(x, convention)[:, :3, 3]
+    size = np.abs(t).max(axis=1)
+    other = _others(replace(convention, units="mm" if convention.units == "m" else "m"))
+    if convention.units == "m":
+        yield Fault(
+            size > FARTHEST,
+            which,
+            f"a position of {size.max():.6g} read as metres",
+            f"at most {FARTHEST:g} m of an arm; is it millimetres? {other}",
+            doubt=True,
+        )
+    elif size.max() < NEAREST and len(x) > 1:
+        yield Fault(
+            np.ones(len(x), dtype=bool),
+            which,
+            f"positions within {size.max():.4g} of the origin read as millimetres",
+            f"some of {NEAREST:g} mm or more; are they metres? {other}",
+            doubt=True,
+        )
+
+
+def _others(other: Convention) -> str:
+    """Name what states a convention, and formats with its units."""
+    alike = [
+        name
+        for name, one in FORMATS.items()
+        if one.numbers == other.numbers
+        and one.units == other.units
+        and (one.angles == other.angles or not other.has_angles)
+        and one.meaning != other.meaning
+    ]
+    words = f"then state {called(other)}"
+    return words + (f", or --pose-format {'|'.join(alike)} if it is one of those" if alike else "")
+
+
+def inverted(R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the inverse of poses (M, 3, 3), (M, 3)."""
+    S = np.swapaxes(R, 1, 2)
+    return S, -np.einsum("mij,mj->mi", S, t)
+
+
+def hand_poses(
+    R: FloatArray,
+    t: FloatArray,
+    convention: Convention,
+    tool: tuple[float, ...],
+    base: tuple[float, ...],
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses of the flange in the robot's frame from those of an active tool in an active base.
+
+        robot_T_flange = robot_T_base  base_T_tool  inverse(flange_T_tool)
+
+    Parameters
+    ----------
+    R, t : (M, 3, 3), (M, 3)
+    convention : Convention
+        Of the numbers `tool` and `base`; empty where none was active, or the tool is the hand.
+
+    Raises
+    ------
+    InputError
+        Numbers that are no pose.
+    """
+    if tool:
+        S, s = inverted(*single_pose("tool", tool, convention))
+        R, t = R @ S[0], t + R @ s[0]
+    if base:
+        B, b = single_pose("base", base, convention)
+        R, t = B[0] @ R, t @ B[0].T + b[0]
+    return R, t
+
+
+def single_pose(
+    name: str, numbers: tuple[float, ...], convention: Convention
+) -> tuple[FloatArray, FloatArray]:
+    """Return a pose (1, 3, 3), (1, 3) that a user states.
+
+    Raises
+    ------
+    InputError
+    """
+    if len(numbers) not in convention.numbers:
+        expected = " or ".join(map(str, convention.numbers))
+        raise InputError(
+            f"{name} of {len(numbers)} numbers",
+            f"{expected}, as a pose of the log: {convention.words}",
+        )
+    x = np.array([numbers], dtype=np.float64)
+    for fault in faults(x, convention):
+        if fault.wrong.any():
+            raise InputError(f"{name}: {fault.found}", fault.expected)
+    return poses_of(x, convention)
+
+
+Change = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""What becomes of poses once they are read: inversion, tool and base."""

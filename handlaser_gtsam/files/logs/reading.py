@@ -1,0 +1,200 @@
+"""Logs as recordings: what a user calls."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...checks import require_kind
+from ...data.recording import Recording
+from ...errors import InputError
+from ...model.sensor import Sensor
+from ..recording_csv import POSE, read_recording
+from ..writing import path_of
+from .assembling import Known, Stationed, assembled
+from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
+from .columns import formats_in
+from .format import LogFormat, convention_of
+from .held import held_poses
+from .joining import Joined, by_station, one_table
+from .joining_time import by_time, lag_of_tables
+from .poses import hand_poses
+from .report import LogReport
+from .rows import LogRows, rows_of
+from .suspicion import Raw, refuse_wrong_convention
+from .tables import FOREIGN, read_log_table
+
+
+def read_log(
+    path: Path | str, given: LogFormat | None = None, sensor: Sensor | None = None
+) -> Recording:
+    """Read a log of a robot controller, a spreadsheet or a bag.
+
+    Parameters
+    ----------
+    path : Path or str
+        A table: text with separators, XLSX, Parquet, JSON Lines. Or a bag: ROS 1, ROS 2, MCAP.
+    given : LogFormat, optional
+        How it is written; as `read_recording` reads it where nothing is stated.
+    sensor : Sensor, optional
+        Its range, where it is stated, tells codes for "no reading" from readings.
+
+    Raises
+    ------
+    InputError
+        What cannot be read, or would fit far better if it were read another way.
+    """
+    return describe_log(path, given, sensor).recording
+
+
+def describe_log(
+    path: Path | str,
+    given: LogFormat | None = None,
+    sensor: Sensor | None = None,
+    range_sigma: float | None = None,
+) -> LogReport:
+    """Read a log as `read_log` does, and say how: the scatter of repeated readings, the lag.
+
+    Parameters
+    ----------
+    path, given, sensor
+        As of `read_log`.
+    range_sigma : float, optional
+        Standard deviation of a reading, if it is known [m]: what of it repeated readings do not show is
+        common to all of them, and their mean is worth less.
+
+    Raises
+    ------
+    InputError
+    """
+    path = path_of(path)
+    given = LogFormat() if given is None else given
+    require_kind("given", given, LogFormat)
+    if sensor is not None:
+        require_kind("sensor", sensor, Sensor)
+    known = Known(sensor or Sensor(), range_sigma)
+    if not path.exists():
+        raise InputError("no such file", "a log", path)
+    try:
+        if is_bag(path):
+            return describe_bag(path, given, known)
+        refuse_stated(given, OF_BAGS, "a table", path)
+        return _of_tables(path, given, known)
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise InputError(error.found, error.expected, path) from error
+
+
+def read_any(
+    path: Path, given: LogFormat, sensor: Sensor, range_sigma: float | None = None
+) -> LogReport:
+    """Read a recording in CSV, or a log: where anything is stated, or the file is of another kind.
+
+    Raises
+    ------
+    InputError
+    """
+    if given.stated or is_bag(path) or path.suffix.lower() in FOREIGN:
+        return describe_log(path, given, sensor, range_sigma)
+    try:
+        return LogReport(read_recording(path, sensor))
+    except InputError as error:
+        hint = _hint(error)
+        if not hint:
+            raise
+        raise InputError(
+            error.found, error.expected + hint, error.path, error.line, error.column
+        ) from error
+
+
+def _hint(error: InputError) -> str:
+    """Return what to state where a header lacks the columns of a recording."""
+    lacking = error.found.startswith(("no column", "column "))
+    if error.column not in ("plane", *POSE) or error.path is None or not lacking:
+        return ""
+    try:
+        names = read_log_table(error.path, LogFormat()).frame.columns
+    except InputError:
+        return ""
+    formats = formats_in(names)
+    if error.column == "plane" and "ros" in formats:
+        return "; or --plane NAME if all stations look at one plane"
+    return f"; or --pose-format {'|'.join(formats)}, whose columns are there" if formats else ""
+
+
+def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
+    both = given.readings is None
+    poses = rows_of(read_log_table(path, given), given, known.sensor, readings=both)
+    if both:
+        return _report(path, poses, poses, one_table(poses, given), given, known, (0.0, None))
+    second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
+    table = read_log_table(given.readings or path, replace(second, pose_format="", rotation=""))
+    readings = rows_of(table, given, known.sensor, poses=False)
+    if poses.stations is not None and readings.stations is not None and not given.stands:
+        joined = by_station(poses, readings)
+        return _report(path, poses, readings, joined, given, known, (0.0, None))
+    poses, readings = poses.in_time(), readings.in_time()
+    lag: tuple[float, float | None] = (given.lag_s, None)
+    if given.estimate_lag:
+        found = lag_of_tables(poses, readings, given)
+        lag = found.value, found.sigma
+    return _report(
+        path, poses, readings, by_time(poses, readings, given, lag[0]), given, known, lag
+    )
+
+
+def _report(
+    path: Path,
+    poses: LogRows,
+    readings: LogRows,
+    joined: Joined,
+    given: LogFormat,
+    known: Known,
+    lag: tuple[float, float | None],
+) -> LogReport:
+    """Return the recording of stations, once their poses are believed."""
+    assert poses.poses is not None
+    raw = Raw(poses.poses, convention_of(given), given.inverted, joined.way)
+    R, t = hand_poses(*raw.poses(), convention_of(given), given.tool, given.base)
+    second = () if readings is poses else readings.warnings
+    ignored = poses.ignored if readings is poses else (*poses.ignored, *readings.ignored)
+    log = Stationed(
+        path,
+        R,
+        t,
+        joined.names,
+        joined.planes,
+        joined.times,
+        0.0 if poses.times is None else float(poses.times.min()),
+        readings.beams,
+        joined.samples,
+        tuple(dict.fromkeys(ignored)),
+        (*poses.warnings, *second, *joined.warnings),
+        tuple(line for line in (_words(given), joined.words) if line),
+    )
+    report, chosen = assembled(log, given, known, lag)
+    held = held_poses(report.recording)
+    doubts = refuse_wrong_convention(
+        report.recording,
+        raw,
+        np.flatnonzero(chosen),
+        given.range_units,
+        path,
+        as_stated=given.as_stated,
+    )
+    if not held and not doubts:
+        return report
+    warnings = (*report.recording.warnings, *held, *doubts)
+    return replace(report, recording=replace(report.recording, warnings=warnings))
+
+
+def _words(given: LogFormat) -> str:
+    name = given.pose_format or given.rotation or "ros"
+    text = f"poses of {name}: {convention_of(given).words}"
+    text += ", inverted" if given.inverted else ""
+    if given.tool:
+        text += "; the hand is the flange, for the tool is taken off"
+    if given.base:
+        text += "; the world is the robot's frame, for the base is added"
+    return text

@@ -1,0 +1,154 @@
+"""The rows of one table: poses, readings, and what else stands beside them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...errors import CalibrationWarning, InputError
+from ...model.sensor import Sensor
+from ...text import some
+from ..range_cells import code_warnings, range_numbers
+from ..table import Table
+from .cells import labels, pose_numbers, times
+from .columns import Columns, columns_of
+from .conventions import LENGTHS
+from .format import LogFormat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogRows:
+    """What stands in the rows of a table; None where it has no such column.
+
+    Attributes
+    ----------
+    table : Table
+    columns : Columns
+    poses : (M, k) or None
+        The numbers of poses.
+    beams : names
+    ranges : (M, B)
+        [m]; of a long table each row has one reading.
+    planes, stations : M labels, or None
+    times : (M,) or None
+        [s]
+    warnings : tuple of CalibrationWarning
+    """
+
+    table: Table
+    columns: Columns
+    poses: FloatArray | None
+    beams: tuple[str, ...]
+    ranges: FloatArray
+    planes: list[str] | None
+    stations: list[str] | None
+    times: FloatArray | None
+    warnings: tuple[CalibrationWarning, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """The label of each row, or its number from the first row of the file."""
+        if self.stations is not None:
+            return self.stations
+        return [str(line) for line in (self.table.lines - self.table.header_line).tolist()]
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """Columns that are not used."""
+        used = self.columns.used
+        return tuple(name for name in self.table.frame.columns if name not in used)
+
+    def in_time(self) -> "LogRows":
+        """Return the rows in the order of their times.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        if self.times is None:
+            expected = "a column time, or its name by --time-column"
+            raise InputError("no column of times", expected, self.table.path)
+        if (np.diff(self.times) >= 0.0).all():
+            return self
+        return self.part(np.argsort(self.times, kind="stable").astype(np.intp))
+
+    def part(self, rows: IntArray) -> "LogRows":
+        """Return some rows."""
+        return replace(
+            self,
+            table=replace(self.table, frame=self.table.frame[rows], lines=self.table.lines[rows]),
+            poses=None if self.poses is None else self.poses[rows],
+            ranges=self.ranges[rows],
+            planes=None if self.planes is None else [self.planes[i] for i in rows.tolist()],
+            stations=None if self.stations is None else [self.stations[i] for i in rows.tolist()],
+            times=None if self.times is None else self.times[rows],
+        )
+
+
+def rows_of(
+    table: Table, given: LogFormat, sensor: Sensor, *, poses: bool = True, readings: bool = True
+) -> LogRows:
+    """Return the rows of a table that has poses, readings, or both.
+
+    Raises
+    ------
+    InputError
+    """
+    columns = columns_of(table, given, poses=poses, readings=readings)
+    numbers: FloatArray | None = None
+    warnings: tuple[CalibrationWarning, ...] = ()
+    if poses:
+        numbers, warnings = pose_numbers(table, columns.pose, given)
+    beams: tuple[str, ...] = ()
+    ranges = np.full((len(table.frame), 0), np.nan)
+    if readings:
+        beams, ranges, found = _readings(table, columns, given, sensor)
+        warnings = (*warnings, *found)
+    return LogRows(
+        table,
+        columns,
+        numbers,
+        beams,
+        ranges,
+        labels(table, columns.plane) if columns.plane and not _planes_stated(given) else None,
+        labels(table, columns.station) if columns.station else None,
+        times(table, columns.time, given) if columns.time else None,
+        warnings,
+    )
+
+
+def _planes_stated(given: LogFormat) -> bool:
+    return bool(given.plane or given.plane_ranges or given.plane_file is not None)
+
+
+def _readings(
+    table: Table, columns: Columns, given: LogFormat, sensor: Sensor
+) -> tuple[tuple[str, ...], FloatArray, tuple[CalibrationWarning, ...]]:
+    """Return beams, ranges (M, B) [m], and which codes stood for no reading."""
+    unit = LENGTHS[given.range_units]
+    if not columns.range:
+        names = list(columns.beams.values())
+        d, coded = range_numbers(table, names, sensor, unit)
+        beams = tuple(columns.beams)
+        cells = [table.frame[name] for name in names]
+        return beams, d, code_warnings(cells, [[beam] for beam in beams], coded)
+    whose = labels(table, columns.beam)
+    d, coded = range_numbers(table, [columns.range], sensor, unit)
+    beams = tuple(dict.fromkeys(whose))
+    if len(beams) > MOST_BEAMS:
+        raise InputError(
+            f"{len(beams)} beams, {some(beams, 4)}",
+            f"at most {MOST_BEAMS}; is --beam-column right?",
+            table.path,
+            None,
+            columns.beam,
+        )
+    number = {beam: i for i, beam in enumerate(beams)}
+    wide = np.full((len(whose), len(beams)), np.nan)
+    wide[np.arange(len(whose)), [number[beam] for beam in whose]] = d[:, 0]
+    return beams, wide, code_warnings([table.frame[columns.range]], [whose], coded)
+
+
+MOST_BEAMS = 200
+"""More labels of beams in a long table are another column."""

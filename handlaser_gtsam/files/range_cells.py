@@ -1,0 +1,92 @@
+"""Cells of ranges as numbers: which are readings, and which say that there is none."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import polars as pl
+
+from ..arrays import BoolArray, FloatArray
+from ..data.recording import LARGEST
+from ..data.screen import code_warning, coded_numbers
+from ..errors import CalibrationWarning
+from ..model.sensor import Sensor
+from .table import Table, column_numbers
+
+NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
+"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
+
+
+def range_numbers(
+    table: Table, columns: Sequence[str], sensor: Sensor, unit: float = 1.0
+) -> tuple[FloatArray, BoolArray]:
+    """Return the ranges (M, C) of columns [m], NaN where there is no reading, and which were codes.
+
+    Parameters
+    ----------
+    table : Table
+    columns : C names
+    sensor : Sensor
+        Its range, where it is stated, tells codes from readings.
+    unit : float
+        Of the cells [m].
+
+    Raises
+    ------
+    InputError
+        A cell that is neither a range nor a code.
+    """
+    words = np.column_stack([_word_codes(table.frame[name]) for name in columns])
+    d = np.column_stack(
+        [
+            column_numbers(table, name, empty=True, but=word)
+            for name, word in zip(columns, words.T, strict=True)
+        ]
+    )
+    d[words] = np.nan
+    if unit != 1.0:
+        d = unit * d
+    with np.errstate(invalid="ignore"):
+        impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
+        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST)
+    coded = impossible & sensor.range_stated
+    coded |= coded_numbers(d, impossible)
+    least = "a range" if sensor.range_min < 0.0 else "a positive range"
+    expected = (
+        f"{least} in metres up to {LARGEST:.0f}, or an empty cell for no reading; if the sensor can "
+        "read this, or says so that it reads nothing, state its range: range_mm in the rig file"
+    )
+    for i, name in enumerate(columns):
+        table.refuse((impossible & ~coded)[:, i], name, expected)
+    d[coded] = np.nan
+    return d, np.asarray(coded | words)
+
+
+def code_warnings(
+    columns: Sequence[pl.Series], beams: Sequence[Sequence[str]], coded: BoolArray
+) -> tuple[CalibrationWarning, ...]:
+    """Return a warning for every code, as it is written, with its beams and its count.
+
+    Parameters
+    ----------
+    columns : C series of M cells
+    beams : C sequences
+        Of the beam of each cell: M names, or one that holds for the column.
+    coded : (M, C)
+    """
+    found: dict[str, list[str]] = {}
+    for i, names in enumerate(beams):
+        for row in np.flatnonzero(coded[:, i]).tolist():
+            whose = names[row if len(names) > 1 else 0]
+            found.setdefault(str(columns[i][row]), []).append(whose)
+    return tuple(
+        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
+        for cell, whose in found.items()
+    )
+
+
+def _word_codes(column: pl.Series) -> BoolArray:
+    """Return which cells say in a word, or as no finite number, that there is no reading."""
+    if column.dtype != pl.String:
+        return np.asarray((~column.is_finite()).fill_null(value=False).to_numpy(), dtype=bool)
+    word = column.str.to_lowercase().str.strip_chars_start("+-")
+    return np.asarray(word.is_in(NO_READING).fill_null(value=False).to_numpy(), dtype=bool)

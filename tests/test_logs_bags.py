@@ -1,0 +1,277 @@
+"""Bags of ROS 1, ROS 2 and MCAP: stations at stands, tf, scans, a lag, memory."""
+
+import contextlib
+import json
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bags import HAS_ROSBAGS, KINDS, PEDESTAL, published, write_bag
+from controllers import of_quaternion
+from helpers import ROOT
+from moving import example
+
+import handlaser_gtsam as hl
+
+pytestmark = pytest.mark.skipif(not HAS_ROSBAGS, reason="needs rosbags")
+PLANES = ("A=1..12", "B=13..24")
+NAMES = ("laser_1", "laser_2")
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return example(noise=1e-3)
+
+
+def in_float(ranges):
+    """Ranges of messages are single precision."""
+    return ranges.astype(np.float32).astype(np.float64)
+
+
+def by_hand(drive):
+    """The recording that a person would write: the mean of what was read well within each stand."""
+    R = np.array([of_quaternion(q[3], *q[:3]) for q in drive.stand_quaternion])
+    # Half a second of stand is asked for, and a quarter of that is kept from both ends.
+    inside = [(drive.time >= a + 0.125) & (drive.time <= b - 0.125) for a, b in drive.stand]
+    d = np.array([in_float(drive.ranges[rows]).mean(axis=0) for rows in inside])
+    return R, drive.stand_position, d
+
+
+def csv_recording(tmp_path, drive):
+    R, t, d = by_hand(drive)
+    labels = ["AB"[p] for p in drive.plane_of_stand]
+    poses = np.tile(np.eye(4), (len(t), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = R, t
+    hl.write_recording(
+        tmp_path / "recording.csv",
+        hl.Recording.from_poses(poses, d, labels, beam_names=NAMES),
+    )
+    return tmp_path / "recording.csv"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_is_calibrated_to_the_same_answer_as_the_csv(tmp_path, handlaser, driven, kind):
+    drive, mounts = driven
+    bag = write_bag(tmp_path, kind, partial(published, drive))
+    csv = csv_recording(tmp_path, drive)
+    found = hl.read_log(bag, hl.LogFormat(plane_ranges=PLANES))
+    wanted = hl.read_recording(csv)
+    assert found.beam_names == NAMES
+    assert np.abs(found.world_R_hand - wanted.world_R_hand).max() < 1e-9
+    assert np.abs(found.world_t_hand - wanted.world_t_hand).max() < 1e-9
+    # A reading more or less at the end of a stand: noise of 1 mm over 37 readings of a stand.
+    assert np.abs(found.ranges - wanted.ranges).max() < 3e-4
+    assert (found.samples > 25.0).all()
+    arguments = ["--poses", "exact", "--json"]
+    code, out, _ = handlaser("calibrate", bag, "--plane-ranges", ",".join(PLANES), *arguments)
+    other = handlaser("calibrate", csv, *arguments)
+    assert code == other[0]
+    first, second = json.loads(out), json.loads(other[1])
+    assert first["status"] == second["status"] == "converged"
+    for one, two, (r, _) in zip(first["beams"], second["beams"], mounts, strict=True):
+        sigma = np.array(one["sigma"]["location_m"])
+        assert (np.abs(np.subtract(one["location_m"], two["location_m"])) < sigma).all()
+        assert (np.abs(np.subtract(one["location_m"], r)) < 5.0 * sigma).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_readings_without_noise_give_the_very_same_calibration(tmp_path, kind):
+    """Then no reading more or less matters: what is left is single precision."""
+    drive, _ = example()
+    bag = write_bag(tmp_path, kind, partial(published, drive))
+    noise = hl.Noise(1e-4, 0.0, 0.0)
+    found = hl.calibrate(hl.read_log(bag, hl.LogFormat(plane_ranges=PLANES)), noise)
+    wanted = hl.calibrate(hl.read_recording(csv_recording(tmp_path, drive)), noise)
+    for name in NAMES:
+        assert np.abs(found.beams[name].location - wanted.beams[name].location).max() < 1e-8
+        assert np.abs(found.beams[name].direction - wanted.beams[name].direction).max() < 1e-8
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros2"])
+def test_frames_of_tf_are_chained(tmp_path, driven, kind):
+    drive, _ = driven
+    bag = write_bag(tmp_path, kind, partial(published, drive, by="tf"))
+    R, t, _ = by_hand(drive)
+    found = hl.read_log(bag, hl.LogFormat(frames=("base", "hand"), plane_ranges=PLANES))
+    assert np.abs(found.world_R_hand - R).max() < 1e-9
+    assert np.abs(found.world_t_hand - t).max() < 1e-9
+    # From the camera's lens, that stands at (1, 2, 3.1) in the cell, up and down the tree again.
+    found = hl.read_log(bag, hl.LogFormat(frames=("lens", "hand"), plane_ranges=PLANES))
+    P = of_quaternion(PEDESTAL[1][3], *PEDESTAL[1][:3])
+    assert np.abs(found.world_R_hand - P @ R).max() < 1e-9
+    top = PEDESTAL[0] + P @ np.array([0.0, 0.0, 0.5]) - [1.0, 2.0, 3.1]
+    assert np.abs(found.world_t_hand - (top + t @ P.T)).max() < 1e-9
+    with pytest.raises(hl.InputError, match="no chain of tf frames from 'base' to 'tool'"):
+        hl.read_log(bag, hl.LogFormat(frames=("base", "tool"), plane="A"))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_rays_of_a_scan_are_beams_and_no_readings_are_none(tmp_path, driven, kind):
+    drive, _ = driven
+    bag = write_bag(tmp_path, kind, partial(published, drive, scans=True))
+    given = {"plane_ranges": PLANES}
+    rays = ("left=/scan[1]", "right=/scan[3]")
+    found = hl.read_log(bag, hl.LogFormat(range_columns=rays, **given))
+    assert found.beam_names == ("left", "right")
+    assert np.abs(found.ranges - by_hand(drive)[2]).max() < 3e-4
+    for ray in (0, 2, 4):  # infinite, not a number, below the sensor's least range
+        with pytest.raises(hl.InputError, match="no reading of beam none"):
+            hl.read_log(bag, hl.LogFormat(range_columns=(*rays, f"none=/scan[{ray}]"), **given))
+    with pytest.raises(hl.InputError, match="a scan of 5 rays"):
+        hl.read_log(bag, hl.LogFormat(range_columns=("/scan[5]",), **given))
+    with pytest.raises(hl.InputError, match=r"rays of a LaserScan, as --range-columns"):
+        hl.read_log(bag, hl.LogFormat(**given))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros2", "mcap"])
+def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path, kind):
+    drive, _ = example(noise=1e-3, seed=4)
+    bag = write_bag(tmp_path, kind, partial(published, drive, lag=0.1))
+    half = 0.5 * (drive.stand[11, 1] + drive.stand[12, 0])
+    by_time = (f"A=0s..{half}s", f"B={half + 1e-6}s..{drive.pose_time[-1] + 1.0}s")
+    for ranges in (PLANES, by_time):
+        report = hl.describe_log(bag, hl.LogFormat(plane_ranges=ranges, estimate_lag=True))
+        assert abs(report.lag - 0.1) < 0.01
+        assert np.abs(report.recording.ranges - by_hand(drive)[2]).max() < 4e-4
+    receive = hl.LogFormat(plane_ranges=PLANES, estimate_lag=True, receive_time=True)
+    assert abs(hl.describe_log(bag, receive).lag) < 0.01
+
+
+def test_a_bag_of_a_moving_arm_is_interpolated(tmp_path, driven):
+    drive, _ = driven
+    bag = write_bag(tmp_path, "ros2", partial(published, drive))
+    half = 0.5 * (drive.stand[11, 1] + drive.stand[12, 0])
+    ranges = (f"A=0s..{half}s", f"B={half + 1e-6}s..{drive.pose_time[-1] + 1.0}s")
+    given = hl.LogFormat(interpolate=True, tolerance_s=0.01, plane_ranges=ranges)
+    found = hl.read_log(bag, given)
+    count = len(found.ranges)
+    assert count > 0.98 * len(drive.time)
+    assert np.abs(found.ranges - in_float(drive.ranges[:count])).max() < 1e-9
+
+
+def test_what_a_bag_lacks_is_named(tmp_path, driven, handlaser):
+    drive, _ = driven
+    bag = write_bag(tmp_path, "ros2", partial(published, drive))
+    cases = {
+        "no column of planes": {},
+        "pose_format, which says nothing of a bag": {"pose_format": "kuka", "plane": "A"},
+        "no topic '/none' of geometry_msgs": {"pose_topic": "/none", "plane": "A"},
+        "no topic of tf": {"frames": ("base", "hand"), "plane": "A"},
+        "topic '/laser/3' of type none": {"range_columns": ("/laser/3",), "plane": "A"},
+        "no moment at which the hand stands": {"stand_s": 3.0, "plane": "A"},
+    }
+    for words, given in cases.items():
+        with pytest.raises(hl.InputError) as caught:
+            hl.read_log(bag, hl.LogFormat(**given))
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+    for name in ("broken.bag", "broken.mcap", "broken.db3"):
+        (tmp_path / name).write_bytes(b"nonsense" * 100)
+        code, _, err = handlaser("calibrate", tmp_path / name, "--plane", "A")
+        assert (code, err.count("\n")) == (2, 1)
+        assert "no bag that can be read" in err
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(hl.InputError, match="no bag that can be read"):
+        hl.read_log(tmp_path / "folder", hl.LogFormat(plane="A"))
+
+
+@pytest.fixture(scope="module")
+def short():
+    """A drive of a few stands."""
+    return example(stations=4)[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"), [("ros1", "BZ2"), ("ros1", "LZ4"), ("ros2", "ZSTD")]
+)
+def test_compressed_bags_are_the_same(tmp_path, short, kind, compression):
+    plain, packed = tmp_path / "plain", tmp_path / "packed"
+    plain.mkdir()
+    packed.mkdir()
+    messages = partial(published, short)
+    first = write_bag(plain, kind, messages)
+    second = write_bag(packed, kind, messages, compression)
+    given = hl.LogFormat(plane="A")
+    assert hl.read_log(first, given) == hl.read_log(second, given)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap-file"])
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
+def test_a_bag_that_ends_too_early_is_refused(tmp_path, short, kind, part):
+    bag = write_bag(tmp_path, kind, partial(published, short))
+    data = bag.read_bytes()
+    bag.write_bytes(data[: int(part * len(data))])
+    with pytest.raises(hl.InputError) as caught:
+        hl.read_log(bag, hl.LogFormat(plane="A"))
+    assert "no bag that can be read" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bags_with_broken_bytes_are_read_or_refused(tmp_path, short):
+    """Never a traceback; what is read has poses and ranges that can be."""
+    bag = write_bag(tmp_path, "ros1", partial(published, short))
+    data, rng = bag.read_bytes(), np.random.default_rng(0)
+    read = 0
+    for _ in range(40):
+        spoilt = bytearray(data)
+        for at in rng.integers(0, len(data), 3):
+            spoilt[at] ^= 1 << int(rng.integers(8))
+        bag.write_bytes(spoilt)
+        with contextlib.suppress(hl.InputError):
+            found = hl.read_log(bag, hl.LogFormat(plane="A", as_stated=True))
+            read += 1
+            assert np.isfinite(found.world_t_hand).all()
+    assert read > 5
+
+
+def test_poses_that_are_inverted_in_a_bag_are_noticed(tmp_path, driven):
+    drive, _ = driven
+    bag = write_bag(tmp_path, "mcap", partial(published, drive, by="tf"))
+    with pytest.raises(hl.InputError, match=r"\(base in hand\): --inverted"):
+        hl.read_log(bag, hl.LogFormat(frames=("hand", "base"), plane_ranges=PLANES))
+    straight = hl.read_log(bag, hl.LogFormat(frames=("base", "hand"), plane_ranges=PLANES))
+    given = hl.LogFormat(frames=("hand", "base"), plane_ranges=PLANES, inverted=True)
+    back = hl.read_log(bag, given)
+    assert np.abs(back.world_t_hand - straight.world_t_hand).max() < 1e-9
+
+
+MEMORY = """
+import pathlib, re, sys
+import handlaser_gtsam as hl
+recording = hl.read_log(sys.argv[1], hl.LogFormat(plane="A"))
+peak = re.search(r"VmHWM:\\s*(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]
+print(len(recording.ranges), peak)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
+def test_memory_does_not_grow_with_what_is_not_needed(tmp_path):
+    """A bag of 40 MB, of which scans are most, takes hardly more memory than a bag of 4 MB."""
+    drive, _ = example(stations=12)
+    peak = []
+    for rays in (100, 3000):
+
+        def messages(make, rays=rays):
+            for topic, time, message in published(drive, make):
+                yield topic, time, message
+                if topic == "/laser/1":
+                    yield "/scan", time, make.scan(time, np.ones(rays))
+
+        folder = tmp_path / str(rays)
+        folder.mkdir()
+        bag = write_bag(folder, "mcap", messages)
+        run = subprocess.run(
+            [sys.executable, "-c", MEMORY, str(bag)],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=ROOT,
+        )
+        stations, kilobytes = map(int, run.stdout.split())
+        assert stations == 12
+        peak.append(kilobytes / 1024)
+    assert peak[1] - peak[0] < 20.0
+    assert max(peak) < 300.0
