@@ -40,7 +40,7 @@ from benchmarks.planned_cell import SENSOR, Cell, cell, errors_of
 from benchmarks.planned_loop import Loop, loop, random_plan
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
-from handlaser_gtsam.planning.information import outlook
+from handlaser_gtsam.planning.information import told
 from handlaser_gtsam.planning.route import goal_rows
 from handlaser_gtsam.planning.workspace import candidates, joined
 from handlaser_gtsam.validation.scenes import SCENES, Layout
@@ -212,9 +212,9 @@ def speed_line() -> str:
     here = cell(rng)
     recording = simulate(truth, stations, here.errors, rng, SENSOR)
     belief = belief_of(hl.calibrate(recording, here.noise, OPTIONS))
-    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng)[0] for p in range(4)]
+    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
-    rows = np.stack([outlook(one, joined(parts)).rows for one in drawn])
+    rows = np.stack([told(one, joined(parts)) for one in drawn])
     weight = goal_rows(belief, hl.Goal(), 0.015)
     seconds = []
     for _ in range(5):

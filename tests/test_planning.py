@@ -17,7 +17,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
 from handlaser_gtsam.planning.choice import choose, value
-from handlaser_gtsam.planning.information import outlook, updated
+from handlaser_gtsam.planning.information import outlook, told, updated
 from handlaser_gtsam.planning.order import divided, shortest, way
 from handlaser_gtsam.planning.route import goal_rows, spot_rows
 from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
@@ -47,7 +47,7 @@ def belief(recorded):
 @pytest.fixture(scope="module")
 def pool(belief):
     rng = np.random.default_rng(0)
-    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng)[0] for p in (0, 1)])
+    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng) for p in (0, 1)])
 
 
 # --- what stations would tell ------------------------------------------------------------------------
@@ -102,7 +102,7 @@ def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
     used = np.flatnonzero(np.diagonal(belief.covariance) > 0.0)
     assert len(used) == len(belief.covariance) - belief.beams  # k2 is not modelled
     C = belief.covariance
-    for rows in outlook(belief, chosen).rows:
+    for rows in told(belief, chosen):
         C = updated(C, rows)
     at = np.ix_(used, used)
     scale = np.sqrt(np.diagonal(belief.covariance)[used])
@@ -200,7 +200,7 @@ def test_updates_up_and_down_agree_with_the_final_covariance():
 
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.Goal(), np.random.default_rng(0)
-    rows = outlook(belief, pool).rows
+    rows = told(belief, pool)
     weight = goal_rows(belief, goal, 0.015)
     chosen = choose(rows[None], belief.covariance, weight, 8)
     drawn = [

@@ -10,7 +10,7 @@ from ..results.lines import MM
 from .belief import belief_of
 from .choice import choose
 from .goal import Goal
-from .information import outlook
+from .information import told
 from .route import Plan, forecast_of, goal_rows, planned
 from .workspace import Workspace, picked, reachable, workspace_of
 
@@ -42,7 +42,7 @@ def next_stations(
     try:
         belief = belief_of(calibration)
         pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
-        rows = outlook(belief, pool).rows
+        rows = told(belief, pool)
         distance = goal.distance(sensor)
         weight = goal_rows(belief, goal, distance)
         criterion = goal.criterion

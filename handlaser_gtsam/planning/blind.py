@@ -27,7 +27,7 @@ from .belief import Belief, belief_about
 from .bounds import Bounds
 from .choice import choose, value
 from .goal import Goal
-from .information import outlook, updated
+from .information import told, updated
 from .plate import MOST_PLANES
 from .route import Plan, forecast_of, goal_rows, planned
 from .workspace import STEEPEST, Workspace, inside, joined, picked, require_range
@@ -36,6 +36,8 @@ MOUNTS = 2000
 """Mounts drawn from the bounds: no station leaves the sensor's limits at any of them."""
 FEW = 50
 """Of them, at which every turn is tried first."""
+AT_ONCE = 20_000
+"""Readings predicted at a time: more would leave the processor's cache."""
 JUDGED = 4
 """Mounts at which stations are compared by what they tell."""
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
@@ -131,7 +133,7 @@ def _plan(cell: _Cell, motion: Stations, planes: int, goal: Goal, rng: np.random
     every = joined([replace(motion, plane=each + p) for p in range(planes)])
     order = np.arange(len(every.plane))
     distance = goal.distance(cell.sensor)
-    forecast = forecast_of(belief, outlook(belief, every).rows, order, distance)
+    forecast = forecast_of(belief, told(belief, every), order, distance)
     others = bounds.draw(rng, MOUNTS)
     safe = float(safe_stations(others, motion, cell.sensor).all(axis=1).mean())
     return planned(
@@ -203,10 +205,10 @@ def _chosen(
     for at in mounts:
         belief = belief_about(cell.bounds, at, cell.variances, cell.sensor)
         C = belief.covariance
-        for one in outlook(belief, first).rows:
+        for one in told(belief, first):
             C = updated(C, one)
         before.append(C)
-        rows.append(outlook(belief, turns).rows)
+        rows.append(told(belief, turns))
     unit = Goal("E", cell.middle, 1.0)
     weight = goal_rows(belief, unit, cell.middle)
     found = choose(np.stack(rows), np.stack(before), weight, count, "E", exchange=False)
@@ -291,10 +293,13 @@ def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> Boo
     R, t = stations.world_R_hand, stations.world_t_hand
     n, b = mounts.normals, mounts.offsets
     r, v = (one.reshape(len(n), -1, 3) for one in (mounts.locations, mounts.directions))
-    n_hand = (n @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(len(n), -1, 3)
-    cosine = n_hand @ np.swapaxes(v, 1, 2)
-    height = n_hand @ np.swapaxes(r, 1, 2) + (n @ t.T + b[:, None])[..., None]
-    with np.errstate(all="ignore"):
-        s = -height / cosine
-        good = sensor.can_read(s) & (cosine >= math.cos(min(sensor.max_incidence, STEEPEST)))
-    return np.asarray(good.all(axis=2))
+    least = math.cos(min(sensor.max_incidence, STEEPEST))
+    good = np.empty((len(n), len(t)), dtype=bool)
+    size = max(AT_ONCE // max(len(t) * r.shape[1], 1), 1)
+    for some in (slice(k, k + size) for k in range(0, len(n), size)):
+        n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
+        cosine = n_hand @ np.swapaxes(v[some], 1, 2)
+        height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
+        with np.errstate(all="ignore"):
+            good[some] = (sensor.can_read(-height / cosine) & (cosine >= least)).all(axis=2)
+    return good

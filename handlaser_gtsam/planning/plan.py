@@ -15,7 +15,7 @@ from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .choice import choose
 from .goal import Goal
-from .information import outlook
+from .information import told
 from .plate import Placement, Plate, standing
 from .refine import refined
 from .route import Plan, forecast_of, goal_rows, planned
@@ -107,7 +107,7 @@ def _best(
     chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
     found = refined(belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng)
     every = np.arange(count)
-    forecast = forecast_of(belief, outlook(belief, found).rows, every, distance)
+    forecast = forecast_of(belief, told(belief, found), every, distance)
     enough = forecast.reaches(goal) if goal.stated else None
     if enough is not None:
         found = picked(found, every[: max(enough, 1)])
@@ -163,10 +163,10 @@ def _pool(
     belief = task.belief
     share = max(POOL // len(belief.plane_names), 2 * count)
     pool = reachable(belief, task.workspace, sensor, share, rng)
-    rows = [outlook(belief, pool).rows]
+    rows = [told(belief, pool)]
     for _ in range(DRAWS):
         try:
-            rows.append(outlook(belief.about(belief.draw(rng)), pool).rows)
+            rows.append(told(belief.about(belief.draw(rng)), pool))
         except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
             continue
     return pool, np.stack(rows)

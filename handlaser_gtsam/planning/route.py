@@ -16,7 +16,7 @@ from ..validation.simulate import Stations
 from .belief import BEAM, Belief
 from .drive import driven
 from .goal import Forecast, Goal
-from .information import outlook, updated
+from .information import outlook, told, updated
 from .order import divided, shortest
 from .plate import Plate
 from .workspace import Workspace, picked, plates_of
@@ -93,11 +93,10 @@ def planned(
     kept = order[origin[read]]
     if len(kept) < count:
         if ordered:
-            found = (
-                f"no way of the arm to {count - len(kept)} of {count} stations of a first motion"
-            )
-            raise InputError(found, "more room around the plate, or a smaller clearance")
-        forecast = forecast_of(belief, ahead.rows, np.sort(kept), forecast.working_distance)
+            raise _no_way(count - len(kept), count)
+        forecast = forecast_of(
+            belief, told(belief, stations), np.sort(kept), forecast.working_distance
+        )
     expected = np.full((2, len(origin), belief.beams), math.nan)
     expected[:, read] = ahead.reading[kept], ahead.reading_sigma[kept]
     return Plan(
@@ -110,6 +109,11 @@ def planned(
         safe,
         count - len(kept),
     )
+
+
+def _no_way(missing: int, of: int) -> InputError:
+    found = f"no way of the arm to {missing} of {of} stations of a first motion"
+    return InputError(found, "more room around the plate, or a smaller clearance")
 
 
 def _way(
