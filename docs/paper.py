@@ -5,7 +5,6 @@ python docs/paper.py [FILE] [--runs N] [--jobs J]
 
 import argparse
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import handlaser_gtsam as hl  # noqa: E402
+from benchmarks.studies import Studies, add_options  # noqa: E402
 from benchmarks.uncertainty import Summary, study  # noqa: E402
 from handlaser_gtsam.estimation.options import Poses  # noqa: E402
 from handlaser_gtsam.validation.leave_out import Prediction, reconstruction  # noqa: E402
@@ -24,7 +24,7 @@ from handlaser_gtsam.validation.simulate import Errors, simulate  # noqa: E402
 RANGE, TRANSLATION, ROTATION = 3e-5, 5e-5, math.radians(0.03)
 K1, K2 = 0.005, -0.1
 PLANES, STATIONS = 13, 25
-Studies = dict[str, dict[str, dict[Poses, Summary]]]
+Summaries = dict[str, dict[str, dict[Poses, Summary]]]
 
 
 def recording(layout: Layout, errors: Errors, seed: int) -> hl.Recording:
@@ -34,7 +34,7 @@ def recording(layout: Layout, errors: Errors, seed: int) -> hl.Recording:
     return simulate(truth, stations, errors, rng)
 
 
-def simulation_lines(studies: Studies) -> list[str]:
+def simulation_lines(studies: Summaries) -> list[str]:
     """Return the table of section 3.1."""
     lines = [
         "| stations | pose errors | poses taken as | rms error of r mm | rms error of v deg | NEES/dof "
@@ -145,9 +145,9 @@ about and along the Y axis, and all pairs of stations are used. Assumed: range e
 """
 
 
-def page(runs: int, jobs: int) -> str:
+def page(runs: int, where: Studies) -> str:
     """Return the page."""
-    studies = {scene: study(runs, jobs, scene) for scene in ("paper", "unplanned")}
+    studies = {scene: study(runs, where, scene) for scene in ("paper", "unplanned")}
     return PAGE.format(
         runs=runs,
         stations=STATIONS,
@@ -164,9 +164,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Write docs/paper.md.")
     parser.add_argument("file", nargs="?", type=Path, default=ROOT / "docs" / "paper.md")
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
-    arguments.file.write_text(page(arguments.runs, arguments.jobs), encoding="utf-8")
+    with Studies.of(arguments) as where:
+        text = page(arguments.runs, where)
+    arguments.file.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
