@@ -11,7 +11,8 @@ from .belief import belief_of
 from .choice import choose
 from .goal import Goal
 from .information import told
-from .route import Plan, forecast_of, goal_rows, planned
+from .replacing import planned_with_spare
+from .route import Plan, goal_rows
 from .workspace import Workspace, picked, reachable, workspace_of
 
 FEW = 3
@@ -49,9 +50,11 @@ def next_stations(
         chosen = choose(
             rows[None], belief.covariance, weight, FEW, criterion, exchange=False
         ).candidates
-        forecast = forecast_of(belief, rows, chosen, distance)
+        spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
         taken = recording.station_names
-        return planned(belief, picked(pool, chosen), goal, workspace, forecast, taken)
+        return planned_with_spare(
+            belief, picked(pool, chosen), spare, weight, goal, workspace, distance, taken
+        )
     except HandlaserError:
         return None
 

@@ -18,7 +18,8 @@ from .goal import Goal
 from .information import told
 from .plate import Placement, Plate, standing
 from .refine import refined
-from .route import Plan, forecast_of, goal_rows, planned
+from .replacing import planned_with_spare
+from .route import Plan, forecast_of, goal_rows
 from .turning import placed
 from .workspace import Workspace, picked, reachable, workspace_of
 
@@ -106,13 +107,14 @@ def _best(
         count = stations if enough is None else max(enough, 1)
     chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
     found = refined(belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng)
-    every = np.arange(count)
-    forecast = forecast_of(belief, told(belief, found), every, distance)
-    enough = forecast.reaches(goal) if goal.stated else None
-    if enough is not None:
-        found = picked(found, every[: max(enough, 1)])
-        forecast = forecast.part(max(enough, 1))
-    return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=put)
+    if goal.stated:
+        every = np.arange(count)
+        enough = forecast_of(belief, told(belief, found), every, distance).reaches(goal)
+        found = found if enough is None else picked(found, every[: max(enough, 1)])
+    spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
+    return planned_with_spare(
+        belief, found, spare, weight, goal, task.workspace, distance, task.taken, plates=put
+    )
 
 
 def _task(
