@@ -11,10 +11,11 @@ from helpers import draws
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks.planned_cell import ERR, SENSOR, cell
+from benchmarks.planned_cell import ERR, SENSOR, cell, errors_of
 from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.planning.advice import missing_stations
 from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
 from handlaser_gtsam.planning.choice import choose, value
 from handlaser_gtsam.planning.information import outlook, told, updated
@@ -384,6 +385,29 @@ def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
     assert plane.translations == 3  # Lemma 1
     assert plane.axes >= 2  # Lemma 2
     assert not check.undetermined
+
+
+@pytest.mark.parametrize("taken", [4, 5, 6])
+def test_what_a_first_motion_still_lacks_is_found(taken):
+    """A first motion that was broken off, and mounts drawn from the bounds."""
+    rng = np.random.default_rng(taken)
+    here = cell(rng, 1)
+    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    begun = here.measured(motion, rng).part(np.arange(taken))
+    options = hl.CalibrationOptions(sensor=SENSOR)
+    assert hl.calibrate(begun, here.noise, options).status == "unobservable"
+    plan = missing_stations(begun, here.bounds, SENSOR, here.workspace, here.noise)
+    assert 3 <= len(plan) <= 12
+    assert not set(plan.stations.station_names) & set(begun.station_names)
+    more = here.measured(plan, rng, first=taken)
+    assert not np.isnan(more.ranges).any()
+    found = hl.calibrate(hl.join([begun, more]), here.noise, options)
+    assert found.status == "converged"
+    whole = errors_of(found, here.truth)
+    assert math.sqrt(whole[0].max()) < 5.0 * plan.forecast.location_sigma[-1] * math.sqrt(3.0)
+    assert missing_stations(begun, None, SENSOR) is None
+    fewer = hl.Bounds(here.bounds.locations[:1], here.bounds.directions[:1], here.bounds.plate)
+    assert missing_stations(begun, fewer, SENSOR) is None
 
 
 def test_the_closed_loop_needs_half_of_the_random_stations():

@@ -43,11 +43,23 @@ def _checked(path: Path, rig: Path | None) -> Answer:
     if found.undetermined:
         words = f"the motion leaves open {'; '.join(found.undetermined)}. "
         failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
+        lines += [] if rig is None else _missing(recording, rig)
     else:
         lines.append("the motion determines everything, for beams and planes in general position")
         lines += [] if rig is None else _next(recording, rig)
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     return Answer(check_text(found), lambda: print("\n".join(lines)), warnings, failure)
+
+
+def _missing(recording: "Recording", path: Path) -> list[str]:
+    """Return the stations that are missing in words; nothing where the rig file has no bounds."""
+    from ..files.rig_toml import read_rig
+    from ..planning.advice import advice_lines, missing_stations
+    from ..results.lines import wrapped
+
+    rig = read_rig(path)
+    plan = missing_stations(recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal)
+    return [] if plan is None else [part for line in advice_lines(plan) for part in wrapped(line)]
 
 
 def _next(recording: "Recording", path: Path) -> list[str]:

@@ -3,12 +3,16 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..data.noise import Noise
+from ..data.recording import Recording
 from ..errors import HandlaserError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.lines import MM
 from .belief import belief_of
+from .bounds import Bounds
 from .choice import choose
+from .completing import completing_motion
 from .goal import Goal
 from .information import told
 from .replacing import planned_with_spare
@@ -55,6 +59,23 @@ def next_stations(
         return planned_with_spare(
             belief, picked(pool, chosen), spare, weight, goal, workspace, distance, taken
         )
+    except HandlaserError:
+        return None
+
+
+def missing_stations(
+    recording: Recording,
+    bounds: Bounds | None,
+    sensor: Sensor,
+    workspace: Workspace | None = None,
+    noise: Noise | None = None,
+    goal: Goal | None = None,
+) -> Plan | None:
+    """Return a plan of what a recording that leaves something open lacks; None without a basis."""
+    if bounds is None or len(bounds.locations) > MOST_BEAMS:
+        return None
+    try:
+        return completing_motion(bounds, sensor, recording, workspace, noise, goal)
     except HandlaserError:
         return None
 

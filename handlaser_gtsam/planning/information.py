@@ -101,6 +101,13 @@ def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
     return np.asarray(covariance - V.T @ np.linalg.solve(np.eye(len(rows)) + V @ rows.T, V))
 
 
+def after(covariance: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the covariance (U, U) after stations with whitened rows (M, B, U), one by one."""
+    for one in rows:
+        covariance = updated(covariance, one)
+    return covariance
+
+
 def _readings(stations: Stations, beams: int, planes: int) -> Readings:
     count = len(stations.plane)
     station = np.repeat(np.arange(count), beams)

@@ -9,7 +9,7 @@ from ..validation.simulate import Stations
 from .belief import Belief
 from .choice import choose
 from .goal import Goal
-from .information import told, updated
+from .information import after, told
 from .plate import Plate
 from .route import Plan, forecast_of, planned_and_kept
 from .workspace import Workspace, joined, picked
@@ -75,9 +75,7 @@ def _best_beside(
     goal: Goal,
 ) -> IntArray:
     """Return the best of the unused candidates beside stations that are kept, all given by rows."""
-    C = belief.covariance
-    for one in kept:
-        C = updated(C, one)
+    C = after(belief.covariance, kept)
     left = np.flatnonzero(unused)
     found = choose(rows[None, left], C, weight, count, goal.criterion, exchange=False)
     return left[found.candidates]
