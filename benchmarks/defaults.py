@@ -23,19 +23,15 @@ the package, with k1 = 0.02 and k2 = 0.01/m, readings that err by 0.1 mm, and ex
 
 import argparse
 import math
-import os
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
-# One thread a process: they are as many as the processors. NumPy reads this when it is imported.
-os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
 
-import numpy as np
-from rich.progress import Progress
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from benchmarks.robot_cell import MOTION, Scene, Truth, cell, pose_covariance
@@ -53,9 +49,6 @@ CHECKED = {
     "nothing given": (hl.Noise(), hl.Sensor()),
 }
 """What --scene-check gives: all of the rig file that `handlaser simulate` writes, or less of it."""
-
-Argument = TypeVar("Argument")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,73 +215,48 @@ def check_once(name: str, seed: int) -> Judged | None:
     return judge(result, np.hstack((truth.locations, truth.directions, truth.range_errors)))
 
 
-def each_done(
-    bar: Progress,
-    pool: ProcessPoolExecutor,
-    name: str,
-    run: Callable[[Argument], Result],
-    arguments: Iterable[Argument],
-) -> list[Result]:
-    """Return the results of all runs, and show how many are done."""
-    wanted = list(arguments)
-    task = bar.add_task(name, total=len(wanted))
-    found = []
-    for one in pool.map(run, wanted):
-        found.append(one)
-        bar.advance(task)
-    bar.remove_task(task)
-    return found
-
-
-def show(bar: Progress, text: str) -> None:
-    """Print a line above the progress bar."""
-    bar.console.print(text, soft_wrap=True, highlight=False, markup=False)
-
-
-def study(cases: list[Case], runs: int, jobs: int) -> None:
+def study(cases: list[Case], runs: int, studies: Studies) -> None:
     """Print a line for every case."""
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        for case in cases:
-            name = f"{case.beams} beams, a = {case.a:g}"
-            show(bar, line(case, each_done(bar, pool, name, partial(run_once, case), range(runs))))
+    for case in cases:
+        name = f"{case.beams} beams, a = {case.a:g}"
+        studies.show(line(case, studies.each(name, partial(run_once, case), range(runs))))
 
 
-def scene_check(runs: int, jobs: int) -> None:
+def scene_check(runs: int, studies: Studies) -> None:
     """Print a line for everything that may be given of the scene `arm`."""
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        for name in CHECKED:
-            found = each_done(bar, pool, name, partial(check_once, name), range(runs))
-            done = [one for one in found if one is not None]
-            far = sum(one.farthest > FAR for one in done)
-            worst = max((one.farthest for one in done), default=math.nan)
-            show(
-                bar,
-                f"scene arm, {name}: {far} of {runs} recordings with a coordinate beyond {FAR:g} "
-                f"sigma, farthest {worst:.1f}, NEES {np.mean([one.nees for one in done]):.3f}, "
-                f"fail {runs - len(done)}",
-            )
+    for name in CHECKED:
+        found = studies.each(name, partial(check_once, name), range(runs))
+        done = [one for one in found if one is not None]
+        far = sum(one.farthest > FAR for one in done)
+        worst = max((one.farthest for one in done), default=math.nan)
+        studies.show(
+            f"scene arm, {name}: {far} of {runs} recordings with a coordinate beyond {FAR:g} "
+            f"sigma, farthest {worst:.1f}, NEES {np.mean([one.nees for one in done]):.3f}, "
+            f"fail {runs - len(done)}",
+        )
 
 
 def main() -> None:
     """Print a line a case as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     parser.add_argument("--beams", type=int, nargs="+", default=[4, 1])
     parser.add_argument("--a", type=float, nargs="+", default=A)
     parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     parser.add_argument("--given", action="store_true")
     parser.add_argument("--scene-check", action="store_true")
     arguments = parser.parse_args()
-    if arguments.scene_check:
-        scene_check(arguments.runs or 100, arguments.jobs)
-        return
     cases = [
         Case(beams, a, arguments.given, arguments.motion)
         for beams in arguments.beams
         for a in arguments.a
     ]
-    study(cases, arguments.runs or 200, arguments.jobs)
+    with Studies.of(arguments) as studies:
+        if arguments.scene_check:
+            scene_check(arguments.runs or 100, studies)
+        else:
+            study(cases, arguments.runs or 200, studies)
 
 
 if __name__ == "__main__":

@@ -10,14 +10,14 @@ False alarms are those of as many runs without a change, plane by plane and at t
 
 import argparse
 import math
-import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-from rich.progress import Progress
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import RangeError
@@ -98,21 +98,17 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--turn-deg", type=float, default=0.3)
     parser.add_argument("--scene", choices=sorted(SCENES), default="arm")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
     turns, runs = (math.radians(arguments.turn_deg), 0.0), arguments.runs
     rows = []
-    with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
-        task = bar.add_task("runs", total=len(CASES) * 2 * runs)
+    with Studies.of(arguments) as studies:
         for case in CASES:
             counts = []
             for number, turn in enumerate(turns):
                 seeds = range(number * runs, (number + 1) * runs)
-                found = []
-                for one in pool.map(partial(run_once, case, turn, arguments.scene), seeds):
-                    found.append(one)
-                    bar.advance(task)
-                counts.append(np.sum(found, axis=0))
+                run = partial(run_once, case, turn, arguments.scene)
+                counts.append(np.sum(studies.each(case.name, run, seeds), axis=0))
             rows.append((case.name, *counts[0][:3], counts[1][3]))
     print(f"of {runs} runs".ljust(32) + "  named  at once  at the end  false alarms")
     for name, *numbers in rows:

@@ -10,12 +10,13 @@ result without garbage. With a share of zero the readings wrongly left out are c
 
 import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
-import numpy as np
-from rich.console import Console
-from rich.progress import track
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.recording import Recording
@@ -58,7 +59,7 @@ class Outcome:
     good_readings: int
 
 
-def run(case: Case, seed: int, share: float) -> Outcome:
+def run(case: Case, share: float, seed: int) -> Outcome:
     """Calibrate one recording with and without garbage."""
     rng = np.random.default_rng(seed)
     sigma = RANGE_SIGMA[case.scene]
@@ -112,31 +113,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--share", type=float, default=0.3)
-    parser.add_argument("--jobs", type=int, default=2)
+    add_options(parser, jobs=2)
     arguments = parser.parse_args()
-    console, failed = Console(width=120), False
-    with ProcessPoolExecutor(arguments.jobs) as pool:
+    failed = False
+    with Studies.of(arguments) as studies:
         for share in (arguments.share, 0.0):
             for case in CASES:
-                count = arguments.seeds
-                outcomes = list(
-                    track(
-                        pool.map(run, [case] * count, range(count), [share] * count),
-                        total=count,
-                        description=f"{share:.0%} {case.scene}",
-                        console=Console(stderr=True),
-                    )
-                )
-                failed |= _report(console, case, share, outcomes)
+                name = f"{share:.0%} {case.scene}"
+                found = studies.each(name, partial(run, case, share), range(arguments.seeds))
+                failed |= _report(studies, case, share, found)
     return 1 if failed else 0
 
 
-def _report(console: Console, case: Case, share: float, outcomes: list[Outcome]) -> bool:
+def _report(studies: Studies, case: Case, share: float, outcomes: list[Outcome]) -> bool:
     bad = [outcome for outcome in outcomes if not outcome.distance < SIGMAS]
     wrongly = sum(o.wrongly for o in outcomes) / sum(o.good_readings for o in outcomes)
     layout = case.layout
     told = "sigma given" if case.told else "sigma not given"
-    console.print(
+    studies.show(
         f"{share:.0%} garbage, {case.scene}, {layout.beams} beams x {layout.planes} planes x "
         f"{layout.stations} stations, {told}: {len(outcomes) - len(bad)} of {len(outcomes)} good, "
         f"{wrongly:.2%} of the good readings left out; failed seeds {[o.seed for o in bad]}"

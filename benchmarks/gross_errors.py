@@ -19,22 +19,18 @@ that of the same recording with the bad readings taken out by hand.
 
 import argparse
 import math
-import os
 import re
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 
-# One thread a process: they are as many as the processors. NumPy reads this when it is imported.
-os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
 
-import numpy as np
-from rich.progress import Progress
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
-from benchmarks.defaults import each_done, show
 from benchmarks.right_angles import Scene, Truth, coded, exchanged, plates, relabelled, stations_of
 from handlaser_gtsam.arrays import BoolArray, FloatArray
 
@@ -213,7 +209,7 @@ def main() -> None:
     """Print a line a case as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=1)
+    add_options(parser, jobs=1)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--labels", type=int, nargs="*", default=[14, 20, 30])
     parser.add_argument(
@@ -225,10 +221,10 @@ def main() -> None:
     cases = label_cases(arguments.labels) + code_cases(arguments.codes)
     cases += more_cases() if arguments.more else []
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.runs)
-    with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
+    with Studies.of(arguments) as studies:
         for case in cases:
-            found = each_done(bar, pool, case.name, partial(run_once, case, arguments.given), seeds)
-            show(bar, line(case, found))
+            found = studies.each(case.name, partial(run_once, case, arguments.given), seeds)
+            studies.show(line(case, found))
 
 
 if __name__ == "__main__":

@@ -11,14 +11,14 @@ five degrees of freedom; consistent is 1.
 
 import argparse
 import math
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 
-import gtsam
-import numpy as np
-from rich.progress import Progress
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import gtsam  # isort: skip
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
@@ -209,15 +209,10 @@ def main() -> None:
     """Print NEES and errors of both ways."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
-    found = []
-    with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
-        task = bar.add_task("drives", total=arguments.runs)
-        for one in pool.map(run_once, range(arguments.runs)):
-            found.append(one)
-            bar.advance(task)
-    table = np.array(found)
+    with Studies.of(arguments) as studies:
+        table = np.array(studies.each("drives", run_once, range(arguments.runs)))
     error = math.sqrt(2.0 / 5.0 / len(table))
     print(f"{len(table)} drives         NEES/dof   rms error of r")
     for name, column in (("joint", 0), ("poses as exact", 2)):

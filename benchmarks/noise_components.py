@@ -9,11 +9,13 @@ the scene `arm` they are 30 cm away.
 
 import argparse
 import math
-import os
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
+from functools import partial
 
-import numpy as np
-from rich.progress import Progress
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
@@ -50,24 +52,26 @@ def main() -> None:
     """Print the mean and the spread of each estimated sigma."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
-    for scene in TRUE:
-        found = []
-        with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
-            task = bar.add_task(scene, total=arguments.runs)
-            for one in pool.map(run_once, range(arguments.runs), [scene] * arguments.runs):
-                found.append(one)
-                bar.advance(task)
-        ratio = np.array(found)
-        for name, values, said in zip(NAMES, ratio.T[:3], ratio.T[3:], strict=True):
-            off = np.abs(values - 1.0)
-            print(
-                f"{scene}, {name}: estimated / true {np.nanmean(values):.3f} +- "
-                f"{np.nanstd(values):.3f} (said: {np.nanmedian(said):.3f}), furthest "
-                f"{np.nanmax(off):.3f} off, within 20 % in {100 * np.mean(off <= 0.2):.0f} %"
-            )
-        print(f"{scene}: {np.isnan(ratio[:, 0]).sum()} of {len(ratio)} not converged")
+    with Studies.of(arguments) as studies:
+        for scene in TRUE:
+            run = partial(run_once, scene=scene)
+            ratio = np.array(studies.each(scene, run, range(arguments.runs)))
+            for text in lines(scene, ratio):
+                studies.show(text)
+
+
+def lines(scene: str, ratio: FloatArray) -> Iterator[str]:
+    """Yield the mean and the spread of each estimated sigma, from a row (6,) a run."""
+    for name, values, said in zip(NAMES, ratio.T[:3], ratio.T[3:], strict=True):
+        off = np.abs(values - 1.0)
+        yield (
+            f"{scene}, {name}: estimated / true {np.nanmean(values):.3f} +- "
+            f"{np.nanstd(values):.3f} (said: {np.nanmedian(said):.3f}), furthest "
+            f"{np.nanmax(off):.3f} off, within 20 % in {100 * np.mean(off <= 0.2):.0f} %"
+        )
+    yield f"{scene}: {np.isnan(ratio[:, 0]).sum()} of {len(ratio)} not converged"
 
 
 if __name__ == "__main__":

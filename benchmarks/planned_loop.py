@@ -9,6 +9,7 @@ import numpy as np
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.information import told
 from handlaser_gtsam.planning.route import forecast_of, planned
 from handlaser_gtsam.planning.workspace import candidates, joined, picked
 from handlaser_gtsam.validation.simulate import Errors
@@ -79,9 +80,8 @@ def random_plan(
     """Return safe stations before all planes, drawn instead of chosen."""
     belief = belief_of(calibration).before(plates)
     planes = range(len(belief.plane_names))
-    pools = [candidates(belief, p, workspace, SENSOR, 40, rng) for p in planes]
-    pool = joined([one for one, _ in pools])
-    rows = np.concatenate([ahead.rows for _, ahead in pools])
+    pool = joined([candidates(belief, p, workspace, SENSOR, 40, rng) for p in planes])
+    rows = told(belief, pool)
     chosen = rng.choice(len(rows), count, replace=False)
     forecast = forecast_of(belief, rows, chosen, GOAL.distance(SENSOR))
     return planned(belief, picked(pool, chosen), GOAL, workspace, forecast, plates=plates)

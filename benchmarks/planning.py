@@ -3,10 +3,10 @@
     python -m benchmarks.planning [--runs 1000] [--jobs 2] [--studies paper blind loop speed]
 
 `paper`: a first motion of 13 stations before plane A, from bounds alone; 4 planned stations; a second
-plan of the rest, 28 or 44 in all. Random stations of the same number, from the same candidates, beside
-them. `NEES` is that of all beams over their unknowns; `found/stated`: the largest standard deviation of
-a direction that follows over the one that was predicted, median and 10 % to 90 %; `outside`: planned
-stations with a reading outside the sensor's range or incidence.
+plan of the rest, 28 or 44 in all, both after the same beginning. Random stations of the same number,
+from the same candidates, beside them. `NEES` is that of all beams over their unknowns; `found/stated`:
+the largest standard deviation of a direction that follows over the one that was predicted, median and
+10 % to 90 %; `outside`: planned stations with a reading outside the sensor's range or incidence.
 
 `blind`: mounts drawn from the stated bounds, and the first motion for these: how many are calibrated,
 and at how many all readings are within the range.
@@ -22,25 +22,23 @@ What misses a limit is named at the end of a line.
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 # The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.defaults import each_done, nees, rms, show
+from benchmarks.studies import Studies, add_options
 
 import numpy as np  # isort: skip
-from rich.progress import Progress  # isort: skip
 
 import handlaser_gtsam as hl
+from benchmarks.defaults import nees, rms
 from benchmarks.planned_cell import SENSOR, Cell, cell, errors_of
 from benchmarks.planned_loop import Loop, loop, random_plan
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
-from handlaser_gtsam.planning.information import outlook
+from handlaser_gtsam.planning.information import told
 from handlaser_gtsam.planning.route import goal_rows
 from handlaser_gtsam.planning.workspace import candidates, joined
 from handlaser_gtsam.validation.scenes import SCENES, Layout
@@ -51,6 +49,7 @@ FIRST, SECOND = 13, 4
 TOTALS = {28: (0.12e-3, math.radians(0.17)), 44: (0.10e-3, math.radians(0.14))}
 """Stations in all, and the largest rms errors of r [m] and v [rad]."""
 OPTIONS = hl.CalibrationOptions("none", sensor=SENSOR)
+WAYS = ("planned", "random")
 STUDIES = ("paper", "blind", "loop", "speed")
 
 
@@ -77,37 +76,60 @@ class Judged:
     outside: int
 
 
-def run_once(total: int, seed: int) -> dict[str, Judged | None]:
-    """Plan, measure and calibrate one cell, and the same with random stations."""
+def run_once(seed: int) -> dict[tuple[int, str], Judged | None]:
+    """Plan, measure and calibrate one cell, for all totals, with planned and with random stations.
+
+    All have the first motion in common, and both totals of a way the few stations after it.
+    """
     rng = np.random.default_rng(seed)
     here = cell(rng)
-    first = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise, FIRST)
-    recording = here.measured(first, rng)
-    found: dict[str, Judged | None] = {}
-    for way in ("planned", "random"):
-        found[way] = _second_half(here, recording, total, way, rng)
+    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise, FIRST)
+    recording = here.measured(motion, rng)
+    first = hl.calibrate(recording, here.noise, OPTIONS)
+    found: dict[tuple[int, str], Judged | None] = dict.fromkeys(
+        (total, way) for total in TOTALS for way in WAYS
+    )
+    for number, way in enumerate(WAYS):
+        rng = np.random.default_rng((seed, number))
+        second = _measured(here, recording, first, SECOND, way, rng)
+        if second is None:
+            continue
+        for total in TOTALS:
+            rng = np.random.default_rng((seed, number, total))
+            last = _measured(here, *second[:2], total - FIRST - SECOND, way, rng)
+            if last is not None:
+                found[total, way] = _judged(here, last[1], last[2], second[3] + last[3])
     return found
 
 
-def _second_half(
-    here: Cell, recording: hl.Recording, total: int, way: str, rng: np.random.Generator
-) -> Judged | None:
-    """Go on after a first motion; None where something does not converge."""
-    outside, plan = 0, None
-    for count in (SECOND, total - FIRST - SECOND):
-        so_far = hl.calibrate(recording, here.noise, OPTIONS)
-        if so_far.status != "converged":
-            return None
-        missing = here.unread(recording)
-        if way == "planned":
-            plan = hl.plan(so_far, count, SENSOR, here.workspace, plates=missing)
-        else:
-            plan = random_plan(so_far, count, here.workspace, missing, rng)
-        read = here.measured(plan, rng, first=len(recording.station_names))
-        outside += int(np.isnan(read.ranges).any(axis=1).sum())
-        recording = hl.join([recording, read])
-    result = hl.calibrate(recording, here.noise, OPTIONS)
-    if result.covariance is None or plan is None:
+def _measured(
+    here: Cell,
+    recording: hl.Recording,
+    so_far: hl.Calibration,
+    count: int,
+    way: str,
+    rng: np.random.Generator,
+) -> tuple[hl.Recording, hl.Calibration, hl.Plan, int] | None:
+    """Return recording and calibration with so many stations more, their plan, and those outside.
+
+    None where the calibration so far has not converged.
+    """
+    if so_far.status != "converged":
+        return None
+    missing = here.unread(recording)
+    if way == "planned":
+        plan = hl.plan(so_far, count, SENSOR, here.workspace, plates=missing)
+    else:
+        plan = random_plan(so_far, count, here.workspace, missing, rng)
+    read = here.measured(plan, rng, first=len(recording.station_names))
+    recording = hl.join([recording, read])
+    outside = int(np.isnan(read.ranges).any(axis=1).sum())
+    return recording, hl.calibrate(recording, here.noise, OPTIONS), plan, outside
+
+
+def _judged(here: Cell, result: hl.Calibration, plan: hl.Plan, outside: int) -> Judged | None:
+    """Compare a calibration with the truth and its plan; None where it has no covariance."""
+    if result.covariance is None:
         return None
     location, direction = errors_of(result, here.truth)
     largest = max(beam.direction_sigma or 0.0 for beam in result.beams.values())
@@ -212,9 +234,9 @@ def speed_line() -> str:
     here = cell(rng)
     recording = simulate(truth, stations, here.errors, rng, SENSOR)
     belief = belief_of(hl.calibrate(recording, here.noise, OPTIONS))
-    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng)[0] for p in range(4)]
+    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
-    rows = np.stack([outlook(one, joined(parts)).rows for one in drawn])
+    rows = np.stack([told(one, joined(parts)) for one in drawn])
     weight = goal_rows(belief, hl.Goal(), 0.015)
     seconds = []
     for _ in range(5):
@@ -225,31 +247,31 @@ def speed_line() -> str:
     return text + ("" if min(seconds) <= 1.0 else "  MISSES 1 s")
 
 
-def study(names: list[str], runs: int, jobs: int) -> None:
+def study(names: list[str], runs: int, studies: Studies) -> None:
     """Print the lines of each study as soon as it is done."""
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        if "paper" in names:
-            for total in TOTALS:
-                name = f"{total} stations"
-                found = each_done(bar, pool, name, partial(run_once, total), range(runs))
-                for way in ("planned", "random"):
-                    show(bar, paper_line(total, way, [one[way] for one in found]))
-        if "blind" in names:
-            show(bar, blind_line(each_done(bar, pool, "first motion", blind_once, range(runs))))
-        if "loop" in names:
-            show(bar, loop_line(each_done(bar, pool, "closed loop", loop, range(min(runs, 50)))))
-        if "speed" in names:
-            show(bar, speed_line())
+    seeds = range(runs)
+    if "paper" in names:
+        found = studies.each("paper's cell", run_once, seeds)
+        for total in TOTALS:
+            for way in WAYS:
+                studies.show(paper_line(total, way, [one[total, way] for one in found]))
+    if "blind" in names:
+        studies.show(blind_line(studies.each("first motion", blind_once, seeds)))
+    if "loop" in names:
+        studies.show(loop_line(studies.each("closed loop", loop, seeds[:50])))
+    if "speed" in names:
+        studies.show(speed_line())
 
 
 def main() -> None:
     """Print a line for every kind of stations."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
+    add_options(parser)
     arguments = parser.parse_args()
-    study(list(arguments.studies), arguments.runs, arguments.jobs)
+    with Studies.of(arguments) as studies:
+        study(list(arguments.studies), arguments.runs, studies)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ import argparse
 import collections
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
-import numpy as np
-from rich.console import Console
-from rich.progress import track
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
@@ -145,42 +145,33 @@ def main() -> int:
     parser.add_argument("--solvable", type=int, default=10_000)
     parser.add_argument("--unsolvable", type=int, default=2_000)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2)
+    add_options(parser, jobs=2)
     arguments = parser.parse_args()
-    console = Console()
     wrong = 0
-    with ProcessPoolExecutor(arguments.jobs) as pool:
+    with Studies.of(arguments) as studies:
         for title, judge, count in (
             ("solvable", judge_solvable, arguments.solvable),
             ("unsolvable", judge_unsolvable, arguments.unsolvable),
         ):
             seeds = range(arguments.first_seed, arguments.first_seed + count)
-            verdicts = list(
-                track(
-                    pool.map(judge, seeds, chunksize=10),
-                    description=title,
-                    total=count,
-                    console=Console(stderr=True),
-                )
-            )
-            wrong += _report(console, title, verdicts)
+            wrong += _report(studies, title, studies.each(title, judge, seeds))
     return 1 if wrong else 0
 
 
-def _report(console: Console, title: str, verdicts: list[Verdict]) -> int:
+def _report(studies: Studies, title: str, verdicts: list[Verdict]) -> int:
     bad = [verdict for verdict in verdicts if not verdict.good]
-    console.print(f"{title}: {len(verdicts)} problems, {len(bad)} wrong")
+    studies.show(f"{title}: {len(verdicts)} problems, {len(bad)} wrong")
     outcomes = collections.Counter(verdict.outcome for verdict in verdicts)
     for outcome, count in outcomes.most_common():
-        console.print(f"  {count:6d}  {outcome}")
+        studies.show(f"  {count:6d}  {outcome}")
     seconds = np.array([verdict.seconds for verdict in verdicts])
     if seconds.size:
         tail = np.quantile(seconds, [0.5, 0.99, 1.0])
-        console.print(
+        studies.show(
             f"  seconds a calibration: median {tail[0]:.3f}, 99 % {tail[1]:.2f}, most {tail[2]:.2f}"
         )
     for verdict in bad[:20]:
-        console.print(f"  seed {verdict.seed} ({verdict.kind}): {verdict.outcome}")
+        studies.show(f"  seed {verdict.seed} ({verdict.kind}): {verdict.outcome}")
     return len(bad)
 
 

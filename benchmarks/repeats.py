@@ -10,20 +10,18 @@ fault in which one of these codes is found.
 """
 
 import argparse
-import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
 # The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.defaults import FAR, each_done, judge, show
+from benchmarks.studies import Studies, add_options
 
 import numpy as np  # isort: skip
-from rich.progress import Progress  # isort: skip
 from scipy.spatial.transform import Rotation  # isort: skip
 
 import handlaser_gtsam as hl
+from benchmarks.defaults import FAR, judge
 from benchmarks.odd_readings import logged
 from benchmarks.robot_cell import Scene, cell
 from handlaser_gtsam.arrays import FloatArray
@@ -132,28 +130,28 @@ def run_once(fault: str, seed: int) -> Found:
     return Found(codes, 0.0 if judged is None else judged.farthest)
 
 
-def study(runs: int, jobs: int) -> None:
+def study(runs: int, studies: Studies) -> None:
     """Print a line for every fault."""
     known = {code for code, _ in FAULTS.values()}
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        clean = each_done(bar, pool, "no fault", partial(run_once, ""), range(runs))
-        false = sum(bool(known & set(one.codes)) for one in clean)
-        far = sum(one.farthest > FAR for one in clean)
-        show(bar, f"{'no fault':22}: false {false} of {runs}, beyond {FAR:g} sigma {far}")
-        for fault, (code, _) in FAULTS.items():
-            found = each_done(bar, pool, fault, partial(run_once, fault), range(runs))
-            flagged = sum(code in one.codes for one in found)
-            far = sum(one.farthest > FAR for one in found)
-            show(bar, f"{fault:22}: {code} in {flagged} of {runs}, beyond {FAR:g} sigma {far}")
+    clean = studies.each("no fault", partial(run_once, ""), range(runs))
+    false = sum(bool(known & set(one.codes)) for one in clean)
+    far = sum(one.farthest > FAR for one in clean)
+    studies.show(f"{'no fault':22}: false {false} of {runs}, beyond {FAR:g} sigma {far}")
+    for fault, (code, _) in FAULTS.items():
+        found = studies.each(fault, partial(run_once, fault), range(runs))
+        flagged = sum(code in one.codes for one in found)
+        far = sum(one.farthest > FAR for one in found)
+        studies.show(f"{fault:22}: {code} in {flagged} of {runs}, beyond {FAR:g} sigma {far}")
 
 
 def main() -> None:
     """Print a line a fault as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
-    study(arguments.runs, arguments.jobs)
+    with Studies.of(arguments) as studies:
+        study(arguments.runs, studies)
 
 
 if __name__ == "__main__":

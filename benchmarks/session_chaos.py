@@ -11,14 +11,14 @@ to a hundredth of a standard deviation.
 
 import argparse
 import math
-import os
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
-import gtsam
-import numpy as np
-from rich.progress import Progress
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import gtsam  # isort: skip
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.factors import Evaluation, RangeBlock
@@ -133,14 +133,10 @@ def main() -> None:
     """Print how the sequences ended."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sequences", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     arguments = parser.parse_args()
-    count: Counter[str] = Counter()
-    with Progress() as bar, ProcessPoolExecutor(arguments.jobs) as pool:
-        task = bar.add_task("sequences", total=arguments.sequences)
-        for one in pool.map(run_once, range(arguments.sequences), chunksize=4):
-            count[one] += 1
-            bar.advance(task)
+    with Studies.of(arguments) as studies:
+        count = Counter(studies.each("sequences", run_once, range(arguments.sequences)))
     for outcome, number in count.most_common():
         print(f"{number:6}  {outcome}")
 

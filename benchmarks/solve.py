@@ -15,6 +15,7 @@ ceres      a program in C++ that solves the same problem with Ceres, where the e
            HANDLASER_CERES_PEER names it; it is called with a text file and a number of repetitions
            and prints a row of JSON (seconds, cost, iterations)
 
+`reduction / ceres`: in CPU time, which other processes do not change; alone, and 8 problems at once.
 `together`: 1000 problems of 4 planes at once by the reduction, over the time of one after the other.
 `start to covariances` is find_start, graph and marginals together; `calibrate` is everything, with the
 noise given as it was simulated. Its CPU time over that of `graph` is printed below the table.
@@ -23,6 +24,7 @@ noise given as it was simulated. Its CPU time over that of `graph` is printed be
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
 import tempfile
@@ -30,6 +32,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -55,6 +58,8 @@ TERMS = 2
 SIGMA = 3e-5
 SAME_COST = 1e-6
 TURNS = 3
+ABREAST = 8
+"""Problems that the reduction solves at once beside one alone."""
 WHOLE = "start to covariances"
 PEER = "HANDLASER_CERES_PEER"
 EXACT = Noise(SIGMA, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
@@ -145,18 +150,49 @@ def solve_gtsam(readings: Readings, start: Parameters) -> tuple[float, int]:
 
 def solve_ceres(readings: Readings, start: Parameters, repeat: int) -> Row | None:
     """Solve with Ceres in another program, which measures its own time; None where there is none."""
-    peer = os.environ.get(PEER)
-    if not peer:
+    if not os.environ.get(PEER):
         return None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "problem.txt")
         path.write_text(problem_text(readings, start))
-        one = {**os.environ, "OMP_NUM_THREADS": "1"}
-        run = subprocess.run(
-            [peer, str(path), str(repeat)], capture_output=True, text=True, check=True, env=one
-        )
-    found = json.loads(run.stdout)
+        found, _ = run_ceres(path, repeat)
     return Row("ceres", readings.planes, found["seconds"], found["cost"], found["iterations"])
+
+
+def run_ceres(path: Path, repeat: int) -> tuple[dict[str, Any], float]:
+    """Run the program on a problem; return what it prints, and the CPU time of all it did [s]."""
+    one = {**os.environ, "OMP_NUM_THREADS": "1"}
+    command = [os.environ[PEER], str(path), str(repeat)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = subprocess.run(command, capture_output=True, text=True, check=True, env=one)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return json.loads(run.stdout), seconds
+
+
+def ceres_ratios(planes: int, together: int, repeat: int) -> tuple[float, float]:
+    """Return the CPU time of the reduction over that of Ceres: alone, and a problem of many at once.
+
+    Both take turns; of Ceres the difference of two runs counts, which leaves out what it reads.
+    """
+    readings = problem(planes).readings()
+    start = closed_form(readings)
+    alone: list[float] = []
+    many: list[float] = []
+    peer: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "problem.txt")
+        path.write_text(problem_text(readings, start))
+        for _ in range(TURNS + 2):
+            for count, each in ((1, alone), (together, many)):
+                begin = time.process_time()
+                for _ in range(repeat):
+                    solve_together([readings] * count, [start] * count, TERMS, SIGMA)
+                each.append((time.process_time() - begin) / repeat / count)
+            short, long = run_ceres(path, repeat)[1], run_ceres(path, 3 * repeat)[1]
+            peer.append((long - short) / (2 * repeat))
+    median = statistics.median(peer)
+    return statistics.median(alone) / median, statistics.median(many) / median
 
 
 def problem_text(readings: Readings, start: Parameters) -> str:
@@ -257,6 +293,12 @@ def main() -> None:
             print(f"{row.planes} planes: reference / start to covariances = {ratio:.1f}")
     for planes in arguments.planes:
         print(f"{planes} planes: calibrate / graph = {calibrate_ratio(planes):.1f} (CPU time)")
+    for planes in arguments.planes if os.environ.get(PEER) else ():
+        one, many = ceres_ratios(planes, ABREAST, arguments.repeat)
+        print(
+            f"{planes} planes: reduction / ceres = {one:.2f}, {ABREAST} problems at once {many:.2f} a "
+            "problem (CPU time)"
+        )
     ratio = together_ratio(arguments.together)
     print(f"{arguments.together} problems together / one by one = {ratio:.2f} (CPU time)")
     if arguments.out is not None:

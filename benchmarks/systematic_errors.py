@@ -23,19 +23,17 @@ plane these are the size and the effect stated for the plane, beam or station wh
 
 import argparse
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
 # The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.defaults import each_done, show, stated_noise
+from benchmarks.studies import Studies, add_options
 
 import numpy as np  # isort: skip
-from rich.progress import Progress  # isort: skip
 
 import handlaser_gtsam as hl
+from benchmarks.defaults import stated_noise
 from benchmarks.robot_cell import CODES, MOTION, Scene, cell
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.model.weighting import Variances, Whitening, whitening
@@ -243,31 +241,29 @@ def share(count: int, of: int) -> str:
     return f"{100.0 * count / of:5.1f} %" if of else "    - %"
 
 
-def study(scene: Scene, codes: Sequence[str], given: bool, runs: int, jobs: int) -> None:
+def study(scene: Scene, codes: Sequence[str], given: bool, runs: int, studies: Studies) -> None:
     """Print a line of false alarms, and a line for every kind of error."""
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        tried = each_done(bar, pool, "none", partial(run_clean, scene, given, codes), range(runs))
-        seeds = [(seed, one) for seed, one in enumerate(tried) if one is not None]
-        clean = [one for _, one in seeds]
-        alarms = sum(any(said.found for said in one.stated) for one in clean)
-        show(
-            bar,
-            f"no systematic error: found in {share(alarms, len(clean))} of {len(clean)} recordings "
-            f"(at most 1 %), fail {runs - len(clean)}",
-        )
-        for code in codes:
-            every = []
-            for factor in FACTORS:
-                run = partial(run_injected, replace(scene, code=code), given, factor)
-                every.append(each_done(bar, pool, f"{code} x {factor:g}", run, seeds))
-            show(bar, line(code, clean, every))
+    tried = studies.each("none", partial(run_clean, scene, given, codes), range(runs))
+    seeds = [(seed, one) for seed, one in enumerate(tried) if one is not None]
+    clean = [one for _, one in seeds]
+    alarms = sum(any(said.found for said in one.stated) for one in clean)
+    studies.show(
+        f"no systematic error: found in {share(alarms, len(clean))} of {len(clean)} recordings "
+        f"(at most 1 %), fail {runs - len(clean)}",
+    )
+    for code in codes:
+        every = []
+        for factor in FACTORS:
+            run = partial(run_injected, replace(scene, code=code), given, factor)
+            every.append(studies.each(f"{code} x {factor:g}", run, seeds))
+        studies.show(line(code, clean, every))
 
 
 def main() -> None:
     """Print a line for every kind of error as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     parser.add_argument("--codes", nargs="+", choices=CODES, default=CODES)
     parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     noise = parser.add_mutually_exclusive_group()
@@ -275,7 +271,8 @@ def main() -> None:
     noise.add_argument("--default", action="store_false", dest="given", help="state nothing")
     arguments = parser.parse_args()
     scene = Scene(beams=4, a=0.3, motion=arguments.motion)
-    study(scene, arguments.codes, arguments.given, arguments.runs, arguments.jobs)
+    with Studies.of(arguments) as studies:
+        study(scene, arguments.codes, arguments.given, arguments.runs, studies)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,13 @@ intervals of single coordinates hold the truth.
 
 import argparse
 import math
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-from rich.progress import Progress
+# The number of threads of NumPy is limited there, before it is imported.
+from benchmarks.studies import Studies, add_options
+
+import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
@@ -117,20 +118,14 @@ def summarized(runs: list[Run]) -> Summary:
     )
 
 
-def study(runs: int, jobs: int, scene: str) -> dict[str, dict[Poses, Summary]]:
+def study(runs: int, studies: Studies, scene: str) -> dict[str, dict[Poses, Summary]]:
     """Return a summary for each kind of pose error and each way to treat it."""
     found: dict[str, dict[Poses, Summary]] = {}
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        for name, axes in AXES.items():
-            task = bar.add_task(name, total=runs)
-            each = []
-            arguments = (range(runs), [scene] * runs, [axes] * runs)
-            for one in pool.map(run_once, *arguments, chunksize=4):
-                each.append(one)
-                bar.advance(task)
-            done = [one for one in each if one is not None]
-            print(f"{name}: {runs - len(done)} of {runs} not converged")
-            found[name] = {mode: summarized([one[mode] for one in done]) for mode in MODES}
+    for name, axes in AXES.items():
+        each = studies.each(name, partial(run_once, scene=scene, axes=axes), range(runs))
+        done = [one for one in each if one is not None]
+        studies.show(f"{name}: {runs - len(done)} of {runs} not converged")
+        found[name] = {mode: summarized([one[mode] for one in done]) for mode in MODES}
     return found
 
 
@@ -138,10 +133,11 @@ def main() -> None:
     """Print a line for each kind of pose error and each way to treat it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    add_options(parser)
     parser.add_argument("--scene", choices=sorted(SCENES), default="paper")
     arguments = parser.parse_args()
-    found = study(arguments.runs, arguments.jobs, arguments.scene)
+    with Studies.of(arguments) as studies:
+        found = study(arguments.runs, studies, arguments.scene)
     for name, modes in found.items():
         for mode, s in modes.items():
             print(

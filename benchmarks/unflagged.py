@@ -14,15 +14,13 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
 # The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.defaults import each_done, show
+from benchmarks.studies import Studies, add_options
 
 import numpy as np  # isort: skip
-from rich.progress import Progress  # isort: skip
 
 import handlaser_gtsam as hl
 from benchmarks.odd_readings import KINDS, SIGMA, OddScene, odd_scene
@@ -112,23 +110,22 @@ def line(kind: str, given: bool, found: Sequence[Outcome]) -> str:
     )
 
 
-def study(kinds: Sequence[str], runs: int, jobs: int, *, seeds: bool) -> bool:
+def study(kinds: Sequence[str], runs: int, studies: Studies, *, seeds: bool) -> bool:
     """Print a line for every kind; return whether few enough wrong results carry no warning."""
     everything: list[Outcome] = []
-    with Progress() as bar, ProcessPoolExecutor(jobs) as pool:
-        show(bar, "kind          sigma  conv  warn  none silent  >5  worst  warn>5   warnings")
-        for kind in kinds:
-            for given in (True, False):
-                found = each_done(bar, pool, kind, partial(outcome, kind, given), range(runs))
-                show(bar, line(kind, given, found))
-                for one in found if seeds else ():
-                    if one.farthest > FAR:
-                        codes = ", ".join(one.codes) or "NO WARNING"
-                        show(bar, f"    seed {one.seed}: {one.farthest:.1f} sigma, {codes}")
-                everything += found
-        silent = [one for one in everything if one.unflagged]
-        wrong = sum(one.farthest > FAR for one in silent)
-        show(bar, f"of {len(silent)} results without a warning {wrong} beyond {FAR:g} sigma")
+    studies.show("kind          sigma  conv  warn  none silent  >5  worst  warn>5   warnings")
+    for kind in kinds:
+        for given in (True, False):
+            found = studies.each(kind, partial(outcome, kind, given), range(runs))
+            studies.show(line(kind, given, found))
+            for one in found if seeds else ():
+                if one.farthest > FAR:
+                    codes = ", ".join(one.codes) or "NO WARNING"
+                    studies.show(f"    seed {one.seed}: {one.farthest:.1f} sigma, {codes}")
+            everything += found
+    silent = [one for one in everything if one.unflagged]
+    wrong = sum(one.farthest > FAR for one in silent)
+    studies.show(f"of {len(silent)} results without a warning {wrong} beyond {FAR:g} sigma")
     return wrong * MOST_UNFLAGGED <= len(silent)
 
 
@@ -136,11 +133,12 @@ def main() -> None:
     """Read the command line and print the study."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--jobs", type=int, default=2)
+    add_options(parser, jobs=2)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--seeds", action="store_true")
     given = parser.parse_args()
-    held = study(given.kinds, given.runs, given.jobs, seeds=given.seeds)
+    with Studies.of(given) as studies:
+        held = study(given.kinds, given.runs, studies, seeds=given.seeds)
     sys.exit(0 if held else 1)
 
 

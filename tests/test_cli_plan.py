@@ -8,6 +8,7 @@ import pytest
 from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
 
 RIG = ROOT / "examples" / "planned" / "rig.toml"
 RECORDING = GRIPPER / "recording.csv"
@@ -160,3 +161,25 @@ def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
         assert len(text.splitlines()) <= 30
     assert "next best" not in handlaser("calibrate", RECORDING)[1]  # no range of the sensor
     assert "next best" not in handlaser("calibrate", RECORDING, "--rig", rig, "-q")[1]
+
+
+def test_check_and_calibrate_say_what_an_open_motion_lacks(handlaser, tmp_path):
+    rng = np.random.default_rng(0)
+    known = hl.read_rig(RIG)
+    motion = hl.blind_motion(known.bounds, known.sensor, known.workspace, known.noise).stations
+    some = [j for j, name in enumerate(motion.station_names) if not name.startswith("via")][:5]
+    truth = known.bounds.draw(rng)
+    poses = Stations(
+        motion.world_R_hand[some], motion.world_t_hand[some], np.zeros(5, dtype=np.intp)
+    )
+    path, other = tmp_path / "begun.csv", tmp_path / "other.toml"
+    hl.write_recording(path, simulate(truth, poses, Errors(3e-5), rng, known.sensor))
+    other.write_text(GRIPPER_RIG + BOX)
+    for verb in ("check", "calibrate"):
+        code, text, err = handlaser(verb, path, "--rig", RIG)
+        assert code == 3
+        assert "next best stations" in text
+        assert 3 <= text.count("before plane A: (") <= 12
+        assert "to determine it" in err.lower()
+        code, text, _ = handlaser(verb, path, "--rig", other)
+        assert (code, "next best" in text) == (3, False)  # no bounds

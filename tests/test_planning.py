@@ -11,13 +11,14 @@ from helpers import draws
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks.planned_cell import ERR, SENSOR, cell
+from benchmarks.planned_cell import ERR, SENSOR, cell, errors_of
 from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.planning.advice import missing_stations
 from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
 from handlaser_gtsam.planning.choice import choose, value
-from handlaser_gtsam.planning.information import outlook, updated
+from handlaser_gtsam.planning.information import outlook, told, updated
 from handlaser_gtsam.planning.order import divided, shortest, way
 from handlaser_gtsam.planning.route import goal_rows, spot_rows
 from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
@@ -47,7 +48,7 @@ def belief(recorded):
 @pytest.fixture(scope="module")
 def pool(belief):
     rng = np.random.default_rng(0)
-    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng)[0] for p in (0, 1)])
+    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng) for p in (0, 1)])
 
 
 # --- what stations would tell ------------------------------------------------------------------------
@@ -102,7 +103,7 @@ def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
     used = np.flatnonzero(np.diagonal(belief.covariance) > 0.0)
     assert len(used) == len(belief.covariance) - belief.beams  # k2 is not modelled
     C = belief.covariance
-    for rows in outlook(belief, chosen).rows:
+    for rows in told(belief, chosen):
         C = updated(C, rows)
     at = np.ix_(used, used)
     scale = np.sqrt(np.diagonal(belief.covariance)[used])
@@ -200,7 +201,7 @@ def test_updates_up_and_down_agree_with_the_final_covariance():
 
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.Goal(), np.random.default_rng(0)
-    rows = outlook(belief, pool).rows
+    rows = told(belief, pool)
     weight = goal_rows(belief, goal, 0.015)
     chosen = choose(rows[None], belief.covariance, weight, 8)
     drawn = [
@@ -384,6 +385,29 @@ def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
     assert plane.translations == 3  # Lemma 1
     assert plane.axes >= 2  # Lemma 2
     assert not check.undetermined
+
+
+@pytest.mark.parametrize("taken", [4, 5, 6])
+def test_what_a_first_motion_still_lacks_is_found(taken):
+    """A first motion that was broken off, and mounts drawn from the bounds."""
+    rng = np.random.default_rng(taken)
+    here = cell(rng, 1)
+    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    begun = here.measured(motion, rng).part(np.arange(taken))
+    options = hl.CalibrationOptions(sensor=SENSOR)
+    assert hl.calibrate(begun, here.noise, options).status == "unobservable"
+    plan = missing_stations(begun, here.bounds, SENSOR, here.workspace, here.noise)
+    assert 3 <= len(plan) <= 12
+    assert not set(plan.stations.station_names) & set(begun.station_names)
+    more = here.measured(plan, rng, first=taken)
+    assert not np.isnan(more.ranges).any()
+    found = hl.calibrate(hl.join([begun, more]), here.noise, options)
+    assert found.status == "converged"
+    whole = errors_of(found, here.truth)
+    assert math.sqrt(whole[0].max()) < 5.0 * plan.forecast.location_sigma[-1] * math.sqrt(3.0)
+    assert missing_stations(begun, None, SENSOR) is None
+    fewer = hl.Bounds(here.bounds.locations[:1], here.bounds.directions[:1], here.bounds.plate)
+    assert missing_stations(begun, fewer, SENSOR) is None
 
 
 def test_the_closed_loop_needs_half_of_the_random_stations():

@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR
+from handlaser_gtsam.planning import route
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.workspace import inside, plates_of
+from handlaser_gtsam.planning.drive import driven
+from handlaser_gtsam.planning.workspace import inside, picked, plates_of
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
 
@@ -169,14 +171,35 @@ def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
     robot = example(name)
     here = workspace(robot)
     plan = hl.plan(calibrated, 12, SENSOR, here)
-    assert len(plan) + plan.skipped == 12
-    assert len(plan) >= 10
+    assert (len(plan), plan.skipped) == (12, 0)
     assert len(plan.forecast) == len(plan)
     at = plan.stations
     index = np.zeros(len(at), dtype=np.intp)
     assert inside(here, Stations(at.world_R_hand, at.world_t_hand, index)).all()
     belief = belief_of(calibrated)
     check_drive(robot, at, dict(zip(belief.plane_names, plates_of(belief), strict=True)))
+
+
+@needs_pinocchio
+def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
+    """Ways are refused to all stations on one side, of which the best plan has some."""
+    here, asked = workspace(replace(small, clearance=0.002)), []
+
+    def one_sided(robot, stations, workspace, plates):
+        asked.append(stations)
+        good = np.flatnonzero(stations.world_t_hand[:, 0] < 0.6)
+        way, origin, joints = driven(robot, picked(stations, good), workspace, plates)
+        return way, np.where(origin < 0, -1, good[origin]), joints
+
+    monkeypatch.setattr(route, "driven", one_sided)
+    plan = hl.plan(calibrated, 8, SENSOR, here)
+    assert (asked[0].world_t_hand[:, 0] >= 0.6).any()
+    assert len(asked) > 1
+    assert (len(plan), plan.skipped, len(plan.forecast)) == (8, 0, 8)
+    read = ~np.isnan(plan.ranges).any(axis=1)
+    assert (plan.stations.world_t_hand[read, 0] < 0.6).all()
+    assert len(np.unique(plan.stations.world_t_hand[read].round(9), axis=0)) == 8
+    assert plan.forecast.direction_sigma[-1] < plan.forecast.direction_sigma[0]
 
 
 @needs_pinocchio

@@ -15,9 +15,11 @@ import polars as pl
 import pytest
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies
 from handlaser_gtsam import Calibrated, Case, Drawn, Reduced, Simulated, study
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.simulate import Errors
+from handlaser_gtsam.validation.study_tasks import run_each
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = Simulated("paper", Layout(2, 3, 11), Errors(3e-5))
@@ -241,3 +243,62 @@ def test_no_scheduler_is_said_in_one_line(tmp_path):
     assert found.returncode == 2
     assert "no scheduler" in found.stderr
     assert "Traceback" not in found.stderr
+
+
+# --- other studies on the same engine ----------------------------------------------------------------
+
+
+def drawn_number(seed):
+    return seed, float(np.random.default_rng(seed).standard_normal())
+
+
+def noted(folder, seed):
+    """Draw a number, and leave a mark that it was drawn."""
+    with (Path(folder) / str(seed)).open("a") as mark:
+        mark.write("x")
+    return drawn_number(seed)
+
+
+def killed_once(mark, seed):
+    """Draw a number; the process that draws the tenth for the first time dies."""
+    if seed == 10 and not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return drawn_number(seed)
+
+
+@pytest.mark.parametrize("share", [1, 7, 100])
+@pytest.mark.parametrize("workers", [1, 3])
+def test_each_argument_gives_one_result_in_its_place(share, workers):
+    told = []
+    found = run_each(
+        drawn_number, range(5, 45), ThreadPoolExecutor(workers), None, told.append, share
+    )
+    assert found == [drawn_number(seed) for seed in range(5, 45)]
+    assert (told[0], told[-1]) == (0, 40)
+    assert told == sorted(told)
+
+
+def test_a_lost_worker_costs_no_result(tmp_path):
+    run = partial(killed_once, str(tmp_path / "killed"))
+    assert run_each(run, range(20), partial(ProcessPoolExecutor, 2)) == [
+        drawn_number(seed) for seed in range(20)
+    ]
+    assert (tmp_path / "killed").exists()
+
+
+def test_a_study_of_benchmarks_goes_on_from_kept_runs(tmp_path):
+    rows, marks = tmp_path / "rows", tmp_path / "marks"
+    marks.mkdir()
+    run = partial(noted, str(marks))
+    with Studies(2, rows=rows) as studies:
+        first = studies.each("numbers", run, range(12))
+    kept = sorted(path for path in rows.rglob("*") if path.is_file())
+    assert len(kept) == 12
+    for path in kept[:5]:
+        path.unlink()
+    with Studies(1, rows=rows) as studies:
+        assert studies.each("numbers", run, range(12)) == first
+        assert studies.each("others", run, range(13))[:12] == first  # another study
+    drawn = [len((marks / str(seed)).read_text()) for seed in range(13)]
+    assert drawn == [3] * 5 + [2] * 7 + [1]

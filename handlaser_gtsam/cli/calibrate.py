@@ -148,7 +148,7 @@ def _calibrated(
     from .. import pipeline
     from ..files.calibration_json import calibration_text
     from ..files.writing import write_text
-    from ..planning.advice import next_stations
+    from ..planning.advice import missing_stations, next_stations
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
@@ -174,6 +174,10 @@ def _calibrated(
     advice = None
     if not (output.json_ or output.quiet):
         advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
+        if result.status == "unobservable":
+            advice = missing_stations(
+                recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
+            )
     return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
 
 

@@ -49,11 +49,20 @@ def _checked(path: Path, log: Log, rig: Path | None, *, json: bool) -> Answer:
     if found.undetermined:
         words = f"the motion leaves open {'; '.join(found.undetermined)}. "
         failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
+        lines += [] if rig is None or json else _missing(recording, known)
     else:
         lines.append("the motion determines everything, for beams and planes in general position")
         lines += [] if rig is None or json else _next(recording, known)
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
+
+
+def _missing(recording: "Recording", rig: "Rig") -> list[str]:
+    """Return the stations that are missing in words; nothing where the rig file has no bounds."""
+    from ..planning.advice import advice_lines, missing_stations
+
+    plan = missing_stations(recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal)
+    return [] if plan is None else advice_lines(plan)
 
 
 def _next(recording: "Recording", rig: "Rig") -> list[str]:

@@ -2,12 +2,10 @@
 
 import sys
 from collections.abc import Callable
-from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -77,41 +75,18 @@ def study(
     from ..files.study_picture import write_study_picture
     from ..files.study_toml import read_study
     from ..validation.study import study as draw
+    from ..validation.study_executor import executor_of
 
     declared = read_study(file)
     runs, seed = runs or declared.runs, declared.seed if seed is None else seed
     store = None if out is None else StudyFolder(out)
     with ExitStack() as ends:
-        where = _executor(jobs, scheduler, ends)
+        where = executor_of(jobs, scheduler, ends)
         found = draw(declared.cases, runs, seed, where, store, _bar(ends))
     summary = found.summary()
     if picture is not None:
         write_study_picture(picture, summary)
     Answer(_json(found), partial(_show, found)).give(json=json_, quiet=quiet)
-
-
-def _executor(
-    jobs: int | None, scheduler: str | None, ends: ExitStack
-) -> Executor | Callable[[], Executor]:
-    """Return where the work is done."""
-    from ..errors import InputError
-
-    if scheduler is None:
-        return partial(ProcessPoolExecutor, jobs)
-    if jobs is not None:
-        raise InputError("--jobs beside --scheduler", "one of the two")
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[dask]'"
-        raise InputError("no dask.distributed, which --scheduler needs", expected) from error
-    try:
-        client = ends.enter_context(distributed.Client(scheduler, timeout=10))
-    except (OSError, ValueError, TypeError) as error:
-        found = f"no scheduler at {scheduler} ({type(error).__name__})"
-        raise InputError(found, "the address of a running one, tcp://ADDRESS:PORT") from error
-    executor: Executor = client.get_executor(pure=False)
-    return executor
 
 
 def _bar(ends: ExitStack) -> Callable[[int, int], None] | None:

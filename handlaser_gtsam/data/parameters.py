@@ -85,6 +85,26 @@ class Parameters(Value):
         if found != shapes:
             raise InputError(f"arrays of shapes {found}", f"{shapes}")
 
+    @classmethod
+    def unchecked(
+        cls,
+        locations: FloatArray,
+        directions: FloatArray,
+        range_errors: FloatArray,
+        normals: FloatArray,
+        offsets: FloatArray,
+    ) -> "Parameters":
+        """Return what fresh arrays of the right shapes hold, as solvers make them step after step."""
+        found = object.__new__(cls)
+        for name, array in zip(
+            cls.__dataclass_fields__,
+            (locations, directions, range_errors, normals, offsets),
+            strict=True,
+        ):
+            array.flags.writeable = False
+            object.__setattr__(found, name, array)
+        return found
+
     @property
     def beams(self) -> Beams:
         """The beams without the planes."""

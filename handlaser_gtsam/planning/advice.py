@@ -3,15 +3,20 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..data.noise import Noise
+from ..data.recording import Recording
 from ..errors import HandlaserError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.lines import MM
 from .belief import belief_of
+from .bounds import Bounds
 from .choice import choose
+from .completing import completing_motion
 from .goal import Goal
-from .information import outlook
-from .route import Plan, forecast_of, goal_rows, planned
+from .information import told
+from .replacing import planned_with_spare
+from .route import Plan, goal_rows
 from .workspace import Workspace, picked, reachable, workspace_of
 
 FEW = 3
@@ -42,16 +47,35 @@ def next_stations(
     try:
         belief = belief_of(calibration)
         pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
-        rows = outlook(belief, pool).rows
+        rows = told(belief, pool)
         distance = goal.distance(sensor)
         weight = goal_rows(belief, goal, distance)
         criterion = goal.criterion
         chosen = choose(
             rows[None], belief.covariance, weight, FEW, criterion, exchange=False
         ).candidates
-        forecast = forecast_of(belief, rows, chosen, distance)
+        spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
         taken = recording.station_names
-        return planned(belief, picked(pool, chosen), goal, workspace, forecast, taken)
+        return planned_with_spare(
+            belief, picked(pool, chosen), spare, weight, goal, workspace, distance, taken
+        )
+    except HandlaserError:
+        return None
+
+
+def missing_stations(
+    recording: Recording,
+    bounds: Bounds | None,
+    sensor: Sensor,
+    workspace: Workspace | None = None,
+    noise: Noise | None = None,
+    goal: Goal | None = None,
+) -> Plan | None:
+    """Return a plan of what a recording that leaves something open lacks; None without a basis."""
+    if bounds is None or len(bounds.locations) > MOST_BEAMS:
+        return None
+    try:
+        return completing_motion(bounds, sensor, recording, workspace, noise, goal)
     except HandlaserError:
         return None
 

@@ -92,9 +92,11 @@ def choose(
 
 
 class _Search:
-    """The covariance, and its products with the rows of all candidates, as stations come and go.
+    """The covariance, and what its products with the candidates' rows say, as stations come and go.
 
-    The best candidates at the mean are compared at the draws of the belief, too.
+    With A the rows of a candidate and W the weight, S = I + A C A' and T = A C W' at the mean of the
+    belief are kept for all candidates, and follow C by the same downdate; at draws of the belief only
+    the best candidates are looked at.
     """
 
     def __init__(
@@ -102,9 +104,12 @@ class _Search:
     ) -> None:
         self.rows, self.weight, self.criterion = rows, weight, criterion
         self.C = np.broadcast_to(covariance, (len(rows), *covariance.shape[-2:])).copy()
-        self.AC = rows[0] @ self.C[0]  # at the mean; at draws only the best are looked at
-        self.chosen: list[int] = []
         self.identity = np.eye(rows.shape[2])
+        self.flat = rows[0].reshape(-1, rows.shape[-1])
+        AC = self.flat @ self.C[0]
+        self.T = (AC @ weight.T).reshape(*rows.shape[1:3], -1)
+        self.S = self.identity + AC.reshape(rows.shape[1:]) @ np.swapaxes(rows[0], 1, 2)
+        self.chosen: list[int] = []
 
     def value(self) -> float:
         """Return the criterion at the mean."""
@@ -112,27 +117,28 @@ class _Search:
 
     def best(self) -> int:
         """Return the candidate that improves the criterion most."""
-        gains = self._gains(0, np.arange(self.rows.shape[1]))
+        gains = self._gains(self.S, self.T, self.C[:1])
         gains[self.chosen] = -np.inf
         if len(self.rows) == 1:
             return int(gains.argmax())
         short = np.argsort(-gains)[:SHORTLIST]
+        A, C = self.rows[1:, short], self.C[1:]
+        AC = A @ C[:, None]
+        S, T = self.identity + AC @ np.swapaxes(A, -1, -2), AC @ self.weight.T
+        others = self._gains(S, T, C)
         total = gains[short] / gains[short[0]]
-        for draw in range(1, len(self.rows)):
-            gains = self._gains(draw, short)
-            total += gains / gains.max()
+        total = total + (others / others.max(axis=1, keepdims=True)).sum(axis=0)
         return int(short[total.argmax()])
 
-    def _gains(self, draw: int, candidates: IntArray) -> FloatArray:
-        A = self.rows[draw, candidates]
-        AC = A @ self.C[draw] if draw else self.AC[candidates]
-        along = self.weight.T @ _root(self.C[draw], self.weight, self.criterion)
-        toward = (AC.reshape(-1, AC.shape[-1]) @ along).reshape(*AC.shape[:2], -1)
-        S = self.identity + AC @ np.swapaxes(A, 1, 2)
-        G = toward @ np.swapaxes(toward, 1, 2)
+    def _gains(self, S: FloatArray, T: FloatArray, C: FloatArray) -> FloatArray:
+        """Return what candidates gain (..., N), given their S (..., N, B, B) and T (..., N, B, W)."""
+        if self.criterion in ("D", "E"):
+            root = np.stack([_root(one, self.weight, self.criterion) for one in C])
+            T = T @ (root[0] if T.ndim == 3 else root[:, None])
         if self.criterion == "D":
+            G = T @ np.swapaxes(T, -1, -2)
             return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - G)[1])
-        return np.asarray(np.einsum("nii->n", np.linalg.solve(S, G)))
+        return _squares(S, T)
 
     def take(self, candidate: int, place: int | None = None) -> None:
         """Add a candidate, at its place in the order."""
@@ -148,10 +154,26 @@ class _Search:
         V = A @ self.C
         S = self.identity + sign * (V @ np.swapaxes(A, 1, 2))
         step = sign * np.linalg.solve(S, V)
-        flat = self.rows[0].reshape(-1, self.rows.shape[-1])
-        self.AC -= ((flat @ V[0].T) @ step[0]).reshape(self.AC.shape)
+        M = self.flat @ V[0].T
+        self.T -= (M @ (step[0] @ self.weight.T)).reshape(self.T.shape)
+        left = (M @ (sign * np.linalg.inv(S[0]))).reshape(self.S.shape)
+        self.S -= left @ np.swapaxes(M.reshape(self.S.shape), 1, 2)
         C = self.C - np.swapaxes(V, 1, 2) @ step
         self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
+
+
+def _squares(S: FloatArray, T: FloatArray) -> FloatArray:
+    """Return tr(T' inv(S) T) (...) for S (..., B, B) and T (..., B, W), by a Cholesky root of S."""
+    L = np.linalg.cholesky(S)
+    solved: list[FloatArray] = []
+    total = np.zeros(S.shape[:-2])
+    for i in range(S.shape[-1]):
+        row = T[..., i, :]
+        for j, other in enumerate(solved):
+            row = row - L[..., i, j, None] * other
+        solved.append(row / L[..., i, i, None])
+        total += np.einsum("...w,...w->...", solved[-1], solved[-1])
+    return total
 
 
 def _ordered(
@@ -180,8 +202,6 @@ def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> f
 
 def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> FloatArray:
     """Return a root (W, W) of M, with which the criterion falls by tr(M dC) to first order."""
-    if criterion in ("A", "spot"):
-        return np.eye(len(weight))
     values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
     if criterion == "D":
         return np.asarray(axes / np.sqrt(values))

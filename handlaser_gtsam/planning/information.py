@@ -16,19 +16,17 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
-from ..model.weighting import Variances, whitening
+from ..model.weighting import Variances, own_variances, whitening
 from ..validation.simulate import Stations, read_back
 from .belief import BEAM, PLANE, Belief
 
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What M stations would read, and what that would tell.
+    """What M stations would read.
 
     Attributes
     ----------
-    rows : (M, B, U)
-        Whitened derivatives A by all unknowns of the belief.
     plane : (M,)
         Index of the plane of each station.
     reading, cosine : (M, B)
@@ -37,7 +35,6 @@ class Outlook:
         What the spread of the belief leaves uncertain of them; noise and robot errors included.
     """
 
-    rows: FloatArray
     plane: IntArray
     reading: FloatArray
     cosine: FloatArray
@@ -46,7 +43,7 @@ class Outlook:
 
 
 def outlook(belief: Belief, stations: Stations) -> Outlook:
-    """Return what stations would read and tell at the mean of the belief.
+    """Return what stations would read at the mean of the belief, and how far it may be off.
 
     Raises
     ------
@@ -55,33 +52,60 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     InputError
         Range errors that leave no reading for a range.
     """
-    count, beams = len(stations.plane), belief.beams
-    readings = _readings(stations, beams, len(belief.origins))
-    x = model.scene(belief.mean, readings)
-    d = read_back(model.predicted_ranges(x), x.k)
-    readings = replace(readings, distance=d)
-    J = _derivatives(belief, readings).reshape(count, beams, -1)
-    how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
-    how = how.by_station(readings.station, readings.beam, beams)
-    rows = (how.root @ J) / how.sigma
-    spread = ((J @ belief.spread) * J).sum(axis=2)
-    noise = np.linalg.inv(how.root @ how.root) * how.sigma**2
-    tilt = _cosine_derivatives(belief, readings).reshape(count, beams, -1)
-    doubt = ((tilt @ belief.spread) * tilt).sum(axis=2) + _turn_variance(belief.variances)
+    shape = len(stations.plane), belief.beams
+    readings, x = _predicted(belief, stations)
+    at = model.linearize(x, readings.distance, with_pose=True)
+    variance = own_variances(belief.mean, readings, belief.variances)
+    turn = 0.0
+    if belief.variances.pose is not None:
+        S = belief.variances.pose[0]
+        variance = variance + ((at.pose @ S) * at.pose).sum(axis=1)
+        turn = float(np.linalg.eigvalsh(S[:3, :3])[-1])
+    spread = _spread(belief, stations, _derivatives(belief, readings, at))
+    doubt = _spread(belief, stations, _cosine_derivatives(belief, readings, x)) + turn
     return Outlook(
-        rows,
         stations.plane,
-        d.reshape(count, beams),
-        model.cosines(x).reshape(count, beams),
-        np.sqrt(np.maximum(spread, 0.0) + np.einsum("mbb->mb", noise)),
-        np.sqrt(np.maximum(doubt, 0.0)),
+        readings.distance.reshape(shape),
+        (-1.0 / at.offset).reshape(shape),
+        np.sqrt(spread + variance.reshape(shape)),
+        np.sqrt(doubt),
     )
+
+
+def told(belief: Belief, stations: Stations) -> FloatArray:
+    """Return the whitened derivatives A (M, B, U) of what stations would read, by all unknowns.
+
+    Raises
+    ------
+    GrazingBeamError, InputError
+        As `outlook` does.
+    """
+    count, beams = len(stations.plane), belief.beams
+    readings, x = _predicted(belief, stations)
+    J = _derivatives(belief, readings, model.linearize(x, readings.distance))
+    J = J.reshape(count, beams, BEAM + PLANE)
+    how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
+    root = how.by_station(readings.station, readings.beam, beams).root / how.sigma
+    rows = np.zeros((count, beams, len(belief.covariance)))
+    of_beams = root[..., None] * J[:, None, :, :BEAM]
+    rows[..., : belief.of_beams] = of_beams.reshape(count, beams, belief.of_beams)
+    first = belief.of_beams + PLANE * stations.plane
+    columns = (first[:, None] + np.arange(PLANE))[:, None]
+    rows[np.arange(count)[:, None, None], np.arange(beams)[:, None], columns] = root @ J[..., BEAM:]
+    return rows
 
 
 def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the covariance (U, U) after a station with whitened rows (B, U)."""
     V = rows @ covariance
     return np.asarray(covariance - V.T @ np.linalg.solve(np.eye(len(rows)) + V @ rows.T, V))
+
+
+def after(covariance: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the covariance (U, U) after stations with whitened rows (M, B, U), one by one."""
+    for one in rows:
+        covariance = updated(covariance, one)
+    return covariance
 
 
 def _readings(stations: Stations, beams: int, planes: int) -> Readings:
@@ -99,47 +123,55 @@ def _readings(stations: Stations, beams: int, planes: int) -> Readings:
     )
 
 
-def _turn_variance(variances: Variances) -> float:
-    """Return the largest variance of a hand's rotation about any axis [rad^2]."""
-    if variances.pose is None:
-        return 0.0
-    return float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
-
-
 def _of_stations(variances: Variances, count: int) -> Variances:
     if variances.pose is None:
         return variances
     return replace(variances, pose=np.broadcast_to(variances.pose[:1], (count, 6, 6)))
 
 
-def _derivatives(belief: Belief, readings: Readings) -> FloatArray:
-    """Return derivatives (N, U) of the residuals by the unknowns of the belief."""
-    at = model.linearize(model.scene(belief.mean, readings), readings.distance)
+def _predicted(belief: Belief, stations: Stations) -> tuple[Readings, model.Scene]:
+    """Return what stations would read at the mean, and the arguments of the measurement equation."""
+    readings = _readings(stations, belief.beams, len(belief.origins))
+    x = model.scene(belief.mean, readings)
+    return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x
+
+
+def _derivatives(belief: Belief, readings: Readings, at: model.Linearization) -> FloatArray:
+    """Return derivatives (N, 10) of the residuals by each reading's own beam and plane."""
     local = at.normal - at.offset[:, None] * belief.origins[readings.plane]
     v_basis = belief.beam_bases[readings.beam]
     n_basis = belief.plane_bases[readings.plane]
-    beam = (at.location, np.einsum("ni,nij->nj", at.direction, v_basis), at.range_error)
-    plane = (np.einsum("ni,nij->nj", local, n_basis), at.offset[:, None])
-    return _placed(belief, readings, np.hstack(beam), np.hstack(plane))
+    return np.hstack(
+        (
+            at.location,
+            np.einsum("ni,nij->nj", at.direction, v_basis),
+            at.range_error,
+            np.einsum("ni,nij->nj", local, n_basis),
+            at.offset[:, None],
+        )
+    )
 
 
-def _cosine_derivatives(belief: Belief, readings: Readings) -> FloatArray:
-    """Return derivatives (N, U) of the cosines of incidence by the unknowns of the belief."""
-    x = model.scene(belief.mean, readings)
+def _cosine_derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:
+    """Return derivatives (N, 10) of the cosines of incidence by each reading's beam and plane."""
     v_world = np.einsum("nij,nj->ni", x.R, x.v)
     n_hand = np.einsum("nji,nj->ni", x.R, x.n)
-    beam = np.zeros((len(readings), BEAM))
-    beam[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
-    plane = np.zeros((len(readings), PLANE))
-    plane[:, :2] = np.einsum("ni,nij->nj", v_world, belief.plane_bases[readings.plane])
-    return _placed(belief, readings, beam, plane)
-
-
-def _placed(belief: Belief, readings: Readings, beam: FloatArray, plane: FloatArray) -> FloatArray:
-    """Return rows (N, U) from the columns of each reading's own beam (N, 7) and plane (N, 3)."""
-    rows = np.zeros((len(readings), len(belief.covariance)))
-    each = np.arange(len(readings))[:, None]
-    rows[each, BEAM * readings.beam[:, None] + np.arange(BEAM)] = beam
-    first = belief.of_beams + PLANE * readings.plane[:, None]
-    rows[each, first + np.arange(PLANE)] = plane
+    rows = np.zeros((len(readings), BEAM + PLANE))
+    rows[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
+    rows[:, BEAM : BEAM + 2] = np.einsum("ni,nij->nj", v_world, belief.plane_bases[readings.plane])
     return rows
+
+
+def _spread(belief: Belief, stations: Stations, rows: FloatArray) -> FloatArray:
+    """Return variances (M, B) of rows (N, 10) times each reading's own beam and plane."""
+    rows = rows.reshape(-1, belief.beams, BEAM + PLANE).swapaxes(0, 1)
+    found = np.empty(rows.shape[:2])
+    beam = BEAM * np.arange(belief.beams)[:, None] + np.arange(BEAM)
+    for plane in np.unique(stations.plane):
+        own = belief.of_beams + PLANE * plane + np.arange(PLANE)
+        index = np.hstack((beam, np.tile(own, (belief.beams, 1))))
+        here = stations.plane == plane
+        part = rows[:, here]
+        S = belief.spread[index[:, :, None], index[:, None]]
+        found[:, here] = ((part @ S) * part).sum(axis=2)
+    return np.maximum(found.T, 0.0)

@@ -15,10 +15,11 @@ from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .choice import choose
 from .goal import Goal
-from .information import outlook
+from .information import told
 from .plate import Placement, Plate, standing
 from .refine import refined
-from .route import Plan, forecast_of, goal_rows, planned
+from .replacing import planned_with_spare
+from .route import Plan, forecast_of, goal_rows
 from .turning import placed
 from .workspace import Workspace, picked, reachable, workspace_of
 
@@ -106,13 +107,14 @@ def _best(
         count = stations if enough is None else max(enough, 1)
     chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
     found = refined(belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng)
-    every = np.arange(count)
-    forecast = forecast_of(belief, outlook(belief, found).rows, every, distance)
-    enough = forecast.reaches(goal) if goal.stated else None
-    if enough is not None:
-        found = picked(found, every[: max(enough, 1)])
-        forecast = forecast.part(max(enough, 1))
-    return planned(belief, found, goal, task.workspace, forecast, task.taken, plates=put)
+    if goal.stated:
+        every = np.arange(count)
+        enough = forecast_of(belief, told(belief, found), every, distance).reaches(goal)
+        found = found if enough is None else picked(found, every[: max(enough, 1)])
+    spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
+    return planned_with_spare(
+        belief, found, spare, weight, goal, task.workspace, distance, task.taken, plates=put
+    )
 
 
 def _task(
@@ -163,10 +165,10 @@ def _pool(
     belief = task.belief
     share = max(POOL // len(belief.plane_names), 2 * count)
     pool = reachable(belief, task.workspace, sensor, share, rng)
-    rows = [outlook(belief, pool).rows]
+    rows = [told(belief, pool)]
     for _ in range(DRAWS):
         try:
-            rows.append(outlook(belief.about(belief.draw(rng)), pool).rows)
+            rows.append(told(belief.about(belief.draw(rng)), pool))
         except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
             continue
     return pool, np.stack(rows)

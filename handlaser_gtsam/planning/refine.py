@@ -10,7 +10,7 @@ from ..validation.simulate import Stations
 from .belief import Belief
 from .choice import choose
 from .goal import Goal
-from .information import outlook
+from .information import outlook, told
 from .workspace import Workspace, inside, joined, picked, safe, within_reach
 
 ROUNDS = (0.4, 0.15)
@@ -39,7 +39,7 @@ def refined(
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])
-        rows = outlook(belief, pool).rows[None]
+        rows = told(belief, pool)[None]
         start = np.arange(count)
         found = choose(rows, belief.covariance, weight, count, goal.criterion, start=start)
         stations = picked(pool, found.candidates)

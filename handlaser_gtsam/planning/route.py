@@ -16,7 +16,7 @@ from ..validation.simulate import Stations
 from .belief import BEAM, Belief
 from .drive import driven
 from .goal import Forecast, Goal
-from .information import outlook, updated
+from .information import outlook, told, updated
 from .order import divided, shortest
 from .plate import Plate
 from .workspace import Workspace, picked, plates_of
@@ -48,7 +48,7 @@ class Plan(Value):
         Of a first motion: the part of mounts within the bounds at which all readings are within the
         sensor's limits.
     skipped : int
-        Stations that were chosen, but to which the arm found no way; the forecast goes without them.
+        Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
     """
 
     stations: StationList
@@ -84,6 +84,32 @@ def planned(
     taken : sequence of str
         Names of stations that there are already.
     """
+    return planned_and_kept(
+        belief,
+        stations,
+        goal,
+        workspace,
+        forecast,
+        taken,
+        ordered=ordered,
+        plates=plates,
+        safe=safe,
+    )[0]
+
+
+def planned_and_kept(
+    belief: Belief,
+    stations: Stations,
+    goal: Goal,
+    workspace: Workspace,
+    forecast: Forecast,
+    taken: Sequence[str] = (),
+    *,
+    ordered: bool = False,
+    plates: Mapping[str, Plate] | None = None,
+    safe: float | None = None,
+) -> tuple[Plan, IntArray]:
+    """Return a plan as `planned` does, and which of the stations are in it, ascending."""
     count = len(stations.plane)
     location, direction = goal.units
     order = np.arange(count) if ordered else shortest(stations, location / direction)
@@ -93,14 +119,13 @@ def planned(
     kept = order[origin[read]]
     if len(kept) < count:
         if ordered:
-            found = (
-                f"no way of the arm to {count - len(kept)} of {count} stations of a first motion"
-            )
-            raise InputError(found, "more room around the plate, or a smaller clearance")
-        forecast = forecast_of(belief, ahead.rows, np.sort(kept), forecast.working_distance)
+            raise _no_way(count - len(kept), count)
+        forecast = forecast_of(
+            belief, told(belief, stations), np.sort(kept), forecast.working_distance
+        )
     expected = np.full((2, len(origin), belief.beams), math.nan)
     expected[:, read] = ahead.reading[kept], ahead.reading_sigma[kept]
-    return Plan(
+    plan = Plan(
         listed,
         expected[0],
         expected[1],
@@ -110,6 +135,12 @@ def planned(
         safe,
         count - len(kept),
     )
+    return plan, np.sort(kept)
+
+
+def _no_way(missing: int, of: int) -> InputError:
+    found = f"no way of the arm to {missing} of {of} stations of a first motion"
+    return InputError(found, "more room around the plate, or a smaller clearance")
 
 
 def _way(

@@ -10,6 +10,7 @@ from ..model.sensor import Sensor
 from .belief import Belief
 from .choice import choose, value
 from .goal import Goal
+from .information import told
 from .plate import Placement, Plate, unused_names
 from .route import goal_rows
 from .workspace import Workspace, candidates
@@ -76,12 +77,12 @@ def _left(
     before = belief.before({name: plate})
     plane = len(before.plane_names) - 1
     try:
-        _, ahead = candidates(before, plane, workspace, sensor, TRIED, rng)
+        pool = candidates(before, plane, workspace, sensor, TRIED, rng)
     except InputError:
         return None
     weight = goal_rows(before, goal, goal.distance(sensor))
     chosen = choose(
-        ahead.rows[None], before.covariance, weight, count, goal.criterion, exchange=False
+        told(before, pool)[None], before.covariance, weight, count, goal.criterion, exchange=False
     )
     left = value(chosen.covariance, weight, goal.criterion)
     return left, replace(before, covariance=chosen.covariance)

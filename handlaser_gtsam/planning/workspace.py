@@ -37,7 +37,11 @@ ENDS = 0.4
 ROUNDING = 1e-9
 """Of a turn [rad]."""
 TRIES = 40
-"""Rounds of as many poses as are wanted, before giving up."""
+"""So many times the poses that are wanted are drawn, before giving up."""
+MOST_AT_ONCE = 3000
+"""Poses drawn in one round, or as many as are wanted if those are more."""
+MORE_THAN_MISSING = 1.3
+"""So many times the poses that seem to be missing are drawn: most rounds are the last."""
 ARM_TRIES = 3
 """An arm, which takes longer, is asked for so many times the poses that are wanted, at most."""
 LEAST_CANDIDATES = 10
@@ -134,7 +138,7 @@ def candidates(
     sensor: Sensor,
     count: int,
     rng: np.random.Generator,
-) -> tuple[Stations, Outlook]:
+) -> Stations:
     """Return up to `count` stations before a plane at which every beam can read it safely.
 
     Raises
@@ -144,22 +148,32 @@ def candidates(
     """
     require_range(sensor)
     kept: list[Stations] = []
-    tried_by_arm = 0
-    for _ in range(TRIES):
-        tried = _drawn(belief, plane, workspace, sensor, count, rng)
-        good = np.flatnonzero(inside(workspace, tried))
-        if good.size:
-            tried = picked(tried, good)
-            tried = picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor)))
-            kept.append(picked(tried, np.flatnonzero(within_reach(belief, workspace, tried))))
-            tried_by_arm += 0 if workspace.robot is None else len(tried.plane)
-        if sum(len(one.plane) for one in kept) >= count or tried_by_arm >= ARM_TRIES * count:
-            break
+    drawn = found_so_far = tried_by_arm = 0
+    while drawn < TRIES * count and found_so_far < count and tried_by_arm < ARM_TRIES * count:
+        wanted = _round(count, drawn, found_so_far)
+        tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
+        drawn += wanted
+        tried = picked(tried, np.flatnonzero(inside(workspace, tried)))
+        if not tried.plane.size:
+            continue
+        tried = picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor)))
+        if workspace.robot is not None:
+            tried = picked(tried, np.arange(min(len(tried.plane), count)))
+            tried_by_arm += len(tried.plane)
+        kept.append(picked(tried, np.flatnonzero(within_reach(belief, workspace, tried))))
+        found_so_far += len(kept[-1].plane)
     found = joined(kept) if kept else None
     if found is None or len(found.plane) < LEAST_CANDIDATES:
         raise _nowhere(belief.plane_names[plane], workspace, tried_by_arm)
-    found = picked(found, np.arange(min(count, len(found.plane))))
-    return found, outlook(belief, found)
+    return picked(found, np.arange(min(count, len(found.plane))))
+
+
+def _round(count: int, drawn: int, found: int) -> int:
+    """Return how many poses to draw next, from how many of those drawn were good so far."""
+    if not drawn:
+        return count
+    missing = MORE_THAN_MISSING * (count - found) * drawn / max(found, 1)
+    return int(np.clip(missing, 0.1 * count, min(max(MOST_AT_ONCE, count), TRIES * count - drawn)))
 
 
 def _nowhere(plane: str, workspace: Workspace, tried_by_arm: int) -> InputError:
@@ -189,7 +203,7 @@ def reachable(
     found, refusal = [], None
     for plane in range(len(belief.plane_names)):
         try:
-            found.append(candidates(belief, plane, workspace, sensor, count, rng)[0])
+            found.append(candidates(belief, plane, workspace, sensor, count, rng))
         except InputError as error:
             refusal = refusal or error
     if refusal is not None and not found:

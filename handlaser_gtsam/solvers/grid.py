@@ -61,6 +61,8 @@ class _Seen:
     c: FloatArray
     s: FloatArray
     cosine: FloatArray
+    flattest: FloatArray
+    """Of the absolute cosines: (K,)."""
 
 
 class Grid:
@@ -77,12 +79,12 @@ class Grid:
         rows, station, planes = _stations(one)
         sizes = np.bincount(planes, minlength=one.planes)
         self.beams, self.planes, self.slots = one.beams, one.planes, int(min(sizes.max(), LONGEST))
+        self._sizes: FloatArray = np.maximum(one.beams * sizes, 1).astype(float)
         chunks = np.maximum(-(-sizes // self.slots), 1)
         self.first: IntArray = np.cumsum(chunks) - chunks
+        self._first_cell: IntArray = self.first * self.slots
         self.plane: IntArray = np.repeat(np.arange(one.planes), chunks * self.slots)
-        place = (
-            np.arange(len(planes)) + (self.first * self.slots - np.cumsum(sizes) + sizes)[planes]
-        )
+        place = np.arange(len(planes)) + (self._first_cell - np.cumsum(sizes) + sizes)[planes]
         self.cells = len(self.plane)
         self.place: IntArray = place[station]
         self._at = one.beam * self.cells + self.place
@@ -135,7 +137,7 @@ class Grid:
         """Return parameters of K problems with the normals of all planes away from the sensors."""
         _, cosine = self.residuals(at)
         cosine = cosine if self.read is None else cosine * self.read
-        ahead = np.add.reduceat(cosine.sum(axis=1), self.first * self.slots, axis=1)
+        ahead = np.add.reduceat(cosine.sum(axis=1), self._first_cell, axis=1)
         sign = np.where(ahead.ravel() < 0.0, -1.0, 1.0)
         return replace(at, normals=at.normals * sign[:, None], offsets=at.offsets * sign)
 
@@ -167,15 +169,14 @@ class Grid:
         spot += seen.off[:, 1:, None]
         spot = spot.transpose(1, 0, 2, 3)
         middle = self._plane_means(spot, counted)
-        spot -= middle[..., None, self.plane]
+        spot -= middle.take(self.plane, axis=-1)[:, :, None]
         np.multiply(c, spot, out=columns[width : width + 2])
         columns[-2], columns[-1] = c, self._residual(seen, at)
         if counted is not None:
             columns *= counted
         centres = (basis @ middle.transpose(1, 2, 0).reshape(-1, 2, 1))[..., 0]
         centres -= at.offsets[:, None] * at.normals
-        worst = np.abs(seen.cosine).reshape(copies, -1).min(axis=1)
-        return Rows(columns, centres.reshape(copies, -1, 3), worst)
+        return Rows(columns, centres.reshape(copies, -1, 3), seen.flattest)
 
     def by_block(self, columns: FloatArray) -> FloatArray:
         """Return columns (q, K, B, cells) by chunk and beam: (K, chunks, B, q, slots)."""
@@ -191,10 +192,9 @@ class Grid:
 
     def _plane_means(self, values: FloatArray, counted: BoolArray | None) -> FloatArray:
         """Return means (q, K, P) over the readings of every plane of values (q, K, B, cells)."""
-        first = self.first * self.slots
+        first = self._first_cell
         if counted is None:
-            size = self.beams * np.diff(np.append(first, self.cells))
-            return np.asarray(np.add.reduceat(values.sum(axis=2), first, axis=2) / size)
+            return np.asarray(np.add.reduceat(values.sum(axis=2), first, axis=2) / self._sizes)
         size = np.add.reduceat(counted.sum(axis=1), first, axis=1)
         total = np.add.reduceat((values * counted).sum(axis=2), first, axis=2)
         return np.asarray(total / np.maximum(size, 1))
@@ -217,11 +217,16 @@ class Grid:
         cosine = along[:, 0, self.beams :]
         if counted is not None:
             cosine = np.where(counted, cosine, 1.0)
-        # What grazes is told by its cosine; here it only has to stay finite.
-        c = -1.0 / np.where(np.abs(cosine) < model.GRAZING_LIMIT, model.GRAZING_LIMIT, cosine)
-        height = off[:, 0] + at.offsets.reshape(copies, -1)[:, self.plane]
+        steep = np.abs(cosine)
+        flattest = steep.reshape(copies, -1).min(axis=1)
+        finite = cosine
+        if not (flattest >= model.GRAZING_LIMIT).all():
+            # What grazes is told by its cosine; here it only has to stay finite.
+            finite = np.where(steep < model.GRAZING_LIMIT, model.GRAZING_LIMIT, cosine)
+        c = -1.0 / finite
+        height = off[:, 0] + at.offsets.reshape(copies, -1).take(self.plane, axis=1)
         s = (along[:, 0, : self.beams] + height[:, None]) * c
-        return _Seen(turned, along, off, c, s, cosine)
+        return _Seen(turned, along, off, c, s, cosine, flattest)
 
 
 @dataclass(frozen=True, slots=True)

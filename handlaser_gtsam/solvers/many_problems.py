@@ -46,7 +46,7 @@ class SolvedTogether(Value):
     sigma : (K,)
         Standard deviation of a whitened residual [m].
     normal : NormalEquations
-        At the solutions, in metres.
+        In metres, at the solutions or before a last step too short to show in the cost.
     """
 
     parameters: tuple[Parameters, ...]
@@ -215,20 +215,46 @@ class _Search:
         ) / self.task.sigma**2
         step = beam.reshape(-1, width), plane.reshape(-1, 3), here.centres.reshape(-1, 3)
         trial = apply_step(self.at, *step, self.task.terms)
+        arrived = self._little_left(decrement)
+        last = arrived & (decrement <= self._resolution())
+        if last.any():
+            trial, decrement, arrived = self._finish(last, trial, decrement, arrived)
+            if not self.index.size:
+                return
         equations, cost = self.task.normal(trial)
         gain = self._gain(decrement, cost)
         better = gain > 0.0
         self.at = _chosen(better, trial, self.at)
-        self.equations = _chosen(better, equations, here)
+        self.equations = _chosen(better, equations, self.equations)
         self.cost = np.where(better, cost, self.cost)
         self.iterations += better
-        arrived = self._little_left(decrement)
         self._adapt_damping(gain)
         self._leave(arrived | (self.damping > self.options.most_damping), arrived)
 
+    def _finish(
+        self, last: BoolArray, trial: Parameters, decrement: FloatArray, arrived: BoolArray
+    ) -> tuple[Parameters, FloatArray, BoolArray]:
+        """Let problems end with a step too short to show in their cost, which is not evaluated again.
+
+        Returns what was given of the others.
+        """
+        self.at = _chosen(last, trial, self.at)
+        self.cost = np.where(last, self.cost - 0.5 * decrement, self.cost)
+        self.iterations += last
+        self._leave(last, last)
+        rest = np.flatnonzero(~last)
+        if not rest.size:
+            return trial, decrement[rest], arrived[rest]
+        trial = picked(trial, self.task.beams, self.task.planes, rest)
+        return trial, decrement[rest], arrived[rest]
+
+    def _resolution(self) -> FloatArray:
+        """Return the smallest change that shows in each cost."""
+        return COST_RESOLUTION * self.cost + self.task.rounding
+
     def _gain(self, decrement: FloatArray, cost: FloatArray) -> FloatArray:
         """Return what part of the promised saving each step achieved; see `levenberg`."""
-        resolution = COST_RESOLUTION * self.cost + self.task.rounding
+        resolution = self._resolution()
         saved = self.cost - cost
         level = (decrement <= resolution) & (saved > -resolution)
         return np.where(level, 0.5, saved / np.maximum(0.5 * decrement, 1e-300))
@@ -246,6 +272,8 @@ class _Search:
     def _adapt_damping(self, gain: FloatArray) -> None:
         """Change the damping by how well the linear model did; see `levenberg`."""
         options = self.options
+        if (gain >= 0.25).all() and (self.damping <= options.least_damping).all():
+            return  # as most steps of most problems do
         higher = np.maximum(self.damping * options.damping_factor, options.first_damping)
         lower = self.damping / options.damping_factor
         lower = np.where(lower >= options.first_damping, lower, 0.0)

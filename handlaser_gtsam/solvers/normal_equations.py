@@ -68,10 +68,11 @@ class NormalEquations:
         if self.coupled is not None:
             return self.coupled
         copies, beams, width = self.blocks.shape[:3]
-        H = np.zeros((copies, beams, width, beams, width))
-        each = np.arange(beams)
-        H[:, each, :, each, :] = np.moveaxis(self.blocks, 1, 0)
-        return H.reshape(copies, beams * width, beams * width)
+        H = np.zeros((copies, beams * width, beams * width))
+        for i in range(beams):
+            own = slice(i * width, (i + 1) * width)
+            H[:, own, own] = self.blocks[:, i]
+        return H
 
     @property
     def diagonal(self) -> FloatArray:

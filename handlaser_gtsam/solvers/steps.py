@@ -16,26 +16,31 @@ MANY_BEAMS = 4
 
 def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the steps (K, nb) of the beams and (K, P, 3) of the planes for damping (K,)."""
-    lift, plane = np.zeros_like(normal.beam_gradient), normal.plane
-    if damping.any():
-        lift = _lift(damping, normal.diagonal)
+    damped, plane = bool(damping.any()), normal.plane
+    if damped:
         plane = plane + _lift(damping, np.einsum("kpii->kpi", plane))[..., None] * np.eye(3)
-    copies, planes = normal.plane.shape[:2]
+    copies, planes = plane.shape[:2]
     size = normal.beam_gradient.shape[1]
     if normal.coupled is None and size > MANY_BEAMS * 3 * planes:
-        return _beams_first(normal, lift, plane)
-    right = np.concatenate((np.swapaxes(normal.border, 2, 3), normal.plane_gradient[..., None]), 3)
-    solved = solve_stack(plane, right)
-    W, w = solved[..., :-1], solved[..., -1]
-    E = np.swapaxes(normal.border, 1, 2).reshape(copies, size, -1)
-    beam = np.array(normal.beam)
-    beam[:, np.arange(size), np.arange(size)] += lift
-    S = beam - E @ W.reshape(copies, -1, size)
-    gradient = normal.beam_gradient - (E @ w.reshape(copies, -1, 1))[..., 0]
-    scale = 1.0 / np.sqrt(np.einsum("kii->ki", beam))
-    scaled = S * scale[:, :, None] * scale[:, None, :]
-    step = -scale * solve_stack(scaled, (gradient * scale)[..., None])[..., 0]
-    return step, -w - np.einsum("kpij,kj->kpi", W, step)
+        return _beams_first(normal, _lift(damping, normal.diagonal), plane)
+    # All that the planes answer to: a unit of every unknown of the beams, and the gradients.
+    right = np.empty((copies, planes, 3, size + 1))
+    right[..., :size] = normal.border.swapaxes(2, 3)
+    right[..., size] = normal.plane_gradient
+    answer = solve_stack(plane, right).reshape(copies, -1, size + 1)
+    E = normal.border.swapaxes(1, 2).reshape(copies, size, -1)
+    taken, beam = E @ answer, normal.beam
+    diagonal = np.einsum("kii->ki", beam)
+    if damped:
+        beam = beam.copy()
+        diagonal = diagonal + _lift(damping, diagonal)
+        np.einsum("kii->ki", beam)[:] = diagonal
+    scale = 1.0 / np.sqrt(diagonal)
+    S = (beam - taken[..., :size]) * (scale[:, :, None] * scale[:, None])
+    gradient = (normal.beam_gradient - taken[..., size]) * scale
+    step = -scale * solve_stack(S, gradient[..., None])[..., 0]
+    moved = answer[..., size] + (answer[..., :size] @ step[..., None])[..., 0]
+    return step, -moved.reshape(copies, planes, 3)
 
 
 def newton_step(
@@ -88,20 +93,18 @@ def apply_step(
 ) -> Parameters:
     """Return `parameters` moved by beam (B, 5 + terms) and plane (P, 3) unknowns."""
     v, n = parameters.directions, parameters.normals
-    bases = model.tangent_basis(np.concatenate((v, n)))
-    turned_v = (bases[: len(v)] @ beam[:, 3:5, None])[..., 0]
-    turned_n = (bases[len(v) :] @ plane[:, :2, None])[..., 0]
+    unit = np.concatenate((v, n))
+    turn = np.concatenate((beam[:, 3:5], plane[:, :2]))
+    moved = unit + (model.tangent_basis(unit) @ turn[..., None])[..., 0]
+    moved /= np.sqrt(np.einsum("ni,ni->n", moved, moved))[:, None]
     k = parameters.range_errors.copy()
     k[:, :terms] += beam[:, 5:]
-    normals = model.normalized(n + turned_n)
-    at_centre = parameters.offsets + np.einsum("pi,pi->p", n, centres) + plane[:, 2]
-    return Parameters(
-        parameters.locations + beam[:, :3],
-        model.normalized(v + turned_v),
-        k,
-        normals,
-        at_centre - np.einsum("pi,pi->p", normals, centres),
-    )
+    normals = moved[len(v) :]
+    # The offset at the centre moves by its own step alone.
+    turned = np.einsum("pi,pi->p", n, centres) - np.einsum("pi,pi->p", normals, centres)
+    offsets = parameters.offsets + plane[:, 2] + turned
+    locations = parameters.locations + beam[:, :3]
+    return Parameters.unchecked(locations, moved[: len(v)], k, normals, offsets)
 
 
 def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:

@@ -50,7 +50,7 @@ def study(
     runs: int,
     seed: int = 0,
     executor: Executor | Callable[[], Executor] | None = None,
-    store: Store | None = None,
+    store: Store[pl.DataFrame] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Study:
     """Draw and solve `runs` recordings of every case.
@@ -92,15 +92,13 @@ def _tell(progress: Callable[[int, int], None], total: int, done: int) -> None:
     progress(done, total)
 
 
-def _tasks(
-    cases: Sequence[Case], runs: int, seed: int
-) -> dict[str, Callable[[], list[dict[str, object]]]]:
+def _tasks(cases: Sequence[Case], runs: int, seed: int) -> dict[str, Callable[[], pl.DataFrame]]:
     """Return the tasks by name, in the order of their rows."""
     names = [(case.scene, case.treatment) for case in cases]
     if not names or len(set(names)) < len(names):
         raise InputError(f"cases {names}", "one or more, each scene and treatment once")
     scenes = list(dict.fromkeys(case.scene for case in cases))
-    found: dict[str, Callable[[], list[dict[str, object]]]] = {}
+    found: dict[str, Callable[[], pl.DataFrame]] = {}
     for number, case in enumerate(cases):
         key = (seed, scenes.index(case.scene))
         for first in range(0, runs, SHARE):

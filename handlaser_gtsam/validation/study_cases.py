@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
+import polars as pl
 
 from ..checks import require_kind
 from ..data.noise import Noise
@@ -21,7 +22,7 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from .scenes import ERRORS, SCENES, SENSORS, Layout
 from .simulate import Errors, simulate
-from .study_rows import Estimated, of_calibration, row
+from .study_rows import KINDS, Estimated, of_calibration, row
 
 Draw = Callable[[np.random.Generator], tuple[Recording, Parameters]]
 """A scene: draws a recording and the truth behind it, beams in the order of the recording."""
@@ -165,8 +166,8 @@ class Case:
     solve: Treatment
 
 
-def solve_runs(case: Case, key: tuple[int, ...], runs: Sequence[int]) -> list[dict[str, object]]:
-    """Draw and solve some runs of a case; return a row for each.
+def solve_runs(case: Case, key: tuple[int, ...], runs: Sequence[int]) -> pl.DataFrame:
+    """Draw and solve some runs of a case; return a table with a row for each.
 
     Parameters
     ----------
@@ -178,7 +179,8 @@ def solve_runs(case: Case, key: tuple[int, ...], runs: Sequence[int]) -> list[di
     """
     drawn = [case.draw(np.random.default_rng((*key, run))) for run in runs]
     found = case.solve([recording for recording, _ in drawn])
-    return [
+    rows = [
         {"scene": case.scene, "treatment": case.treatment, "run": run, **row(one, truth)}
         for run, (_, truth), one in zip(runs, drawn, found, strict=True)
     ]
+    return pl.DataFrame(rows, schema=KINDS)

@@ -116,11 +116,6 @@ def _nees(e: FloatArray, v: FloatArray, S: FloatArray) -> tuple[float, float, in
     return found[0], found[1], MOUNT + terms
 
 
-def frame_of(rows: list[dict[str, object]]) -> pl.DataFrame:
-    """Return rows as a table."""
-    return pl.DataFrame(rows, schema=KINDS)
-
-
 def summarized(rows: pl.DataFrame) -> pl.DataFrame:
     """Return a line for every scene and treatment.
 

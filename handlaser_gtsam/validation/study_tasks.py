@@ -1,72 +1,120 @@
 """Tasks on an executor: each result counts once, whatever workers do; finished ones are kept."""
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from typing import Protocol
-
-import polars as pl
+from collections.abc import Callable, Mapping, Sequence, Sized
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from functools import partial
+from typing import Generic, Protocol, TypeVar
 
 from ..errors import HandlaserError, SolverError
-from .study_rows import frame_of
 
-Rows = list[dict[str, object]]
-Task = Callable[[], Rows]
+Part = TypeVar("Part", bound=Sized)
+"""What a task returns: the results of some runs, such as a table of rows or a list."""
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
 ATTEMPTS = 4
 """A task whose worker was lost so often is given up."""
 LOST = ("KilledWorker", "CancelledError", "CommClosedError")
 """Names of the errors with which executors of other packages say that a worker was lost."""
 
 
-class Store(Protocol):
+class Store(Protocol[Part]):
     """Keeps finished tasks."""
 
     def begin(self, identity: str) -> None:
         """Refuse, by an InputError, what belongs to another study than this."""
 
-    def kept(self, name: str) -> pl.DataFrame | None:
-        """Return the rows of a task that was kept."""
+    def kept(self, name: str) -> Part | None:
+        """Return the results of a task that was kept."""
 
-    def keep(self, name: str, rows: pl.DataFrame) -> None:
-        """Keep the rows of a task."""
+    def keep(self, name: str, part: Part, /) -> None:
+        """Keep the results of a task."""
 
 
-def run_tasks(
-    tasks: Mapping[str, Task],
-    executor: Executor | Callable[[], Executor],
-    store: Store | None = None,
+def run_each(
+    function: Callable[[Argument], Result],
+    arguments: Sequence[Argument],
+    executor: Executor | Callable[[], Executor] = ProcessPoolExecutor,
+    store: Store[list[Result]] | None = None,
     progress: Callable[[int], None] | None = None,
-) -> dict[str, pl.DataFrame]:
-    """Return the rows of every task; those that are kept are not worked on again.
+    share: int = 1,
+) -> list[Result]:
+    """Return function(argument) of every argument, in their order; results are what counts as runs.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, or a `partial` of one: it goes to other processes. What it draws must follow from
+        its argument alone, such as a seed.
+    arguments : sequence
+    executor : Executor, or a function that makes one
+    store : Store, optional
+        Keeps finished parts, to go on from; it has to tell studies apart.
+    progress : callable, optional
+        Called with the number of finished runs.
+    share : int
+        Runs of a task.
 
     Raises
     ------
     SolverError
         A worker was lost again and again on the same task.
     """
-    found: dict[str, pl.DataFrame] = {}
+    tasks = {
+        f"{first:08d}-{share}": partial(_each, function, arguments[first : first + share])
+        for first in range(0, len(arguments), share)
+    }
+    found = run_tasks(tasks, executor, store, progress)
+    return [one for name in tasks for one in found[name]]
+
+
+def _each(function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> list[Result]:
+    return [function(one) for one in arguments]
+
+
+def run_tasks(
+    tasks: Mapping[str, Callable[[], Part]],
+    executor: Executor | Callable[[], Executor],
+    store: Store[Part] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Part]:
+    """Return the results of every task; those that are kept are not worked on again.
+
+    Raises
+    ------
+    SolverError
+        A worker was lost again and again on the same task.
+    """
+    found: dict[str, Part] = {}
     if store is not None:
         there = {name: store.kept(name) for name in tasks}
-        found = {name: rows for name, rows in there.items() if rows is not None}
-    done = sum(len(rows) for rows in found.values())
+        found = {name: part for name, part in there.items() if part is not None}
+    done = sum(len(part) for part in found.values())
     if progress is not None:
         progress(done)
-    pool = _Pool(executor)
+    pool = _Pool[Part](executor)
     lost: dict[str, int] = {}
     try:
         waiting = pool.submitted({name: task for name, task in tasks.items() if name not in found})
         while waiting:
             ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            again: dict[str, Task] = {}
+            again: dict[str, Callable[[], Part]] = {}
             for future in ended:
                 name = waiting.pop(future)
-                rows = _result(future, name, lost)
-                if rows is None:
+                part = _result(future, name, lost)
+                if part is None:
                     again[name] = tasks[name]
                     continue
-                found[name] = frame_of(rows)
+                found[name] = part
                 if store is not None:
-                    store.keep(name, found[name])
-                done += len(rows)
+                    store.keep(name, part)
+                done += len(part)
                 if progress is not None:
                     progress(done)
             if again:
@@ -76,8 +124,8 @@ def run_tasks(
     return found
 
 
-def _result(future: "Future[Rows]", name: str, lost: dict[str, int]) -> Rows | None:
-    """Return the rows of a task, or None where its worker was lost."""
+def _result(future: "Future[Part]", name: str, lost: dict[str, int]) -> Part | None:
+    """Return the results of a task, or None where its worker was lost."""
     try:
         return future.result()
     except HandlaserError:
@@ -94,23 +142,23 @@ def _result(future: "Future[Rows]", name: str, lost: dict[str, int]) -> Rows | N
         return None
 
 
-class _Pool:
+class _Pool(Generic[Part]):
     """An executor that is made anew when it breaks, if it was made here."""
 
     def __init__(self, executor: Executor | Callable[[], Executor]) -> None:
         self.make = None if isinstance(executor, Executor) else executor
         self.executor = executor if isinstance(executor, Executor) else executor()
 
-    def submitted(self, tasks: Mapping[str, Task]) -> "dict[Future[Rows], str]":
+    def submitted(self, tasks: Mapping[str, Callable[[], Part]]) -> "dict[Future[Part], str]":
         """Hand tasks over."""
         return {self.executor.submit(task): name for name, task in tasks.items()}
 
     def resubmitted(
         self,
-        again: dict[str, Task],
-        waiting: "dict[Future[Rows], str]",
-        tasks: Mapping[str, Task],
-    ) -> "dict[Future[Rows], str]":
+        again: dict[str, Callable[[], Part]],
+        waiting: "dict[Future[Part], str]",
+        tasks: Mapping[str, Callable[[], Part]],
+    ) -> "dict[Future[Part], str]":
         """Hand tasks over again, with all that waits where the executor has to be made anew."""
         try:
             return {**waiting, **self.submitted(again)}
