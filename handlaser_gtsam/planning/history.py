@@ -62,7 +62,8 @@ def history(calibration: Calibration, reading: float) -> History | None:
             continue
         if len(part.recording.beam_names) == len(calibration.beams):
             row[:] = _known(calibration, part, reading)
-    return History(counts, Forecast(*rows.T, reading))
+    location, direction, spots = rows.T
+    return History(counts, Forecast(location, direction, spots, reading))
 
 
 def _known(calibration: Calibration, part: Part, reading: float) -> FloatArray:

@@ -1,0 +1,198 @@
+"""Tables of what was found: mounts, laser spots, planes, and all of it against the limits."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...results.calibration_data import LABELS
+from ...results.lines import DEG, MM
+from ...results.reports import Beam
+from ...results.spot_error import spot_radii
+from ...results.spots import spot
+from .subject import Subject
+from .tables import (
+    NONE,
+    UNKNOWN,
+    Cell,
+    Column,
+    Table,
+    digits_of,
+    number,
+    plain,
+    significant,
+    text,
+)
+
+MOST_BEAMS, MOST_PLANES = 50, 400
+"""Beams and planes that are listed; the JSON has all."""
+UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
+SCALES = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0, 1.0)
+MOST_DIGITS = (5, 5, 5, 7, 7, 7, 7, 5)
+PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
+"""Coordinates that are shown with equally many decimals."""
+
+
+def mounts_table(subject: Subject) -> Table:
+    """Return value, standard deviation and 95 % interval of every parameter of every beam."""
+    beams = list(subject.calibration.beams.values())
+    rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(subject, beam)]
+    return Table(
+        "mounts",
+        "Hand frame. The true range is d + k1 d + k2 d² for a reading d.",
+        (
+            Column("beam", number=False),
+            Column("parameter", number=False),
+            Column("value"),
+            Column("std dev"),
+            Column("95 % from"),
+            Column("to"),
+            Column("unit", number=False),
+        ),
+        tuple(rows),
+        _more(len(beams) - MOST_BEAMS, "beam"),
+    )
+
+
+def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
+    """Yield the rows of one beam; no number where the recording determines none."""
+    calibration = subject.calibration
+    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
+    interval = calibration.intervals(beam.name)
+    interval = np.full((8, 2), np.nan) if interval is None else interval
+    for rows in PARTS:
+        for i in range(*rows.indices(6 + beam.terms)):
+            scale, most = SCALES[i], MOST_DIGITS[i]
+            digits = digits_of((sigma[rows] * scale).tolist(), most)
+            name, unit = text(LABELS[i]), text(UNITS[i])
+            if not math.isfinite(sigma[i]):
+                blank = (Cell(UNKNOWN, None, "care"), *[Cell(NONE)] * 3)
+                yield text(beam.name), name, *blank, unit
+                continue
+            values = (beam.coordinates[i], sigma[i], *interval[i])
+            yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
+    if beam.direction_sigma is not None and math.isfinite(beam.direction_sigma):
+        turn = significant(beam.direction_sigma * DEG, 2)
+        yield text(beam.name), text("direction, largest"), Cell(NONE), turn, *_blank(2), text("deg")
+
+
+def _blank(count: int) -> tuple[Cell, ...]:
+    return (Cell(NONE),) * count
+
+
+def spots_table(subject: Subject) -> Table | None:
+    """Return how well the laser spot of every beam is known at the working distance."""
+    calibration, reading = subject.calibration, subject.reading
+    radii = spot_radii(calibration, reading) if subject.solved else {}
+    if not radii:
+        return None
+    rows = []
+    for name in list(radii)[:MOST_BEAMS]:
+        found = spot(calibration, name, reading)
+        numbers = (radii[name], found.along, found.across, found.reading_sigma)
+        cells = [significant(x * MM, 2) for x in numbers]
+        rows.append((text(name), *cells, significant(found.direction_sigma * DEG, 2)))
+    return Table(
+        "spots",
+        f"At a reading of {plain(reading * MM, 3)} mm, the working distance. The radius holds the spot "
+        "with 95 %, from the calibration alone; one reading adds its own noise along the beam.",
+        (
+            Column("beam", number=False),
+            Column("spot error, 95 % mm"),
+            Column("along mm"),
+            Column("across mm"),
+            Column("a reading adds mm"),
+            Column("direction deg"),
+        ),
+        tuple(rows),
+        _more(len(radii) - MOST_BEAMS, "beam"),
+    )
+
+
+def planes_table(subject: Subject) -> Table:
+    """Return where every plane was found."""
+    planes = list(subject.calibration.planes.values())
+    rows = []
+    for plane in planes[:MOST_PLANES]:
+        sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
+        turn, shift = plane.normal_sigma, float(sigma[3])
+        n = [_determined(plane.normal[i], sigma[i], 1.0, 7) for i in range(3)]
+        turned = None if turn is None else turn * DEG
+        row = (*n, significant(turned, 2), _determined(plane.offset, shift, MM, 4))
+        rows.append((text(plane.name), *row, significant(shift * MM, 2)))
+    return Table(
+        "planes",
+        "n · x + b = 0 in the world frame; n points away from the sensor.",
+        (
+            Column("plane", number=False),
+            Column("n x"),
+            Column("n y"),
+            Column("n z"),
+            Column("std dev deg"),
+            Column("b mm"),
+            Column("std dev mm"),
+        ),
+        tuple(rows),
+        _more(len(planes) - MOST_PLANES, "plane"),
+    )
+
+
+def _determined(value: float, sigma: float, scale: float, most: int) -> Cell:
+    if not math.isfinite(sigma):
+        return Cell(UNKNOWN, None, "care")
+    return number(float(value) * scale, digits_of([sigma * scale], most))
+
+
+def limits_table(subject: Subject) -> Table | None:
+    """Return every value beside its limit; None where no limit was given."""
+    checks = sorted(subject.verdict.limits, key=lambda one: -one.ratio)
+    if not checks:
+        return None
+    rows = []
+    for one in checks[: 3 * MOST_BEAMS]:
+        scale, unit = (DEG, "deg") if one.quantity == "direction_sigma" else (MM, "mm")
+        words = one.quantity.replace("_", " ").replace("sigma", "std dev")
+        state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
+        value, limit = significant(one.value * scale), significant(one.limit * scale)
+        rows.append((text(words), text(one.subject or "all"), value, limit, text(unit), state))
+    return Table(
+        "limits",
+        "",
+        (
+            Column("quantity", number=False),
+            Column("of", number=False),
+            Column("value"),
+            Column("limit"),
+            Column("unit", number=False),
+            Column("result", number=False),
+        ),
+        tuple(rows),
+        _more(len(checks) - 3 * MOST_BEAMS, "limit"),
+    )
+
+
+def correlation_matrix(subject: Subject, most: int) -> tuple[list[tuple[str, str]], FloatArray]:
+    """Return (beam, coordinate) of the unknowns of the first `most` beams, and their correlations.
+
+    Of the three components of a direction, the largest follows from the others and is left out.
+    """
+    joint = subject.calibration.covariance
+    if joint is None:
+        return [], np.empty((0, 0))
+    names = joint.beam_names[:most]
+    S = joint.matrix(names, [])
+    variance = np.diagonal(S)
+    keep = variance > 0.0
+    for index, basis in enumerate(joint.beam_bases[:most]):
+        keep[8 * index + 3 + int(np.linalg.norm(basis, axis=1).argmin())] = False
+    rows = np.flatnonzero(keep)
+    sigma = np.sqrt(variance[rows])
+    found: FloatArray = S[np.ix_(rows, rows)] / np.outer(sigma, sigma)
+    return [(names[row // 8], LABELS[row % 8]) for row in rows.tolist()], found
+
+
+def _more(count: int, noun: str) -> str:
+    if count <= 0:
+        return ""
+    return f"{count} more {noun}{'' if count == 1 else 's'}: the JSON of the calibration has all."
