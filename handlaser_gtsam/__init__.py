@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from .files.calibration_reading import read_mounts as read_mounts
     from .files.recording_csv import read_recording as read_recording
     from .files.recording_csv import write_recording as write_recording
+    from .files.report.options import ReportOptions as ReportOptions
+    from .files.report.page import write_report as write_report
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
     from .files.stations_csv import read_stations as read_stations
@@ -150,6 +152,8 @@ _NAMES = {
     "files.calibration_json": "write_calibration",
     "files.calibration_reading": "CalibrationFile read_calibration read_mounts",
     "files.recording_csv": "read_recording write_recording",
+    "files.report.options": "ReportOptions",
+    "files.report.page": "write_report",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",
     "files.study_picture": "write_study_picture",

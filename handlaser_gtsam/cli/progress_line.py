@@ -18,6 +18,7 @@ PHASES = {
     "hold-out": "testing the calibration",
     "leave-out": "leaving out",
     "planes": "adding planes",
+    "report": "making the report",
 }
 
 

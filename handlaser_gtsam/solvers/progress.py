@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Phase = Literal[
-    "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes"
+    "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes", "report"
 ]
 
 
@@ -35,7 +35,8 @@ class Progress:
     phase : str
         `search`: of a start and of the readings that agree; `solve`: the joint solution; `scales`:
         unknown standard deviations; `tests`: for systematic errors; `leave-out`, `hold-out`,
-        `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session.
+        `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session;
+        `report`: what a report shows beside the calibration.
     done, total : int
         Parts that are finished, and all of them; zero where they are not counted.
     name : str

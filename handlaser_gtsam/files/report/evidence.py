@@ -15,11 +15,23 @@ from ...results.wording import size_in_words
 from ...validation.hold_out import HoldOut
 from .mounts import correlation_matrix
 from .subject import Subject
-from .tables import NONE, Cell, Column, Table, concise, number, significant, text
+from .tables import (
+    NONE,
+    Cell,
+    Column,
+    Table,
+    concise,
+    number,
+    sentence,
+    significant,
+    text,
+)
 
 FLAGGED = 0.8
+SMALL = 0.005
+"""Parts of a variance below this are not worth a word."""
 """Correlations above this are flagged."""
-MOST_PAIRS, MOST_BEAMS, MOST_HELD = 24, 12, 200
+MOST_PAIRS, MOST_BEAMS, MOST_HELD = 12, 12, 200
 """Correlations, beams among which they are looked for, and planes left out that are listed."""
 
 Facts = tuple[tuple[str, str], ...]
@@ -46,8 +58,9 @@ def fit_facts(subject: Subject) -> Facts:
         if fit.dof > 0:
             facts.append(("chi² / dof", f"{concise(fit.chi2, 4)} / {fit.dof}"))
     facts.append(("readings", f"{fit.readings} used, {len(fit.rejected)} rejected"))
-    facts.append(("noise", noise_words(subject.calibration).partition(": ")[2]))
-    facts.append(("range errors", range_error_words(subject.calibration).partition(", ")[2]))
+    if subject.solved:
+        facts.append(("noise", noise_words(subject.calibration).partition(": ")[2]))
+        facts.append(("range errors", range_error_words(subject.calibration).partition(", ")[2]))
     facts.append(("hand poses", fit.poses))
     if fit.loss != "gaussian":
         facts.append(("loss", fit.loss))
@@ -80,6 +93,7 @@ def observability_words(subject: Subject) -> Iterator[str]:
     shares = subject.verdict.shares
     if shares is not None:
         yield from _shares(subject)
+    yield from _indices(subject)
 
 
 def _shares(subject: Subject) -> Iterator[str]:
@@ -96,17 +110,18 @@ def _shares(subject: Subject) -> Iterator[str]:
                 f"lie along the direction known worst, mostly {shares.weakest_quantity}",
             ),
         )
-        if math.isfinite(share)
+        if math.isfinite(share) and share >= SMALL
     ]
-    yield f"Of the variance of the worst laser spot (beam {beam}), {', '.join(parts)}; these overlap."
+    overlap = "; these overlap" if len(parts) > 1 else ""
+    if parts:
+        yield f"Of the variance of the worst laser spot (beam {beam}), {', '.join(parts)}{overlap}."
 
 
-def indices_facts(subject: Subject) -> Facts:
-    """Return the observability indices."""
+def _indices(subject: Subject) -> Iterator[str]:
     found = subject.calibration.observability.indices
-    if found is None or not subject.solved:
-        return ()
-    return tuple((name, concise(getattr(found, name), 3)) for name in ("O1", "O2", "O3", "O4"))
+    if found is not None:
+        listed = (f"{name} {concise(getattr(found, name), 2)}" for name in ("O1", "O2", "O3", "O4"))
+        yield f"Observability indices, larger is better: {', '.join(listed)}."
 
 
 def correlations_table(subject: Subject) -> Table | None:
@@ -164,7 +179,7 @@ def _systematic(one: SystematicError, reading: float) -> tuple[Cell, ...]:
             "explained" if one.explained_by else "found", 2.0, "care" if one.explained_by else "bad"
         )
     if one.confounded:
-        state = Cell("cannot be told", 1.0, "care")
+        state = Cell("cannot be told", 1.0)
     name = text(one.code.replace("-", " "))
     if one.confounded:
         return name, state, *[Cell(NONE)] * 3
@@ -175,13 +190,14 @@ def _systematic(one: SystematicError, reading: float) -> tuple[Cell, ...]:
     return name, state, significant(one.p_value, 2), below, significant(most * MM, 2)
 
 
-def systematic_messages(subject: Subject) -> Iterator[str]:
-    """Yield what was found, or cannot be told, in words with the remedy."""
-    for one in subject.calibration.systematic if subject.solved else ():
-        if one.found and not one.explained_by:
-            yield f"Found: {one.message}. To remove it: {one.remedy}."
-        elif one.confounded:
-            yield f"Cannot be told: {one.message}; {one.remedy}."
+def systematic_facts(subject: Subject) -> Facts:
+    """Return what was found, or cannot be told, by its name in words with the remedy."""
+    tested = subject.calibration.systematic if subject.solved else ()
+    return tuple(
+        (one.code.replace("-", " "), sentence(f"{one.message}; {one.remedy}"))
+        for one in tested
+        if one.confounded or (one.found and not one.explained_by)
+    )
 
 
 def held_out_table(subject: Subject) -> Table | None:

@@ -37,10 +37,14 @@ class Figure:
         return {"data": self.data, "layout": self.layout}
 
 
-def label(name: str) -> str:
-    """Return a foreign name for a picture: short, and not taken for HTML."""
-    short = name if len(name) <= LONGEST else name[: LONGEST - 1] + "…"
-    return html.escape(short, quote=False)
+def label(name: str, longest: int = LONGEST) -> str:
+    """Return a foreign name for a picture: short, and taken neither for HTML nor for TeX."""
+    return harmless(name if len(name) <= longest else name[: longest - 1] + "…")
+
+
+def harmless(words: str) -> str:
+    """Return foreign words that plotly.js shows as they are."""
+    return html.escape(words, quote=False).replace("$", "&#36;")
 
 
 def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float | None]:

@@ -15,7 +15,7 @@ from ...results.verdict import OPENING
 from ...text import printable, some
 from .options import changed_on, sha256
 from .subject import Subject
-from .tables import Column, Table, concise, number, text
+from .tables import Column, Table, concise, number, sentence, text
 
 MARKS = {"usable": "good", "usable-with-care": "care"}
 """Colour of a verdict; all others are bad."""
@@ -54,11 +54,11 @@ def head_of(subject: Subject) -> Head:
     return Head(
         f"Calibration of {name}" if name else "Calibration",
         OPENING[judged.code],
-        findings,
+        tuple(map(sentence, findings)),
         MARKS.get(judged.code, "bad"),
         calibration.status.replace("_", " "),
         tuple((term, words) for term, words in _facts(subject) if words),
-        tuple(warnings),
+        tuple(map(sentence, warnings)),
     )
 
 
@@ -66,8 +66,9 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     calibration, recording = subject.calibration, subject.calibration.recording
     yield "date", _date(subject)
     yield "made by", f"handlaser_gtsam {__version__}"
-    yield "recording", _file(subject.options.recording_file)
-    yield "rig", _file(subject.options.rig_file)
+    for kind, path in _sources(subject):
+        yield kind, _name(path)
+        yield "its SHA-256", sha256(path)
     yield "robot", _robot(subject)
     yield "sensor", _sensor(subject)
     yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
@@ -86,7 +87,7 @@ def _rejected(subject: Subject) -> str:
     for one in rejected:
         reasons[one.reason] = reasons.get(one.reason, 0) + 1
     most = sorted(reasons, key=lambda reason: -reasons[reason])
-    listed = some([f"{reasons[reason]} {reason}" for reason in most], 4)
+    listed = some([f"{reason}: {reasons[reason]}" for reason in most], 4)
     return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
 
 
@@ -103,8 +104,11 @@ def _name(path: Path | str | None) -> str:
     return "" if path is None else printable(Path(path).name)
 
 
-def _file(path: Path | str | None) -> str:
-    return "" if path is None else f"{_name(path)}, SHA-256 {sha256(path)}"
+def _sources(subject: Subject) -> list[tuple[str, Path | str]]:
+    """Return the files behind the calibration that are known, and what they are."""
+    options = subject.options
+    pairs = (("recording", options.recording_file), ("rig", options.rig_file))
+    return [(kind, path) for kind, path in pairs if path is not None]
 
 
 def _robot(subject: Subject) -> str:
@@ -118,12 +122,10 @@ def _sensor(subject: Subject) -> str:
     sensor = subject.options.rig.sensor
     parts = []
     if sensor.range_stated:
-        parts.append(
-            f"reads {concise(sensor.range_min * MM)} to {concise(sensor.range_max * MM)} mm"
-        )
+        parts.append(f"reads {sensor.range_min * MM:.6g} to {sensor.range_max * MM:.6g} mm")
     if sensor.max_incidence < np.pi / 2.0:
-        parts.append(f"up to {concise(np.degrees(sensor.max_incidence))} deg of incidence")
-    parts.append(f"expected linear to {concise(100.0 * sensor.linearity, 2)} % of a reading")
+        parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
+    parts.append(f"expected linear to {100.0 * sensor.linearity:.3g} % of a reading")
     return ", ".join(parts)
 
 
@@ -132,20 +134,29 @@ def next_words(subject: Subject) -> Iterator[str]:
     calibration = subject.calibration
     words = subject.verdict.best.words
     if not subject.solved:
-        yield from (one[:1].upper() + one[1:] + "." for one in calibration.observability.advice)
+        yield from map(sentence, calibration.observability.advice)
         if not calibration.observability.advice:
             yield f"Do this first: {words}."
         return
     yield f"Best improvement: {words}."
-    yield from dict.fromkeys(
-        f"{one.first} and {one.second} are hardly told apart ({one.coefficient:+.3f}): {one.advice}."
-        for one in calibration.correlations[:3]
-    )
+    yield from _correlations(subject)
     plan = subject.plan
     if plan is not None:
         yield (
             f"After {count(len(plan), 'station')} more, at the poses below: "
             f"{plan.forecast.words(len(plan))} (now {plan.forecast.words(0)})."
+        )
+
+
+def _correlations(subject: Subject) -> Iterator[str]:
+    """Yield what would tell strongly correlated unknowns apart, each advice once."""
+    found = subject.calibration.correlations
+    for advice in dict.fromkeys(one.advice for one in found):
+        first, *more = [one for one in found if one.advice == advice]
+        others = f", as are {count(len(more), 'more pair')}" if more else ""
+        yield (
+            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
+            f"(correlation {first.coefficient:.3f}){others}."
         )
 
 
@@ -180,8 +191,10 @@ def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
     facts = (
         ("program", f"handlaser_gtsam {__version__}, Python {python}, {libraries}"),
         ("command", printable(options.command)),
-        ("recording", _file(options.recording_file)),
-        ("rig file", _file(options.rig_file)),
+        *(
+            (f"{kind} file", f"{printable(str(path))}, SHA-256 {sha256(path)}")
+            for kind, path in _sources(subject)
+        ),
         (
             "range sigma",
             "estimated"

@@ -18,9 +18,9 @@ from .tables import (
     Cell,
     Column,
     Table,
+    concise,
     digits_of,
     number,
-    plain,
     significant,
     text,
 )
@@ -34,13 +34,16 @@ PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
 """Coordinates that are shown with equally many decimals."""
 
 
-def mounts_table(subject: Subject) -> Table:
-    """Return value, standard deviation and 95 % interval of every parameter of every beam."""
+def mounts_table(subject: Subject) -> Table | None:
+    """Return value, standard deviation and 95 % interval of every parameter; None if none is known."""
     beams = list(subject.calibration.beams.values())
+    if not any(_known(beam.sigma) for beam in beams):
+        return None
     rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(subject, beam)]
     return Table(
         "mounts",
-        "Hand frame. The true range is d + k1 d + k2 d² for a reading d.",
+        "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
+        "angle in deg, k2 in 1/m. The true range is d + k1 d + k2 d² for a reading d.",
         (
             Column("beam", number=False),
             Column("parameter", number=False),
@@ -48,7 +51,7 @@ def mounts_table(subject: Subject) -> Table:
             Column("std dev"),
             Column("95 % from"),
             Column("to"),
-            Column("unit", number=False),
+            Column("unit", number=False, wide=True),
         ),
         tuple(rows),
         _more(len(beams) - MOST_BEAMS, "beam"),
@@ -72,13 +75,17 @@ def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
                 continue
             values = (beam.coordinates[i], sigma[i], *interval[i])
             yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
-    if beam.direction_sigma is not None and math.isfinite(beam.direction_sigma):
-        turn = significant(beam.direction_sigma * DEG, 2)
-        yield text(beam.name), text("direction, largest"), Cell(NONE), turn, *_blank(2), text("deg")
-
-
-def _blank(count: int) -> tuple[Cell, ...]:
-    return (Cell(NONE),) * count
+        turn = beam.direction_sigma
+        if rows.start == 3 and turn is not None and math.isfinite(turn):
+            words, blank = text("direction, angle"), (Cell(NONE),) * 2
+            yield (
+                text(beam.name),
+                words,
+                Cell(NONE),
+                significant(turn * DEG, 2),
+                *blank,
+                text("deg"),
+            )
 
 
 def spots_table(subject: Subject) -> Table | None:
@@ -95,14 +102,15 @@ def spots_table(subject: Subject) -> Table | None:
         rows.append((text(name), *cells, significant(found.direction_sigma * DEG, 2)))
     return Table(
         "spots",
-        f"At a reading of {plain(reading * MM, 3)} mm, the working distance. The radius holds the spot "
-        "with 95 %, from the calibration alone; one reading adds its own noise along the beam.",
+        f"At a reading of {concise(reading * MM, 4)} mm, the working distance: the radius that holds "
+        "the spot with 95 % from the calibration alone, and its standard deviations. One reading adds "
+        "its own noise along the beam.",
         (
             Column("beam", number=False),
-            Column("spot error, 95 % mm"),
+            Column("95 % spot mm"),
             Column("along mm"),
             Column("across mm"),
-            Column("a reading adds mm"),
+            Column("reading adds mm"),
             Column("direction deg"),
         ),
         tuple(rows),
@@ -110,16 +118,22 @@ def spots_table(subject: Subject) -> Table | None:
     )
 
 
-def planes_table(subject: Subject) -> Table:
-    """Return where every plane was found."""
+def planes_table(subject: Subject) -> Table | None:
+    """Return where every plane was found; None where nothing is known."""
     planes = list(subject.calibration.planes.values())
+    if not any(_known(plane.sigma) for plane in planes):
+        return None
     rows = []
     for plane in planes[:MOST_PLANES]:
         sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
         turn, shift = plane.normal_sigma, float(sigma[3])
-        n = [_determined(plane.normal[i], sigma[i], 1.0, 7) for i in range(3)]
-        turned = None if turn is None else turn * DEG
-        row = (*n, significant(turned, 2), _determined(plane.offset, shift, MM, 4))
+        turn = math.inf if turn is None else turn
+        digits = digits_of([turn], 7)
+        n = [
+            number(x, digits) if math.isfinite(s) else Cell(UNKNOWN, None, "care")
+            for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
+        ]
+        row = (*n, significant(turn * DEG, 2), _determined(plane.offset, shift, MM, 4))
         rows.append((text(plane.name), *row, significant(shift * MM, 2)))
     return Table(
         "planes",
@@ -136,6 +150,10 @@ def planes_table(subject: Subject) -> Table:
         tuple(rows),
         _more(len(planes) - MOST_PLANES, "plane"),
     )
+
+
+def _known(sigma: FloatArray | None) -> bool:
+    return sigma is not None and bool(np.isfinite(sigma).any())
 
 
 def _determined(value: float, sigma: float, scale: float, most: int) -> Cell:

@@ -1,6 +1,8 @@
 """What a report is told beside the calibration: limits, working distance, and where all came from."""
 
 import hashlib
+import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -90,6 +92,12 @@ def sha256(path: Path | str) -> str:
 def changed_on(path: Path | str) -> date:
     """Return the day on which a file was last changed, UTC."""
     return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
+
+
+def called_as(arguments: Sequence[str]) -> str:
+    """Return a command line of `handlaser`, cut where it is longer than a report repeats."""
+    whole = shlex.join(("handlaser", *arguments))
+    return whole if len(whole) <= MOST_COMMAND else whole[: MOST_COMMAND - 3] + "..."
 
 
 def iso_day(text: str) -> date:

@@ -44,19 +44,39 @@
     });
   }
 
-  // Figures: the flat ones at once, one a frame of the screen; those in space last, and where they show.
+  // Figures: the page is read before the library runs; the flat ones are drawn one after the other, those
+  // in space when they come into view.
   const figures = parsed("figures") || {};
   const settings = { displayModeBar: false, responsive: true };
-  const drawn = new Set();
+  const started = new Set();
+  const pause = () => new Promise((resolve) => setTimeout(resolve));
+
+  // A drawing keeps its proportions on paper, where it is narrower than on the screen.
+  const scalable = (place) => {
+    for (const drawing of place.querySelectorAll("svg.main-svg")) {
+      const { width, height } = drawing.getBoundingClientRect();
+      if (!width) continue;
+      drawing.setAttribute("viewBox", `0 0 ${width} ${height}`);
+      place.style.setProperty("--ratio", `${width} / ${height}`);
+    }
+  };
+  const farther = (eye) => {
+    for (const axis of Object.keys(eye)) eye[axis] *= 1.4;
+  };
   const draw = async (place) => {
     const name = place.dataset.figure;
-    if (drawn.has(name) || !figures[name] || !window.Plotly) return;
-    drawn.add(name);
+    if (started.has(name) || !figures[name] || !window.Plotly) return;
+    started.add(name);
     const space = place.closest(".space");
     try {
       if (space) space.classList.add("live");
+      if (space && place.clientWidth < 500) farther(figures[name].layout.scene.camera.eye);
       await window.Plotly.newPlot(place, figures[name].data, figures[name].layout, settings);
       if (space && !place.querySelector("canvas")) throw new Error("no WebGL");
+      if (!space) {
+        scalable(place);
+        place.on("plotly_relayout", () => scalable(place));
+      }
       place.dataset.drawn = "yes";
     } catch (error) {
       if (!space) throw error;
@@ -64,14 +84,23 @@
       place.dataset.drawn = "still";
     }
   };
-  const pause = () => new Promise((resolve) => setTimeout(resolve));
-  const all = async () => {
+  const start = async () => {
+    const library = document.getElementById("plotly");
+    if (!library) return;
+    const script = document.createElement("script");
+    script.textContent = library.textContent;
+    document.head.append(script);
+    library.remove();
+    const near = new IntersectionObserver((entries) => {
+      for (const entry of entries) {
+        if (entry.isIntersecting) draw(entry.target.querySelector(".canvas"));
+      }
+    });
     for (const place of document.querySelectorAll(".plots .canvas")) {
-      await draw(place);
       await pause();
+      await draw(place);
     }
-    const first = document.querySelector(".space:not(.later) .canvas");
-    if (first) await draw(first);
+    for (const space of document.querySelectorAll(".space")) near.observe(space);
     document.documentElement.dataset.ready = "yes";
   };
 
@@ -84,21 +113,8 @@
         const mine = space.dataset.space === button.dataset.show;
         space.classList.toggle("shown", mine);
         space.classList.toggle("hidden", !mine);
-        if (mine) draw(space.querySelector(".canvas"));
       }
     });
   }
-
-  // On paper two figures stand side by side: they take the width that they have there.
-  const fit = () => {
-    for (const place of document.querySelectorAll(".plots .canvas[data-drawn]")) {
-      window.Plotly.Plots.resize(place);
-    }
-  };
-  if (window.Plotly) {
-    window.matchMedia("print").addEventListener("change", fit);
-    window.addEventListener("beforeprint", fit);
-    window.addEventListener("afterprint", fit);
-    all();
-  }
+  window.addEventListener("load", () => setTimeout(start));
 })();

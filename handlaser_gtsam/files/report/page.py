@@ -13,7 +13,7 @@ from ...checks import require_kind
 from ...results.calibration import Calibration
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
-from . import evidence, figures, head, mounts, stations
+from . import evidence, head, knowledge_figures, mounts, residual_figures, stations
 from .figure import Figure
 from .geometry import in_hand, in_world
 from .options import ReportOptions
@@ -86,10 +86,10 @@ def _parts(subject: Subject) -> tuple[dict[str, object], list[Figure]]:
     """Return what the template shows, by name, and the figures."""
     spaces = [one for one in (in_world(subject), in_hand(subject)) if one is not None]
     flat = [
-        *figures.residual_figures(subject),
-        figures.qq_figure(subject),
-        figures.correlation_figure(subject),
-        figures.stations_figure(subject),
+        *residual_figures.residual_figures(subject),
+        residual_figures.qq_figure(subject),
+        knowledge_figures.correlation_figure(subject),
+        knowledge_figures.stations_figure(subject),
     ]
     drawn = [scene_figure(one) for one in spaces] + [one for one in flat if one is not None]
     parts: dict[str, Callable[[Subject], object]] = {
@@ -103,10 +103,9 @@ def _parts(subject: Subject) -> tuple[dict[str, object], list[Figure]]:
         "limits": mounts.limits_table,
         "fit": evidence.fit_facts,
         "observability": evidence.observability_words,
-        "indices": evidence.indices_facts,
         "correlations": evidence.correlations_table,
         "systematic": evidence.systematic_table,
-        "systematic_messages": evidence.systematic_messages,
+        "systematic_facts": evidence.systematic_facts,
         "held_out": evidence.held_out_table,
         "splits": evidence.splits_words,
         "stations": stations.stations_table,

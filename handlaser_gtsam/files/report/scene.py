@@ -1,18 +1,17 @@
 """The view in space: for plotly.js, and as a still picture (SVG) for paper."""
 
-import html
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ..json_text import Record
-from .figure import FONT, GREY, INK, LINE, Figure, colour, label, numbers
+from .figure import FONT, GREY, INK, LINE, Figure, colour, harmless, label, numbers
 from .geometry import Geometry
 
 AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
 """Of x, y and z of the hand."""
-EYE = (1.35, -1.5, 0.95)
+EYE = (1.15, -1.3, 0.75)
 """From where both are seen."""
 WIDTH, HEIGHT, ROOM = 760, 520, 28
 """Of the still picture, and the room around it."""
@@ -40,7 +39,11 @@ def scene_figure(geometry: Geometry) -> Figure:
             "nticks": 6,
         }
     eye: Record = dict(zip("xyz", EYE, strict=True))
-    view: Record = {"aspectmode": "data", "camera": {"eye": eye}, "dragmode": "turntable"}
+    view: Record = {
+        "aspectmode": "data",
+        "camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.1}},
+        "dragmode": "turntable",
+    }
     layout: Record = {
         "height": 520,
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
@@ -48,15 +51,24 @@ def scene_figure(geometry: Geometry) -> Figure:
         "paper_bgcolor": "rgba(0,0,0,0)",
         "scene": sides | view,
         "showlegend": len(geometry.beams) <= LEGEND,
-        "legend": {"x": 0, "y": 1, "bgcolor": "rgba(255,255,255,0.7)", "font": {"size": 11}},
+        "legend": {
+            "x": 0,
+            "y": 1,
+            "bgcolor": "rgba(255,255,255,0.7)",
+            "font": {"size": 11},
+            "itemsizing": "constant",
+        },
         "hoverlabel": {"font": {"size": 12}, "align": "left"},
     }
-    caption = "Hand stations, beams, laser spots and planes in the world frame."
+    return Figure(f"space-{geometry.frame}", _caption(geometry), traces, layout)
+
+
+def _caption(geometry: Geometry) -> str:
     if geometry.frame == "hand":
-        caption = "The beams in the hand frame, as long as their longest reading."
-    elif not geometry.beams:
-        caption = "Hand stations in the world frame; beams and planes are not determined."
-    return Figure(f"space-{geometry.frame}", caption, traces, layout)
+        return "The beams in the hand frame, as long as their longest reading."
+    if not geometry.beams:
+        return "Hand stations in the world frame; beams and planes are not determined."
+    return "Hand stations, beams, laser spots and planes in the world frame."
 
 
 def _plane(name: str, corners: FloatArray) -> Record:
@@ -90,14 +102,14 @@ def _beam(name: str, segments: FloatArray, words: tuple[str, ...], shade: str) -
         "showlegend": False,
     }
     x, y, z = (numbers(segments[:, 1, axis]) for axis in range(3))
-    said = [html.escape(one, quote=False) for one in words]
+    said = [harmless(one) for one in words]
     yield shared | {
         "mode": "markers",
         "x": x,
         "y": y,
         "z": z,
         "text": said,
-        "marker": {"color": shade, "size": 3},
+        "marker": {"color": shade, "size": 2.5},
         "hovertemplate": "%{text}<br>(%{x:.2f}, %{y:.2f}, %{z:.2f}) mm<extra></extra>",
     }
 
@@ -116,7 +128,7 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
             "showlegend": False,
         }
     x, y, z = (numbers(hands[:, 0, axis]) for axis in range(3))
-    said = [html.escape(one, quote=False) for one in geometry.hand_names]
+    said = [harmless(one) for one in geometry.hand_names]
     yield {
         "type": "scatter3d",
         "mode": "markers",
@@ -125,7 +137,7 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
         "y": y,
         "z": z,
         "text": said,
-        "marker": {"color": INK, "size": 2.5},
+        "marker": {"color": INK, "size": 2},
         "hovertemplate": "hand at %{text}<extra></extra>"
         if geometry.frame == "world"
         else "hand<extra></extra>",

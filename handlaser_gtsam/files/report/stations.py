@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from ...arrays import IntArray
 from ...results.lines import MM
 from .subject import ReadingRows, Subject
-from .tables import NONE, Cell, Column, Table, number, significant, text
+from .tables import NONE, Cell, Column, Table, digits_of, number, significant, text
 
 MOST_STATIONS, MOST_REJECTED = 600, 300
 """Rows that are listed: all, or the worst."""
@@ -24,11 +25,13 @@ def stations_table(subject: Subject) -> Table | None:
         np.maximum.at(largest, rows.station, np.nan_to_num(np.abs(rows.residual)))
         shown = np.sort(np.argsort(-largest, kind="stable")[:MOST_STATIONS])
         note = f"The {MOST_STATIONS} stations of {count} with the largest residuals."
+    digits = digits_of([subject.calibration.fit.rms * MM], 6) + 1
     order = np.argsort(rows.station, kind="stable")
     first = np.searchsorted(rows.station[order], np.arange(count + 1))
     return Table(
         "stations",
-        "Residuals are predicted less read. Position of the hand in the world frame.",
+        "Residuals are predicted less read; the largest with its beam, and in its own standard "
+        "deviations. Position of the hand in the world frame; the flattest incidence of a beam.",
         (
             Column("station", number=False),
             Column("plane", number=False),
@@ -40,16 +43,22 @@ def stations_table(subject: Subject) -> Table | None:
             Column("largest mm"),
             Column("beam", number=False),
             Column("in std dev"),
-            Column("steepest deg", wide=True),
+            Column("incidence deg", wide=True),
         ),
-        tuple(_station(subject, rows, j, order[first[j] : first[j + 1]]) for j in shown.tolist()),
+        tuple(
+            _station(subject, rows, j, order[first[j] : first[j + 1]], digits)
+            for j in shown.tolist()
+        ),
         note,
     )
 
 
-def _station(subject: Subject, rows: ReadingRows, j: int, own: np.ndarray) -> tuple[Cell, ...]:
+def _station(
+    subject: Subject, rows: ReadingRows, j: int, own: IntArray, digits: int
+) -> tuple[Cell, ...]:
     recording = subject.calibration.recording
-    assert recording is not None
+    if recording is None:
+        return ()
     used = own[rows.used[own]]
     e, z = rows.residual[used], rows.standardized[used]
     place = [number(x * MM, 1) for x in recording.world_t_hand[j].tolist()]
@@ -65,8 +74,8 @@ def _station(subject: Subject, rows: ReadingRows, j: int, own: np.ndarray) -> tu
     return (
         *head,
         counted,
-        significant(float(np.sqrt(np.mean(e**2))) * MM),
-        significant(float(e[worst]) * MM),
+        number(float(np.sqrt(np.mean(e**2))) * MM, digits),
+        number(float(e[worst]) * MM, digits),
         text(recording.beam_names[rows.beam[used[worst]]]),
         number(far, 1, "care" if far > FAR else ""),
         number(steepest, 1),

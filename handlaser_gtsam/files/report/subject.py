@@ -17,6 +17,7 @@ from ...planning.route import Plan
 from ...results.calibration import Calibration
 from ...results.significance import contradicted
 from ...results.verdict import Verdict, verdict
+from ...solvers.progress import tell
 from ...validation.held_out import HeldOut, held_out
 from .options import ReportOptions
 
@@ -105,6 +106,7 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
     InputError
         A working distance that the sensor cannot read.
     """
+    tell("report")
     recording, rig = calibration.recording, options.rig
     judged = verdict(calibration, recording, rig.limits, options.reading)
     solved = calibration.status == "converged"

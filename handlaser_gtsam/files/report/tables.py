@@ -59,6 +59,11 @@ def text(words: str, mark: str = "") -> Cell:
     return Cell(words, None, mark)
 
 
+def sentence(words: str) -> str:
+    """Return words that begin with a capital and end with a full stop."""
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
+
+
 def plain(value: float, digits: int) -> str:
     """Return a number with so many decimals, a true minus, and no minus zero."""
     found = f"{value:.{digits}f}"

@@ -1,4 +1,4 @@
-"""The flat figures of a report: residuals, Q-Q, correlations, and the uncertainty by stations."""
+"""Figures of the residuals: against range, incidence, station and plane, and beside a Gaussian."""
 
 import math
 from itertools import pairwise
@@ -9,7 +9,6 @@ from scipy.stats import beta, norm
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...results.lines import DEG, MM
 from ..json_text import Record
-from .evidence import FLAGGED, MOST_BEAMS
 from .figure import (
     COLOURS,
     GREY,
@@ -21,13 +20,14 @@ from .figure import (
     layout,
     numbers,
 )
-from .mounts import correlation_matrix
 from .subject import ReadingRows, Subject
 
 MOST_POINTS = 1500
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
 LEGEND = 8
+TICK_LETTERS = 64
+"""Of the names of all planes below a figure together."""
 """Up to so many beams have a legend."""
 SPREAD = 0.7
 """Of the distance between two planes, what the beams of one take up."""
@@ -160,9 +160,8 @@ def _against_station(subject: Subject, rows: ReadingRows, shown: IntArray) -> Fi
         "Residual by station, in the order of the recording; a band for every other plane. A drift "
     )
     caption += "or a step says that something moved."
-    drawn = layout(
-        "station, in their order", "residual, mm", more={"shapes": bands} | _legend(subject)
-    )
+    below = axis("station, in their order", zeroline=False, range=[0.0, len(planes) + 1.0])
+    drawn = layout("", "residual, mm", more={"xaxis": below, "shapes": bands} | _legend(subject))
     points = _points(subject, rows, shown, 1.0 + rows.station.astype(np.float64))
     return Figure("by-station", caption, points, drawn)
 
@@ -179,9 +178,10 @@ def _against_plane(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figu
     below = axis(
         "plane",
         tickvals=list(ticks),
-        ticktext=[label(names[p]) for p in ticks],
+        ticktext=[label(names[p], max(4, TICK_LETTERS // len(ticks))) for p in ticks],
         range=[-0.6, len(names) - 0.4],
         showgrid=False,
+        zeroline=False,
     )
     caption = (
         "Residual by plane, its beams side by side. A plane that stands out is bent, moved or "
@@ -240,111 +240,3 @@ def _evenly(count: int) -> BoolArray:
         keep[:] = False
         keep[np.linspace(0, count - 1, MOST_POINTS).round().astype(np.intp)] = True
     return keep
-
-
-def correlation_figure(subject: Subject) -> Figure | None:
-    """Return the correlations of all unknowns of the beams; None without a covariance."""
-    labels, C = correlation_matrix(subject, MOST_BEAMS)
-    if not labels or not subject.solved:
-        return None
-    beams = list(dict.fromkeys(beam for beam, _ in labels))
-    first = [next(i for i, (beam, _) in enumerate(labels) if beam == name) for name in beams]
-    ends = [*first[1:], len(labels)]
-    words = [f"beam {label(beam)} {name}" for beam, name in labels]
-    trace: Record = {
-        "type": "heatmap",
-        "z": [numbers(row, 3) for row in C],
-        "text": [[f"{one}<br>{other}" for other in words] for one in words],
-        "hovertemplate": "%{text}<br>%{z:.3f}<extra></extra>",
-        "zmin": -1,
-        "zmax": 1,
-        "colorscale": _scale(),
-        "colorbar": {
-            "thickness": 10,
-            "len": 0.9,
-            "outlinewidth": 0,
-            "tickvals": [-1, -0.8, 0, 0.8, 1],
-        },
-    }
-    middles = [(a + b - 1) / 2.0 for a, b in zip(first, ends, strict=True)]
-    names = [f"beam {label(name)}" for name in beams]
-    lines: list[Record] = [
-        {"type": "line", "line": {"color": "white", "width": 2}, **where}
-        for start in first[1:]
-        for where in (
-            {"xref": "paper", "x0": 0, "x1": 1, "y0": start - 0.5, "y1": start - 0.5},
-            {"yref": "paper", "y0": 0, "y1": 1, "x0": start - 0.5, "x1": start - 0.5},
-        )
-    ]
-    side = axis("", tickvals=middles, ticktext=names, showgrid=False, zeroline=False, ticks="")
-    caption = (
-        "Correlations. Every beam has location x, y, z, two components of its direction, and its "
-    )
-    caption += f"range errors. Dark is above {FLAGGED} in size: hardly told apart."
-    upright = side | {"autorange": "reversed", "tickangle": -90}
-    drawn = layout("", "", 420, {"xaxis": side, "yaxis": upright, "shapes": lines})
-    return Figure("correlation", caption, [trace], drawn)
-
-
-def _scale() -> list[tuple[float, str]]:
-    """Return colours that are pale up to the flag and dark beyond."""
-    edge = 0.5 * (1.0 + FLAGGED)
-    return [
-        (0.0, "#08306b"),
-        (1.0 - edge, "#6baed6"),
-        (0.5, "#f7f8fa"),
-        (edge, "#fc9272"),
-        (1.0, "#7f0000"),
-    ]
-
-
-def stations_figure(subject: Subject) -> Figure | None:
-    """Return how the uncertainty fell with the stations, and what the next ones promise."""
-    past, plan = subject.history, subject.plan
-    if past is None or not np.isfinite(past.known.spot).any():
-        return None
-    place = f"95 % spot at {subject.reading * MM:.3g} mm, mm"
-    curves = (
-        (place, past.known.spot * MM, "y", COLOURS[0], "spot"),
-        ("location, mm", past.known.location_sigma * MM, "y", COLOURS[1], "location_sigma"),
-        (
-            "direction, deg (right)",
-            past.known.direction_sigma * DEG,
-            "y2",
-            COLOURS[2],
-            "direction_sigma",
-        ),
-    )
-    traces: list[Record] = []
-    for name, values, side, shade, quantity in curves:
-        trace: Record = {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": name,
-            "x": numbers(past.stations.astype(float)),
-            "y": numbers(values),
-            "yaxis": side,
-            "line": {"color": shade, "width": 2},
-            "marker": {"size": 4},
-            "hovertemplate": "%{y:.3g} after %{x} stations",
-        }
-        traces.append(trace)
-        if plan is not None:
-            ahead = getattr(plan.forecast, quantity) * (DEG if side == "y2" else MM)
-            x = past.stations[-1] + np.arange(len(ahead), dtype=float)
-            dashed: Record = {
-                "x": numbers(x),
-                "y": numbers(ahead),
-                "line": {"color": shade, "width": 2, "dash": "dot"},
-                "showlegend": False,
-            }
-            traces.append(trace | dashed)
-    upright = axis("mm", type="log", dtick="D2")
-    right = axis("deg", type="log", dtick="D2", overlaying="y", side="right", showgrid=False)
-    caption = "Largest standard deviations, and the largest 95 % spot error, after the first "
-    caption += "stations of the recording, at the noise found from all."
-    if plan is not None:
-        caption += " Dotted: what the next best stations promise."
-    margin: Record = {"l": 58, "r": 58, "t": 34, "b": 48}
-    more: Record = {"yaxis": upright, "yaxis2": right, "showlegend": True, "margin": margin}
-    return Figure("by-count", caption, traces, layout("stations", "mm", more=more))
