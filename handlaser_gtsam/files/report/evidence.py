@@ -31,8 +31,8 @@ FLAGGED = 0.8
 SMALL = 0.005
 """Parts of a variance below this are not worth a word."""
 """Correlations above this are flagged."""
-MOST_PAIRS, MOST_BEAMS, MOST_HELD = 12, 12, 200
-"""Correlations, beams among which they are looked for, and planes left out that are listed."""
+MOST_PAIRS, MOST_BEAMS = 12, 8
+"""Correlations that are listed, and beams among which they are looked for."""
 
 Facts = tuple[tuple[str, str], ...]
 
@@ -205,8 +205,13 @@ def held_out_table(subject: Subject) -> Table | None:
     planes = subject.held_out.planes
     if not planes:
         return None
-    rows = [_held(subject, one.plane, one.result, one.message) for one in planes[:MOST_HELD]]
-    more = len(planes) - MOST_HELD
+    rows = [_held(subject, one.plane, one.result, one.message) for one in planes]
+    count = len(subject.calibration.planes)
+    note = (
+        f"{len(planes)} of {count} planes were left out, one at a time."
+        if len(planes) < count
+        else ""
+    )
     return Table(
         "held-out",
         "The plane is left out, the beams are found from the others, and its readings are compared "
@@ -220,7 +225,7 @@ def held_out_table(subject: Subject) -> Table | None:
             Column("beams", number=False),
         ),
         tuple(rows),
-        f"{more} more planes were left out." if more > 0 else "",
+        note,
     )
 
 

@@ -39,7 +39,12 @@ class Figure:
 
 def label(name: str, longest: int = LONGEST) -> str:
     """Return a foreign name for a picture: short, and taken neither for HTML nor for TeX."""
-    return harmless(name if len(name) <= longest else name[: longest - 1] + "…")
+    return harmless(short(name, longest))
+
+
+def short(name: str, longest: int = LONGEST) -> str:
+    """Return a name, cut where it is longer than a picture has room for."""
+    return name if len(name) <= longest else name[: longest - 1] + "…"
 
 
 def harmless(words: str) -> str:

@@ -7,9 +7,10 @@ import numpy as np
 from ... import model
 from ...arrays import FloatArray, IntArray
 from ...results.lines import MM
+from .figure import short
 from .subject import ReadingRows, Subject
 
-MOST_SEGMENTS, MOST_HANDS, MOST_PLANES = 1200, 400, 60
+MOST_SEGMENTS, MOST_HANDS, MOST_PLANES = 800, 400, 60
 """Drawn at most; of more, every so many-th."""
 MARGIN = 1.15
 """A plane is drawn so many times as large as what its spots take up."""
@@ -84,7 +85,7 @@ def in_world(subject: Subject) -> Geometry | None:
     length = AXES * max(float(np.ptp(everything, axis=0).max()), 1.0)
     ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
     names = tuple(
-        f"station {recording.station_names[j]}, plane {recording.plane_labels[j]}"
+        f"station {short(recording.station_names[j])}, plane {short(recording.plane_labels[j])}"
         for j in shown.tolist()
     )
     return Geometry("world", planes, beams, np.concatenate((t[shown, None], ends), axis=1), names)
@@ -123,8 +124,8 @@ def _beams(subject: Subject, rows: ReadingRows) -> tuple[Beams, ...]:
         R = recording.world_R_hand[rows.station[own]]
         start = R @ beam.location + recording.world_t_hand[rows.station[own]]
         words = tuple(
-            f"beam {beam.name}, station {recording.station_names[j]}, "
-            f"plane {recording.plane_labels[j]}, reading {d * MM:.3f} mm"
+            f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
+            f"plane {short(recording.plane_labels[j])}, reading {d * MM:.3f} mm"
             for j, d in zip(rows.station[own].tolist(), rows.reading[own].tolist(), strict=True)
         )
         found.append(Beams(beam.name, np.stack((start, rows.spot[own]), axis=1) * MM, words))

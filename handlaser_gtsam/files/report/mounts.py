@@ -25,7 +25,7 @@ from .tables import (
     text,
 )
 
-MOST_BEAMS, MOST_PLANES = 50, 400
+MOST_BEAMS, MOST_PLANES = 50, 200
 """Beams and planes that are listed; the JSON has all."""
 UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
 SCALES = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0, 1.0)

@@ -22,7 +22,7 @@ from .figure import (
 )
 from .subject import ReadingRows, Subject
 
-MOST_POINTS = 1500
+MOST_POINTS = 1000
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
 LEGEND = 8

@@ -7,7 +7,7 @@ from ...results.lines import MM
 from .subject import ReadingRows, Subject
 from .tables import NONE, Cell, Column, Table, digits_of, number, significant, text
 
-MOST_STATIONS, MOST_REJECTED = 600, 300
+MOST_STATIONS, MOST_REJECTED = 400, 200
 """Rows that are listed: all, or the worst."""
 FAR = 3.0
 """Residuals above so many standard deviations are marked."""
