@@ -21,6 +21,7 @@ from .tables import (
     Column,
     Table,
     concise,
+    name_cell,
     number,
     sentence,
     significant,
@@ -231,7 +232,7 @@ def held_out_table(subject: Subject) -> Table | None:
 
 def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple[Cell, ...]:
     if held is None:
-        return text(plane), *[Cell(NONE)] * 4, Cell(why, 1.0, "care")
+        return name_cell(plane), *[Cell(NONE)] * 4, Cell(why, 1.0, "care")
     state = Cell("agree", 0.0, "good")
     if math.isnan(held.p_value):
         state = Cell("not tested", 1.0, "care")
@@ -241,7 +242,7 @@ def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple
         state = Cell(f"hardly agree ({chance(held.p_value)})", 2.0, "care")
     numbers = (significant(held.rms * MM), significant(held.max_residual * MM))
     return (
-        text(plane),
+        name_cell(plane),
         Cell(str(held.readings), held.readings),
         *numbers,
         significant(held.p_value, 2),

@@ -26,12 +26,16 @@ def correlation_figure(subject: Subject) -> Figure | None:
     beams = list(dict.fromkeys(beam for beam, _ in labels))
     first = [next(i for i, (beam, _) in enumerate(labels) if beam == name) for name in beams]
     ends = [*first[1:], len(labels)]
-    words = [f"beam {label(beam)} {name}" for beam, name in labels]
+    numbered = {beam: label(beam) for beam in beams}
+    if len(set(numbered.values())) < len(beams):  # names that differ only where they are cut
+        numbered = {beam: f"{label(beam)} ({i})" for i, beam in enumerate(beams, 1)}
+    words = [f"beam {numbered[beam]} {name}" for beam, name in labels]
     trace: Record = {
         "type": "heatmap",
         "z": [numbers(row, 3) for row in C],
-        "text": [[f"{one}<br>{other}" for other in words] for one in words],
-        "hovertemplate": "%{text}<br>%{z:.3f}<extra></extra>",
+        "x": words,
+        "y": words,
+        "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
         "zmin": -1,
         "zmax": 1,
         "colorscale": _scale(),
@@ -52,7 +56,15 @@ def correlation_figure(subject: Subject) -> Figure | None:
             {"yref": "paper", "y0": 0, "y1": 1, "x0": start - 0.5, "x1": start - 0.5},
         )
     ]
-    side = axis("", tickvals=middles, ticktext=names, showgrid=False, zeroline=False, ticks="")
+    side = axis(
+        "",
+        type="category",
+        tickvals=middles,
+        ticktext=names,
+        showgrid=False,
+        zeroline=False,
+        ticks="",
+    )
     caption = (
         "Correlations. Every beam has location x, y, z, two components of its direction, and its "
     )

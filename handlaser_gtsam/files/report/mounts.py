@@ -20,6 +20,7 @@ from .tables import (
     Table,
     concise,
     digits_of,
+    name_cell,
     number,
     significant,
     text,
@@ -99,7 +100,7 @@ def spots_table(subject: Subject) -> Table | None:
         found = spot(calibration, name, reading)
         numbers = (radii[name], found.along, found.across, found.reading_sigma)
         cells = [significant(x * MM, 2) for x in numbers]
-        rows.append((text(name), *cells, significant(found.direction_sigma * DEG, 2)))
+        rows.append((name_cell(name), *cells, significant(found.direction_sigma * DEG, 2)))
     return Table(
         "spots",
         f"At a reading of {concise(reading * MM, 4)} mm, the working distance: the radius that holds "
@@ -134,7 +135,7 @@ def planes_table(subject: Subject) -> Table | None:
             for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
         ]
         row = (*n, significant(turn * DEG, 2), _determined(plane.offset, shift, MM, 4))
-        rows.append((text(plane.name), *row, significant(shift * MM, 2)))
+        rows.append((name_cell(plane.name), *row, significant(shift * MM, 2)))
     return Table(
         "planes",
         "n · x + b = 0 in the world frame; n points away from the sensor.",

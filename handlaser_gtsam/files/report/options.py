@@ -84,14 +84,27 @@ def sha256(path: Path | str) -> str:
             while block := file.read(1 << 20):
                 found.update(block)
     except OSError as error:
-        expected = "the file behind the calibration"
-        raise InputError(f"no readable file ({error.strerror})", expected, Path(path)) from error
+        raise _unreadable(path, error) from error
     return found.hexdigest()
 
 
 def changed_on(path: Path | str) -> date:
-    """Return the day on which a file was last changed, UTC."""
-    return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
+    """Return the day on which a file was last changed, UTC.
+
+    Raises
+    ------
+    InputError
+        No such file.
+    """
+    try:
+        return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path | str, error: OSError) -> InputError:
+    found = f"no readable file ({error.strerror})"
+    return InputError(found, "the file behind the calibration", Path(path))
 
 
 def called_as(arguments: Sequence[str]) -> str:

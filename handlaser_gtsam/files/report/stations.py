@@ -5,7 +5,7 @@ import numpy as np
 from ...arrays import IntArray
 from ...results.lines import MM
 from .subject import ReadingRows, Subject
-from .tables import NONE, Cell, Column, Table, digits_of, number, significant, text
+from .tables import NONE, Cell, Column, Table, digits_of, name_cell, number, significant, text
 
 MOST_STATIONS, MOST_REJECTED = 400, 200
 """Rows that are listed: all, or the worst."""
@@ -63,7 +63,7 @@ def _station(
     e, z = rows.residual[used], rows.standardized[used]
     place = [number(x * MM, 1) for x in recording.world_t_hand[j].tolist()]
     told = f"{len(used)} of {len(own)}" if len(used) < len(own) else str(len(used))
-    head = (text(recording.station_names[j]), text(recording.plane_labels[j]), *place)
+    head = (name_cell(recording.station_names[j]), name_cell(recording.plane_labels[j]), *place)
     counted = Cell(told, float(len(used)), "care" if len(used) < len(own) else "")
     if not len(used):
         return *head, counted, *[Cell(NONE)] * 5
@@ -76,7 +76,7 @@ def _station(
         counted,
         number(float(np.sqrt(np.mean(e**2))) * MM, digits),
         number(float(e[worst]) * MM, digits),
-        text(recording.beam_names[rows.beam[used[worst]]]),
+        name_cell(recording.beam_names[rows.beam[used[worst]]]),
         number(far, 1, "care" if far > FAR else ""),
         number(steepest, 1),
     )
@@ -89,8 +89,8 @@ def rejected_table(subject: Subject) -> Table | None:
         return None
     rows = tuple(
         (
-            text(one.station),
-            text(one.beam),
+            name_cell(one.station),
+            name_cell(one.beam),
             text(one.reason),
             significant(None if one.residual is None else one.residual * MM),
         )

@@ -7,7 +7,6 @@ import numpy as np
 
 from ... import model
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...data.parameters import Parameters
 from ...data.recording import Recording
 from ...errors import HandlaserError
 from ...model.weighting import Variances, reading_sigmas
@@ -135,12 +134,16 @@ def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
     incidence = np.arccos(np.clip(np.abs((v * n).sum(axis=1)), 0.0, 1.0))
     g = model.corrected(d[station, beam], at.range_errors[beam])
     spot = np.einsum("nij,nj->ni", R, at.locations[beam]) + t + g[:, None] * v
-    return ReadingRows(*where, _standardized(calibration, recording, at), incidence, spot)
+    return ReadingRows(*where, _standardized(calibration, recording), incidence, spot)
 
 
-def _standardized(calibration: Calibration, recording: Recording, at: Parameters) -> FloatArray:
-    """Return residuals in units of their standard deviations, in the order of the stations (N,)."""
-    fit, variances = calibration.fit, calibration.variances
+def _standardized(calibration: Calibration, recording: Recording) -> FloatArray:
+    """Return residuals in units of their standard deviations, in the order of the stations (N,).
+
+    As `Fit.max_standardized_residual` has it: with the range errors at the most probable scales.
+    """
+    fit, variances, scaled = calibration.fit, calibration.variances, calibration.at_scales
+    at = calibration.parameters() if scaled is None else scaled.parameters
     if variances is None:
         variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
     if fit.poses == "estimated":  # what is left once the poses have moved

@@ -8,6 +8,8 @@ from ...results.lines import decimals
 
 UNKNOWN = "undetermined"
 NONE = "\N{EN DASH}"
+LONGEST = 60
+"""Characters of a name in a table of many rows; that of the mounts has all."""
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -62,6 +64,11 @@ def text(words: str, mark: str = "") -> Cell:
 def sentence(words: str) -> str:
     """Return words that begin with a capital and end with a full stop."""
     return f"{words[:1].upper()}{words[1:].rstrip('.')}."
+
+
+def name_cell(name: str) -> Cell:
+    """Return a cell with the name of one of many, cut where it is longer than a table has room for."""
+    return Cell(name if len(name) <= LONGEST else name[: LONGEST - 1] + "…")
 
 
 def plain(value: float, digits: int) -> str:
