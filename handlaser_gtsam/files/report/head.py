@@ -111,6 +111,16 @@ def _sources(subject: Subject) -> list[tuple[str, Path | str]]:
     return [(kind, path) for kind, path in pairs if path is not None]
 
 
+def _model(subject: Subject) -> str:
+    """Return what was estimated and how, as far as a calibration tells."""
+    calibration = subject.calibration
+    terms = sorted({beam.terms for beam in calibration.beams.values()})
+    names = [("no range error", "k1", "k1 and k2")[count] for count in terms]
+    scaled = " under learned scales" if calibration.range_error_scales is not None else ""
+    fit = calibration.fit
+    return f"range errors: {', '.join(names)}{scaled}; hand poses {fit.poses}; {fit.loss} loss"
+
+
 def _robot(subject: Subject) -> str:
     workspace = subject.options.rig.workspace
     if workspace is None or workspace.robot is None:
@@ -201,6 +211,7 @@ def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
             if given.range_sigma is None
             else f"{concise(given.range_sigma * MM)} mm, given",
         ),
+        ("model", _model(subject)),
         ("start", f"{start.method}; {count(len(start.tried), 'start')} tried"),
         ("iterations", str(calibration.iterations)),
         ("status", calibration.status.replace("_", " ")),

@@ -8,12 +8,14 @@ from ...arrays import FloatArray
 from ...results.lines import DEG, MM
 from ..json_text import Record
 from .evidence import FLAGGED, MOST_BEAMS
-from .figure import COLOURS, Figure, axis, label, layout, numbers
+from .figure import COLOURS, Figure, axis, label, layout, numbers, tick_labels
 from .mounts import correlation_matrix
 from .subject import Subject
 
 NICE = (1.0, 2.0, 5.0)
 MOST_TICKS = 7
+ROOM_FOR_BEAMS = 28
+"""Letters of all beams beside the correlations on a phone."""
 ROOM = 0.06
 """Above and below a logarithmic curve, in decades."""
 
@@ -46,32 +48,30 @@ def correlation_figure(subject: Subject) -> Figure | None:
             "tickvals": [-1, -0.8, 0, 0.8, 1],
         },
     }
-    middles = [(a + b - 1) / 2.0 for a, b in zip(first, ends, strict=True)]
-    names = [f"beam {label(name)}" for name in beams]
-    lines: list[Record] = [
-        {"type": "line", "line": {"color": "white", "width": 2}, **where}
-        for start in first[1:]
-        for where in (
-            {"xref": "paper", "x0": 0, "x1": 1, "y0": start - 0.5, "y1": start - 0.5},
-            {"yref": "paper", "y0": 0, "y1": 1, "x0": start - 0.5, "x1": start - 0.5},
-        )
-    ]
+    caption = "Correlations. Every beam has location x, y, z, two components of its direction, and "
+    caption += f"its range errors. Dark is above {FLAGGED} in size: hardly told apart."
     side = axis(
-        "",
+        "beam",
         type="category",
-        tickvals=middles,
-        ticktext=names,
+        tickvals=[(a + b - 1) / 2.0 for a, b in zip(first, ends, strict=True)],
+        ticktext=tick_labels(beams, ROOM_FOR_BEAMS),
         showgrid=False,
         zeroline=False,
         ticks="",
     )
-    caption = (
-        "Correlations. Every beam has location x, y, z, two components of its direction, and its "
-    )
-    caption += f"range errors. Dark is above {FLAGGED} in size: hardly told apart."
     upright = side | {"autorange": "reversed", "tickangle": -90}
-    drawn = layout("", "", 420, {"xaxis": side, "yaxis": upright, "shapes": lines})
-    return Figure("correlation", caption, [trace], drawn)
+    more: Record = {"xaxis": side, "yaxis": upright, "shapes": _borders(first[1:])}
+    return Figure("correlation", caption, [trace], layout("", "", 420, more))
+
+
+def _borders(starts: list[int]) -> list[Record]:
+    """Return white lines between the beams."""
+    line: Record = {"type": "line", "line": {"color": "white", "width": 2}}
+    found = []
+    for edge in (start - 0.5 for start in starts):
+        found.append(line | {"xref": "paper", "x0": 0, "x1": 1, "y0": edge, "y1": edge})
+        found.append(line | {"yref": "paper", "y0": 0, "y1": 1, "x0": edge, "x1": edge})
+    return found
 
 
 def _scale() -> list[tuple[float, str]]:

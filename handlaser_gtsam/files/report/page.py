@@ -2,8 +2,8 @@
 
 The template escapes all text. Data for the script are JSON without `<`, `>` and `&`, so that nothing in
 them can end the script element or be read as HTML. plotly.js, which draws the figures, is in the page
-compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes through
-any mail.
+compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes
+through any mail.
 """
 
 import base64

@@ -19,6 +19,7 @@ from .figure import (
     label,
     layout,
     numbers,
+    tick_labels,
 )
 from .subject import ReadingRows, Subject
 
@@ -26,8 +27,8 @@ MOST_POINTS = 1000
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
 LEGEND = 8
-TICK_LETTERS = 64
-"""Of the names of all planes below a figure together."""
+ROOM = 48
+"""Letters of all planes below a figure on a phone."""
 """Up to so many beams have a legend."""
 SPREAD = 0.7
 """Of the distance between two planes, what the beams of one take up."""
@@ -178,7 +179,7 @@ def _against_plane(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figu
     below = axis(
         "plane",
         tickvals=list(ticks),
-        ticktext=[label(names[p], max(4, TICK_LETTERS // len(ticks))) for p in ticks],
+        ticktext=tick_labels([names[p] for p in ticks], ROOM),
         range=[-0.6, len(names) - 0.4],
         showgrid=False,
         zeroline=False,
