@@ -74,7 +74,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
     yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
     if recording is not None:
-        yield "stations", str(len(recording.plane_labels))
+        every, read = (
+            len(recording.plane_labels),
+            int((~np.isnan(recording.ranges)).any(axis=1).sum()),
+        )
+        yield "stations", f"{read}" if read == every else f"{read} with readings, of {every}"
     yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)

@@ -78,6 +78,8 @@ def _logarithmic(traces: list[Record], side: str) -> Record:
         for y in trace["y"]
         if y
     ]
+    if not values:  # of readings without noise
+        return {"type": "linear"}
     low, high = math.log10(min(values)) - ROOM, math.log10(max(values)) + ROOM
     powers = range(math.floor(low), math.ceil(high) + 1)
     ticks = [step * 10.0**power for power in powers for step in NICE]

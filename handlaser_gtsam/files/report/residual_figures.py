@@ -1,6 +1,7 @@
 """Figures of the residuals: against range, incidence, station and plane, and beside a Gaussian."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -44,7 +45,12 @@ def residual_figures(subject: Subject) -> list[Figure]:
     found = [_against_range(subject, rows, shown)]
     if subject.solved:
         found.append(_against_incidence(subject, rows, shown))
-    return [*found, _against_station(subject, rows, shown), _against_plane(subject, rows, shown)]
+    found += [_against_station(subject, rows, shown), _against_plane(subject, rows, shown)]
+    used = int(rows.used.sum())
+    if len(shown) == used:
+        return found
+    note = f" {len(shown)} of {used} readings are drawn, the largest residuals among them."
+    return [replace(one, caption=one.caption + note) for one in found]
 
 
 def _shown(rows: ReadingRows) -> IntArray:
@@ -80,7 +86,7 @@ def _points(subject: Subject, rows: ReadingRows, shown: IntArray, x: FloatArray)
                 "text": words,
                 "marker": {
                     "color": colour(index, len(names)),
-                    "symbol": SYMBOLS[index % len(SYMBOLS)],
+                    "symbol": SYMBOLS[index] if len(names) <= LEGEND else SYMBOLS[0],
                     "size": 6,
                     "opacity": 0.8,
                 },
