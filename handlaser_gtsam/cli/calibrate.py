@@ -72,6 +72,16 @@ class Output:
     out: Annotated[
         Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
     ] = None
+    report: Annotated[
+        Path | None,
+        typer.Option(readable=False, help="Write a report, one HTML page, to this file."),
+    ] = None
+    report_date: Annotated[
+        str | None,
+        typer.Option(
+            help="Date of the report, as 2026-03-31; default: that of the recording's file."
+        ),
+    ] = None
     json_: JsonOption = False
     quiet: QuietOption = False
     verbose: Annotated[
@@ -90,15 +100,24 @@ class Output:
         return 1e-3 * self.at_range_mm
 
     def check(self, sources: tuple[Path | None, ...]) -> None:
-        """Refuse a file that cannot be written, or is one of the `sources`."""
+        """Refuse files that cannot be written, or are one of the `sources` or each other."""
         from ..errors import InputError
         from ..files.writing import require_writable, same_file
 
-        if self.out is None:
-            return
-        if any(source is not None and same_file(self.out, source) for source in sources):
-            raise InputError("the input itself as --out", "another file to write to", self.out)
-        require_writable(self.out)
+        for option, path in (("--out", self.out), ("--report", self.report)):
+            if path is None:
+                continue
+            if any(source is not None and same_file(path, source) for source in sources):
+                raise InputError(f"the input itself as {option}", "another file to write to", path)
+            require_writable(path)
+        if self.out is not None and self.report is not None:
+            same = self.out.resolve() == self.report.resolve()
+            if same or same_file(self.out, self.report):
+                raise InputError("one file as --out and --report", "two files", self.out)
+        if self.report_date is not None:
+            from ..files.report.options import iso_day
+
+            iso_day(self.report_date)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +191,35 @@ def _calibrated(
         check = checking.cross_check(result, recording)
     judged = verdict(result, recording, rig.limits, reading)
     advice = None
-    if not (output.json_ or output.quiet):
+    if output.report is not None or not (output.json_ or output.quiet):
         advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
         if result.status == "unobservable":
             advice = missing_stations(
                 recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
             )
+    if output.report is not None:
+        whole = replace(result, recording=recording) if result.recording is None else result
+        _report(output, whole, path, given.rig, rig, advice)
     return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
+
+
+def _report(
+    output: Output,
+    result: "Calibration",
+    recording: Path,
+    rig_file: Path | None,
+    rig: "Rig",
+    advice: "Plan | None",
+) -> None:
+    """Write the report where it is asked for."""
+    from ..files.report.options import ReportOptions, called_as, iso_day
+    from ..files.report.page import write_report
+
+    day = None if output.report_date is None else iso_day(output.report_date)
+    options = ReportOptions(
+        rig, output.reading, recording, rig_file, called_as(sys.argv[1:]), day, advice
+    )
+    write_report(output.report or Path(), result, options)
 
 
 def _show(outcome: _Outcome, output: Output) -> None:
@@ -199,7 +240,8 @@ def _show(outcome: _Outcome, output: Output) -> None:
         closing += wrapped(line, None, width)
     if outcome.read:
         closing += wrapped(f"log: {printable('; '.join(outcome.read))}", None, width)
-    closing += [] if output.out is None else [f"wrote {printable(str(output.out))}"]
+    written = [path for path in (output.out, output.report) if path is not None]
+    closing += [f"wrote {printable(str(path))}" for path in written]
     console = TableConsole(
         highlight=False, markup=False, width=None if sys.stdout.isatty() else width
     )

@@ -19,6 +19,7 @@ PHASES = {
     "leave-out": "leaving out",
     "planes": "adding planes",
     "read": "reading the log",
+    "report": "making the report",
 }
 
 

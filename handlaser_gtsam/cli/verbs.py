@@ -12,6 +12,7 @@ from .examples import epilog
 from .export import export
 from .options import expanded
 from .plan import plan
+from .plot import plot
 from .simulate import simulate
 from .study import study
 from .validate import validate
@@ -26,7 +27,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, convert, export, plan, simulate, study, validate):
+for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate):
     app.command(epilog=epilog(verb.__name__))(expanded(verb))
 
 

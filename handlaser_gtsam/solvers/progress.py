@@ -14,7 +14,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 Phase = Literal[
-    "search", "solve", "scales", "tests", "leave-out", "hold-out", "bootstrap", "planes", "read"
+    "search",
+    "solve",
+    "scales",
+    "tests",
+    "leave-out",
+    "hold-out",
+    "bootstrap",
+    "planes",
+    "read",
+    "report",
 ]
 
 
@@ -39,7 +48,7 @@ class Progress:
         `search`: of a start and of the readings that agree; `solve`: the joint solution; `scales`:
         unknown standard deviations; `tests`: for systematic errors; `leave-out`, `hold-out`,
         `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session;
-        `read`: the messages of a bag.
+        `read`: the messages of a bag; `report`: what a report shows beside the calibration.
     done, total : int
         Parts that are finished, and all of them; zero where they are not counted.
     name : str

@@ -13,10 +13,12 @@ from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
+from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
+from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
@@ -198,10 +200,7 @@ def _split(
     recording: Recording, noise: Noise, options: CalibrationOptions, rng: np.random.Generator
 ) -> Prediction | None:
     """Return how the rest of the stations of every plane is predicted; None without a calibration."""
-    training = np.zeros(len(recording.plane_labels), dtype=bool)
-    for plane in range(len(recording.plane_names)):
-        rows = np.flatnonzero(recording.plane_of_station == plane)
-        training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
+    training = training_stations(recording, rng)
     try:
         part, seen = _part(recording, noise, training)
         found = calibrate(part, seen, options)
@@ -210,6 +209,15 @@ def _split(
         return None
     same = set(test.plane_names) <= set(found.planes) and set(test.beam_names) <= set(found.beams)
     return predict(found, test, seen) if found.status == "converged" and same else None
+
+
+def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:
+    """Return which stations (M,) a split calibrates with: 70 % of those of every plane."""
+    training = np.zeros(len(recording.plane_labels), dtype=bool)
+    for plane in range(len(recording.plane_names)):
+        rows = np.flatnonzero(recording.plane_of_station == plane)
+        training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
+    return training
 
 
 def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
@@ -223,10 +231,36 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     joint = calibration.covariance
     if joint is None:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    ranges = np.full(len(recording.beam_names), calibration.fit.range_sigma)
+    if calibration.variances is not None:
+        beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+        ranges = calibration.variances.range_sigma[beams]
+    pose = None
+    if calibration.fit.poses != "exact":
+        told = calibration.noise(noise).reordered(np.arange(len(recording.plane_labels)))
+        pose = told.pose_covariances(len(recording.plane_labels))
+    variances = Variances(ranges, noise.incidence_sigma, pose)
+    return predicted(calibration.parameters(), joint, recording, variances)
+
+
+def predicted(
+    at: Parameters, joint: JointCovariance, recording: Recording, variances: Variances
+) -> Prediction:
+    """Return the errors with which beams and planes predict a recording of some of them.
+
+    Parameters
+    ----------
+    at : Parameters
+        In the order of the names of `joint`.
+    joint : JointCovariance
+    recording : Recording
+    variances : Variances
+        Of its readings, by its beams and stations.
+    """
     readings = recording.readings()
-    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
-    planes = [list(calibration.planes).index(name) for name in recording.plane_names]
-    at = calibration.parameters().part(beams, planes)
+    beams = [joint.beam_names.index(name) for name in recording.beam_names]
+    planes = [joint.plane_names.index(name) for name in recording.plane_names]
+    at = at.part(beams, planes)
     x = model.scene(at, readings)
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
@@ -237,14 +271,7 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     columns = np.hstack((of_beam, of_plane))
     own = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, own, J)
-    ranges = np.full(len(beams), calibration.fit.range_sigma)
-    if calibration.variances is not None:
-        ranges = calibration.variances.range_sigma[beams]
-    pose = None
-    if calibration.fit.poses != "exact":
-        told = calibration.noise(noise).reordered(np.arange(len(recording.plane_labels)))
-        pose = told.pose_covariances(len(recording.plane_labels))
-    sigmas = reading_sigmas(at, readings, Variances(ranges, noise.incidence_sigma, pose))
+    sigmas = reading_sigmas(at, readings, variances)
     return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
 
 

@@ -1,0 +1,1 @@
+"""The report of a calibration: one page that opens without network, and the same as pictures."""

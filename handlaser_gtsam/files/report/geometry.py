@@ -1,0 +1,169 @@
+"""What there is to draw in space: planes, beams with their spots, and the hand at its stations; mm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ... import model
+from ...arrays import FloatArray, IntArray
+from ...data.parameters import Beams as BeamArrays
+from ...results.lines import MM
+from .figure import short
+from .subject import ReadingRows, Subject
+
+MOST_SEGMENTS, MOST_HANDS, MOST_PLANES = 800, 400, 60
+"""Drawn at most; of more, every so many-th."""
+MARGIN = 1.15
+"""A plane is drawn so many times as large as what its spots take up."""
+AXES = 0.05
+"""Length of the axes of a hand, as a part of the extent of the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """The segments of one beam, from the sensor to its spots.
+
+    Attributes
+    ----------
+    name : str
+    segments : (N, 2, 3)
+        [mm]
+    words : tuple of str
+        What a segment is.
+    """
+
+    name: str
+    segments: FloatArray
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """A picture in space, in one frame.
+
+    Attributes
+    ----------
+    frame : str
+        `world` or `hand`.
+    planes : tuple of (str, (4, 3))
+        Name and corners of every plane [mm].
+    beams : tuple of Beams
+    hands : (M, 4, 3)
+        Origin of the hand and the ends of its x, y and z axis [mm].
+    hand_names : tuple of str
+    """
+
+    frame: str
+    planes: tuple[tuple[str, FloatArray], ...]
+    beams: tuple[Beams, ...]
+    hands: FloatArray
+    hand_names: tuple[str, ...]
+
+    @property
+    def points(self) -> FloatArray:
+        """Everything that is drawn (N, 3)."""
+        parts = [corners for _, corners in self.planes] + [self.hands.reshape(-1, 3)]
+        parts += [one.segments.reshape(-1, 3) for one in self.beams]
+        return np.concatenate(parts)
+
+
+def in_world(subject: Subject) -> Geometry | None:
+    """Return stations, beams, spots and planes in the world frame; None without a recording.
+
+    Where there is no calibration, only the stations are known.
+    """
+    recording, rows = subject.calibration.recording, subject.rows
+    if recording is None or rows is None:
+        return None
+    R, t = recording.world_R_hand, recording.world_t_hand * MM
+    shown = _every(len(t), MOST_HANDS)
+    beams: tuple[Beams, ...] = ()
+    planes: tuple[tuple[str, FloatArray], ...] = ()
+    everything = t
+    if subject.solved:
+        beams, planes = _beams(subject, rows), _planes(subject, rows)
+        everything = np.concatenate((t, rows.spot * MM))
+    length = AXES * max(float(np.ptp(everything, axis=0).max()), 1.0)
+    ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
+    names = tuple(
+        f"station {short(recording.station_names[j])}, plane {short(recording.plane_labels[j])}"
+        for j in shown.tolist()
+    )
+    return Geometry("world", planes, beams, np.concatenate((t[shown, None], ends), axis=1), names)
+
+
+def in_hand(subject: Subject) -> Geometry | None:
+    """Return the beams in the hand frame, as far as they read; None where there is no calibration."""
+    calibration, rows = subject.calibration, subject.rows
+    if not subject.solved:
+        return None
+    reach = np.full(len(calibration.beams), calibration.fit.typical_range)
+    if rows is not None:
+        np.maximum.at(reach, rows.beam, rows.reading)
+    return of_hand(tuple(calibration.beams), calibration.parameters().beams, reach)
+
+
+def of_hand(names: tuple[str, ...], beams: BeamArrays, reach: FloatArray) -> Geometry | None:
+    """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
+    if not np.isfinite(reach).all():
+        return None
+    found = []
+    for name, r, v, k, most in zip(names, *beams, reach, strict=True):
+        g = float(model.corrected(most[None], k[None])[0])
+        ends = np.stack((r, r + g * v)) * MM
+        found.append(Beams(name, ends[None], (f"beam {short(name)}",)))
+    extent = np.concatenate([one.segments.reshape(-1, 3) for one in found] + [np.zeros((1, 3))])
+    length = 4.0 * AXES * max(float(np.ptp(extent, axis=0).max()), 1.0)
+    hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
+    return Geometry("hand", (), tuple(found), hand[None], ("the hand",))
+
+
+def _beams(subject: Subject, rows: ReadingRows) -> tuple[Beams, ...]:
+    calibration, recording = subject.calibration, subject.calibration.recording
+    if recording is None:
+        return ()
+    used = np.flatnonzero(rows.used)
+    used = used[_every(len(used), MOST_SEGMENTS)]
+    found = []
+    for index, beam in enumerate(calibration.beams.values()):
+        own = used[rows.beam[used] == index]
+        R = recording.world_R_hand[rows.station[own]]
+        start = R @ beam.location + recording.world_t_hand[rows.station[own]]
+        words = tuple(
+            f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
+            f"plane {short(recording.plane_labels[j])}, reading {d * MM:.3f} mm"
+            for j, d in zip(rows.station[own].tolist(), rows.reading[own].tolist(), strict=True)
+        )
+        found.append(Beams(beam.name, np.stack((start, rows.spot[own]), axis=1) * MM, words))
+    return tuple(found)
+
+
+def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray], ...]:
+    """Return a rectangle around the spots of every plane."""
+    calibration, recording = subject.calibration, subject.calibration.recording
+    if recording is None:
+        return ()
+    used = rows.used
+    found = []
+    for index, plane in enumerate(list(calibration.planes.values())[:MOST_PLANES]):
+        spots = rows.spot[used & (recording.plane_of_station[rows.station] == index)]
+        if not len(spots):
+            continue
+        n = plane.normal
+        on = spots - (spots @ n + plane.offset)[:, None] * n
+        middle = on.mean(axis=0)
+        axes = np.linalg.svd(on - middle, full_matrices=True)[2][:2] if len(on) > 2 else None
+        basis = model.tangent_basis(n[None])[0].T if axes is None else axes
+        basis = basis - (basis @ n)[:, None] * n
+        flat = (on - middle) @ basis.T
+        low, high = MARGIN * flat.min(axis=0), MARGIN * flat.max(axis=0)
+        corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+        found.append((plane.name, (middle + np.array(corners) @ basis) * MM))
+    return tuple(found)
+
+
+def _every(count: int, most: int) -> IntArray:
+    """Return at most so many indices, evenly spread."""
+    if count <= most:
+        return np.arange(count)
+    return np.unique(np.linspace(0, count - 1, most).round().astype(np.intp))

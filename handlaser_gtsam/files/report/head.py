@@ -1,0 +1,224 @@
+"""The verdict and the head of a report; at its end what to do next, and how it was made."""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..._version import __version__
+from ...results.lines import MM, count
+from ...results.verdict import OPENING
+from ...text import printable, some
+from .options import changed_on, sha256
+from .subject import Subject
+from .tables import Column, Table, concise, number, sentence, text
+
+MARKS = {"usable": "good", "usable-with-care": "care"}
+"""Colour of a verdict; all others are bad."""
+FRAMES = (
+    "Mounts in the hand frame, which the recorded poses describe; planes and stations in the world "
+    "frame, in which they are given. Lengths in mm, angles in deg, k1 without unit, k2 in 1/m."
+)
+SHOWN_NAMES = 12
+LIBRARIES = ("gtsam", "numpy", "scipy")
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The verdict, and what was calibrated as names and words."""
+
+    title: str
+    opening: str
+    findings: tuple[str, ...]
+    mark: str
+    status: str
+    facts: tuple[tuple[str, str], ...]
+    warnings: tuple[str, ...]
+
+
+def head_of(subject: Subject) -> Head:
+    """Return the verdict and the head of a report."""
+    judged, calibration = subject.verdict, subject.calibration
+    findings = judged.findings
+    if not subject.solved:  # in full, where the screen has it in one line
+        findings = (calibration.message,)
+    warnings = [str(one) for one in calibration.warnings if one.message != calibration.message]
+    warnings += [
+        f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
+    ]
+    name = _name(subject.options.recording_file)
+    return Head(
+        f"Calibration of {name}" if name else "Calibration",
+        OPENING[judged.code],
+        tuple(map(sentence, findings)),
+        MARKS.get(judged.code, "bad"),
+        calibration.status.replace("_", " "),
+        tuple((term, words) for term, words in _facts(subject) if words),
+        tuple(map(sentence, warnings)),
+    )
+
+
+def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
+    calibration, recording = subject.calibration, subject.calibration.recording
+    yield "date", _date(subject)
+    yield "made by", f"handlaser_gtsam {__version__}"
+    for kind, path in _sources(subject):
+        yield kind, _name(path)
+        yield "its SHA-256", sha256(path)
+    yield "robot", _robot(subject)
+    yield "sensor", _sensor(subject)
+    yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
+    yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
+    if recording is not None:
+        every, read = (
+            len(recording.plane_labels),
+            int((~np.isnan(recording.ranges)).any(axis=1).sum()),
+        )
+        yield "stations", f"{read}" if read == every else f"{read} with readings, of {every}"
+    yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
+    if recording is not None and recording.ignored_columns:
+        yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)
+    yield "frames and units", FRAMES
+
+
+def _rejected(subject: Subject) -> str:
+    rejected = subject.calibration.fit.rejected
+    reasons: dict[str, int] = {}
+    for one in rejected:
+        reasons[one.reason] = reasons.get(one.reason, 0) + 1
+    most = sorted(reasons, key=lambda reason: -reasons[reason])
+    listed = some([f"{reason}: {reasons[reason]}" for reason in most], 4)
+    return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
+
+
+def _date(subject: Subject) -> str:
+    options = subject.options
+    if options.day is not None:
+        return options.day.isoformat()
+    if options.recording_file is not None:
+        return f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
+    return "not stated"
+
+
+def _name(path: Path | str | None) -> str:
+    return "" if path is None else printable(Path(path).name)
+
+
+def _sources(subject: Subject) -> list[tuple[str, Path | str]]:
+    """Return the files behind the calibration that are known, and what they are."""
+    options = subject.options
+    pairs = (("recording", options.recording_file), ("rig", options.rig_file))
+    return [(kind, path) for kind, path in pairs if path is not None]
+
+
+def _model(subject: Subject) -> str:
+    """Return what was estimated and how, as far as a calibration tells."""
+    calibration = subject.calibration
+    terms = sorted({beam.terms for beam in calibration.beams.values()})
+    names = [("no range error", "k1", "k1 and k2")[count] for count in terms]
+    scaled = " under learned scales" if calibration.range_error_scales is not None else ""
+    fit = calibration.fit
+    return f"range errors: {', '.join(names)}{scaled}; hand poses {fit.poses}; {fit.loss} loss"
+
+
+def _robot(subject: Subject) -> str:
+    workspace = subject.options.rig.workspace
+    if workspace is None or workspace.robot is None:
+        return "not stated"
+    return f"{_name(workspace.robot.urdf)}, hand frame {printable(workspace.robot.frame)}"
+
+
+def _sensor(subject: Subject) -> str:
+    sensor = subject.options.rig.sensor
+    parts = []
+    if sensor.range_stated:
+        parts.append(f"reads {sensor.range_min * MM:.6g} to {sensor.range_max * MM:.6g} mm")
+    if sensor.max_incidence < np.pi / 2.0:
+        parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
+    parts.append(f"expected linear to {100.0 * sensor.linearity:.3g} % of a reading")
+    return ", ".join(parts)
+
+
+def next_words(subject: Subject) -> Iterator[str]:
+    """Yield what would improve the calibration, the best first."""
+    calibration = subject.calibration
+    words = subject.verdict.best.words
+    if not subject.solved:
+        yield from map(sentence, calibration.observability.advice)
+        if not calibration.observability.advice:
+            yield f"Do this first: {words}."
+        return
+    yield f"Best improvement: {words}."
+    yield from _correlations(subject)
+    plan = subject.plan
+    if plan is not None:
+        yield (
+            f"After {count(len(plan), 'station')} more, at the poses below: "
+            f"{plan.forecast.words(len(plan))} (now {plan.forecast.words(0)})."
+        )
+
+
+def _correlations(subject: Subject) -> Iterator[str]:
+    """Yield what would tell strongly correlated unknowns apart, each advice once."""
+    found = subject.calibration.correlations
+    for advice in dict.fromkeys(one.advice for one in found):
+        first, *more = [one for one in found if one.advice == advice]
+        others = f", as are {count(len(more), 'more pair')}" if more else ""
+        yield (
+            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
+            f"(correlation {first.coefficient:.3f}){others}."
+        )
+
+
+def plan_table(subject: Subject) -> Table | None:
+    """Return the next best stations; None where none were chosen."""
+    plan = subject.plan
+    if plan is None or not subject.solved:
+        return None
+    stations = plan.stations
+    quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
+    rows = tuple(
+        (
+            text(stations.plane_labels[j]),
+            *(number(x * MM, 1) for x in stations.world_t_hand[j].tolist()),
+            *(number(x, 4) for x in quaternions[j].tolist()),
+        )
+        for j in range(len(stations.plane_labels))
+        if not np.isnan(plan.ranges[j]).all()
+    )
+    titles = ("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw")
+    columns = (Column("plane", number=False), *map(Column, titles))
+    return Table("next", "Hand poses world_T_hand.", columns, rows)
+
+
+def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
+    """Return how the calibration and this report were made."""
+    calibration, options = subject.calibration, subject.options
+    start = calibration.start
+    python = ".".join(map(str, sys.version_info[:3]))
+    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    given = options.rig.noise
+    facts = (
+        ("program", f"handlaser_gtsam {__version__}, Python {python}, {libraries}"),
+        ("command", printable(options.command)),
+        *(
+            (f"{kind} file", f"{printable(str(path))}, SHA-256 {sha256(path)}")
+            for kind, path in _sources(subject)
+        ),
+        (
+            "range sigma",
+            "estimated"
+            if given.range_sigma is None
+            else f"{concise(given.range_sigma * MM)} mm, given",
+        ),
+        ("model", _model(subject)),
+        ("start", f"{start.method}; {count(len(start.tried), 'start')} tried"),
+        ("iterations", str(calibration.iterations)),
+        ("status", calibration.status.replace("_", " ")),
+        ("message", calibration.message),
+    )
+    return tuple((term, words) for term, words in facts if words)

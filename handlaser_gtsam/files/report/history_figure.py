@@ -1,0 +1,89 @@
+"""The figure of what was known after how many stations."""
+
+import math
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...results.lines import DEG, MM
+from ..json_text import Record
+from .figure import COLOURS, Figure, axis, layout, numbers
+from .subject import Subject
+
+NICE = (1.0, 2.0, 5.0)
+MOST_TICKS = 7
+ROOM = 0.06
+"""Above and below a logarithmic curve, in decades."""
+
+
+def stations_figure(subject: Subject) -> Figure | None:
+    """Return how the uncertainty fell with the stations, and what the next ones promise."""
+    past, plan = subject.history, subject.plan
+    if past is None or not np.isfinite(past.known.spot).any():
+        return None
+    spot = f"95 % spot at {subject.reading * MM:.3g} mm, mm"
+    traces: list[Record] = []
+    for index, (name, quantity, unit) in enumerate(
+        (
+            (spot, "spot", MM),
+            ("location, mm", "location_sigma", MM),
+            ("direction, deg (right)", "direction_sigma", DEG),
+        )
+    ):
+        curve = _curve(
+            name, index, past.stations.astype(np.float64), getattr(past.known, quantity) * unit
+        )
+        traces.append(curve)
+        if plan is not None:
+            ahead = getattr(plan.forecast, quantity) * unit
+            x = past.stations[-1] + np.arange(len(ahead), dtype=np.float64)
+            line: Record = {"color": COLOURS[index], "width": 2, "dash": "dot"}
+            dashed: Record = {"x": numbers(x), "y": numbers(ahead), "line": line}
+            traces.append(curve | dashed | {"showlegend": False})
+    caption = "Largest standard deviations, and the largest 95 % spot error, after the first "
+    caption += "stations of the recording, at the noise found from all."
+    if plan is not None:
+        caption += " Dotted: what the next best stations promise."
+    more: Record = {
+        "yaxis": axis("mm", **_logarithmic(traces, "y")),
+        "yaxis2": axis(
+            "deg", **_logarithmic(traces, "y2"), overlaying="y", side="right", showgrid=False
+        ),
+        "showlegend": True,
+        "margin": {"l": 58, "r": 58, "t": 34, "b": 48},
+    }
+    return Figure("by-count", caption, traces, layout("stations", "mm", more=more))
+
+
+def _curve(name: str, index: int, x: FloatArray, y: FloatArray) -> Record:
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "name": name,
+        "x": numbers(x),
+        "y": numbers(y),
+        "yaxis": "y2" if index == 2 else "y",
+        "line": {"color": COLOURS[index], "width": 2},
+        "marker": {"size": 4},
+        "hovertemplate": "%{y:.3g} after %{x} stations",
+    }
+
+
+def _logarithmic(traces: list[Record], side: str) -> Record:
+    """Return the type, the range and round ticks of an axis, for what stands on its `side`."""
+    values: list[float] = [
+        y
+        for trace in traces
+        if trace["yaxis"] == side and isinstance(trace["y"], list)
+        for y in trace["y"]
+        if y
+    ]
+    if not values:  # of readings without noise
+        return {"type": "linear"}
+    low, high = math.log10(min(values)) - ROOM, math.log10(max(values)) + ROOM
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    ticks = [step * 10.0**power for power in powers for step in NICE]
+    inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
+    inside = inside[:: math.ceil(len(inside) / MOST_TICKS) or 1]
+    words = [f"{tick:g}" for tick in inside]
+    return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

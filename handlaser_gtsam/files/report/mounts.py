@@ -1,0 +1,197 @@
+"""Tables of what was found: mounts, laser spots, planes, and all of it against the limits."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...results.calibration_data import LABELS
+from ...results.lines import DEG, MM
+from ...results.reports import Beam
+from ...results.spot_error import spot_radii
+from ...results.spots import spot
+from .subject import Subject
+from .tables import (
+    NONE,
+    UNKNOWN,
+    Cell,
+    Column,
+    Table,
+    concise,
+    digits_of,
+    name_cell,
+    number,
+    significant,
+    text,
+)
+
+MOST_BEAMS, MOST_PLANES = 50, 200
+"""Beams and planes that are listed; the JSON has all."""
+UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
+SCALES = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0, 1.0)
+MOST_DIGITS = (5, 5, 5, 7, 7, 7, 7, 5)
+PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
+"""Coordinates that are shown with equally many decimals."""
+
+
+def mounts_table(subject: Subject) -> Table | None:
+    """Return value, standard deviation and 95 % interval of every parameter; None if none is known."""
+    beams = list(subject.calibration.beams.values())
+    if not any(_known(beam.sigma) for beam in beams):
+        return None
+    rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(subject, beam)]
+    return Table(
+        "mounts",
+        "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
+        "angle in deg, k2 in 1/m. The true range is d + k1 d + k2 d² for a reading d.",
+        (
+            Column("beam", number=False),
+            Column("parameter", number=False),
+            Column("value"),
+            Column("std dev"),
+            Column("95 % from"),
+            Column("to"),
+            Column("unit", number=False, wide=True),
+        ),
+        tuple(rows),
+        _more(len(beams) - MOST_BEAMS, "beam"),
+    )
+
+
+def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
+    """Yield the rows of one beam; no number where the recording determines none."""
+    calibration = subject.calibration
+    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
+    interval = calibration.intervals(beam.name)
+    interval = np.full((8, 2), np.nan) if interval is None else interval
+    for rows in PARTS:
+        for i in range(*rows.indices(6 + beam.terms)):
+            scale, most = SCALES[i], MOST_DIGITS[i]
+            digits = digits_of((sigma[rows] * scale).tolist(), most)
+            name, unit = text(LABELS[i]), text(UNITS[i])
+            if not math.isfinite(sigma[i]):
+                blank = (Cell(UNKNOWN, None, "care"), *[Cell(NONE)] * 3)
+                yield text(beam.name), name, *blank, unit
+                continue
+            values = (beam.coordinates[i], sigma[i], *interval[i])
+            yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
+        turn = beam.direction_sigma
+        if rows.start == 3 and turn is not None and math.isfinite(turn):
+            words, blank = text("direction, angle"), (Cell(NONE),) * 2
+            yield (
+                text(beam.name),
+                words,
+                Cell(NONE),
+                significant(turn * DEG, 2),
+                *blank,
+                text("deg"),
+            )
+
+
+def spots_table(subject: Subject) -> Table | None:
+    """Return how well the laser spot of every beam is known at the working distance."""
+    calibration, reading = subject.calibration, subject.reading
+    radii = spot_radii(calibration, reading) if subject.solved else {}
+    if not radii:
+        return None
+    rows = []
+    for name in list(radii)[:MOST_BEAMS]:
+        found = spot(calibration, name, reading)
+        numbers = (radii[name], found.along, found.across, found.reading_sigma)
+        cells = [significant(x * MM, 2) for x in numbers]
+        rows.append((name_cell(name), *cells, significant(found.direction_sigma * DEG, 2)))
+    return Table(
+        "spots",
+        f"At a reading of {concise(reading * MM, 4)} mm, the working distance: the radius that holds "
+        "the spot with 95 % from the calibration alone, and its standard deviations. One reading adds "
+        "its own noise along the beam.",
+        (
+            Column("beam", number=False),
+            Column("95 % spot mm"),
+            Column("along mm"),
+            Column("across mm"),
+            Column("reading adds mm"),
+            Column("direction deg"),
+        ),
+        tuple(rows),
+        _more(len(radii) - MOST_BEAMS, "beam"),
+    )
+
+
+def planes_table(subject: Subject) -> Table | None:
+    """Return where every plane was found; None where nothing is known."""
+    planes = list(subject.calibration.planes.values())
+    if not any(_known(plane.sigma) for plane in planes):
+        return None
+    rows = []
+    for plane in planes[:MOST_PLANES]:
+        sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
+        turn, shift = plane.normal_sigma, float(sigma[3])
+        turn = math.inf if turn is None else turn
+        digits = digits_of([turn], 7)
+        n = [
+            number(x, digits) if math.isfinite(s) else Cell(UNKNOWN, None, "care")
+            for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
+        ]
+        row = (*n, significant(turn * DEG, 2), _determined(plane.offset, shift, MM, 4))
+        rows.append((name_cell(plane.name), *row, significant(shift * MM, 2)))
+    return Table(
+        "planes",
+        "n · x + b = 0 in the world frame; n points away from the sensor.",
+        (
+            Column("plane", number=False),
+            Column("n x"),
+            Column("n y"),
+            Column("n z"),
+            Column("std dev deg"),
+            Column("b mm"),
+            Column("std dev mm"),
+        ),
+        tuple(rows),
+        _more(len(planes) - MOST_PLANES, "plane"),
+    )
+
+
+def _known(sigma: FloatArray | None) -> bool:
+    return sigma is not None and bool(np.isfinite(sigma).any())
+
+
+def _determined(value: float, sigma: float, scale: float, most: int) -> Cell:
+    if not math.isfinite(sigma):
+        return Cell(UNKNOWN, None, "care")
+    return number(float(value) * scale, digits_of([sigma * scale], most))
+
+
+def limits_table(subject: Subject) -> Table | None:
+    """Return every value beside its limit; None where no limit was given."""
+    checks = sorted(subject.verdict.limits, key=lambda one: -one.ratio)
+    if not checks:
+        return None
+    rows = []
+    for one in checks[: 3 * MOST_BEAMS]:
+        scale, unit = (DEG, "deg") if one.quantity == "direction_sigma" else (MM, "mm")
+        words = one.quantity.replace("_", " ").replace("sigma", "std dev")
+        state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
+        value, limit = significant(one.value * scale), significant(one.limit * scale)
+        rows.append((text(words), text(one.subject or "all"), value, limit, text(unit), state))
+    return Table(
+        "limits",
+        "",
+        (
+            Column("quantity", number=False),
+            Column("of", number=False),
+            Column("value"),
+            Column("limit"),
+            Column("unit", number=False),
+            Column("result", number=False),
+        ),
+        tuple(rows),
+        _more(len(checks) - 3 * MOST_BEAMS, "limit"),
+    )
+
+
+def _more(count: int, noun: str) -> str:
+    if count <= 0:
+        return ""
+    return f"{count} more {noun}{'' if count == 1 else 's'}: the JSON of the calibration has all."

@@ -1,0 +1,127 @@
+"""What a report is told beside the calibration: limits, working distance, and where all came from."""
+
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from ...checks import require_kind, require_number
+from ...data.recording import LARGEST
+from ...errors import InputError
+from ...planning.route import Plan
+from ...text import shown
+from ..rig_toml import Rig
+
+MOST_COMMAND = 2000
+"""Characters of a command line that a report repeats."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """What a report is told beside the calibration.
+
+    Attributes
+    ----------
+    rig : Rig
+        Limits to pass, the sensor and robot in the head, and where the next stations may be.
+    reading : float, optional
+        Working distance at which laser spots are judged [m]; the median reading where not given.
+    recording_file, rig_file : Path, optional
+        The files behind the calibration: their names and SHA-256 stand in the report.
+    command : str
+        The command line, or the call, that made the calibration.
+    day : datetime.date, optional
+        Date of the report; the day on which the recording's file was last changed where not given, in
+        UTC, so that the same files always make the same page.
+    plan : Plan, optional
+        The next best stations; a few are chosen where not given.
+
+    Raises
+    ------
+    InputError
+        A working distance that no sensor has, a command that is no text, or what is no rig, date or
+        plan.
+    """
+
+    rig: Rig = field(default_factory=Rig)
+    reading: float | None = None
+    recording_file: Path | str | None = None
+    rig_file: Path | str | None = None
+    command: str = ""
+    day: date | None = None
+    plan: Plan | None = None
+
+    def __post_init__(self) -> None:
+        require_kind("rig", self.rig, Rig)
+        if self.reading is not None:
+            require_number("a reading of", self.reading, -LARGEST, LARGEST, unit="m")
+        if not isinstance(self.command, str) or len(self.command) > MOST_COMMAND:
+            found = f"{shown(self.command)} as a command"
+            raise InputError(found, f"text of at most {MOST_COMMAND} characters")
+        if self.day is not None:
+            require_kind("day", self.day, date, "datetime.date(...)")
+        if self.plan is not None:
+            require_kind("plan", self.plan, Plan)
+        for name in ("recording_file", "rig_file"):
+            path = getattr(self, name)
+            if path is not None and not isinstance(path, (str, Path)):
+                raise InputError(f"{shown(path)} as {name}", "the name of a file")
+
+
+def sha256(path: Path | str) -> str:
+    """Return the SHA-256 of a file, 64 hexadecimal digits.
+
+    Raises
+    ------
+    InputError
+        No readable file.
+    """
+    found = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as file:
+            while block := file.read(1 << 20):
+                found.update(block)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return found.hexdigest()
+
+
+def changed_on(path: Path | str) -> date:
+    """Return the day on which a file was last changed, UTC.
+
+    Raises
+    ------
+    InputError
+        No such file.
+    """
+    try:
+        return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path | str, error: OSError) -> InputError:
+    found = f"no readable file ({error.strerror})"
+    return InputError(found, "the file behind the calibration", Path(path))
+
+
+def called_as(arguments: Sequence[str]) -> str:
+    """Return a command line of `handlaser`, cut where it is longer than a report repeats."""
+    whole = shlex.join(("handlaser", *arguments))
+    return whole if len(whole) <= MOST_COMMAND else whole[: MOST_COMMAND - 3] + "..."
+
+
+def iso_day(text: str) -> date:
+    """Return a day given as text.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(f"{shown(text)} as a date", "a day such as 2026-03-31") from error

@@ -1,0 +1,160 @@
+"""What a report is about, computed once: the calibration and everything that its parts show of it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ... import model
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.recording import Recording
+from ...errors import HandlaserError
+from ...model.weighting import Variances, reading_sigmas
+from ...planning.advice import next_stations
+from ...planning.history import History, history
+from ...planning.route import Plan
+from ...results.calibration import Calibration
+from ...results.significance import contradicted
+from ...results.verdict import Verdict, verdict
+from ...solvers.progress import tell
+from ...validation.held_out import HeldOut, held_out
+from .options import ReportOptions
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A calibration and what a report shows of it.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    options : ReportOptions
+    verdict : Verdict
+    held_out : HeldOut
+    history : History or None
+    plan : Plan or None
+        The next best stations.
+    rows : ReadingRows or None
+        Of every reading; None without a recording.
+    """
+
+    calibration: Calibration
+    options: ReportOptions
+    verdict: Verdict
+    held_out: HeldOut
+    history: History | None
+    plan: Plan | None
+    rows: "ReadingRows | None"
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a calibration: every number of beams and planes means something."""
+        return self.calibration.status == "converged"
+
+    @property
+    def reading(self) -> float:
+        """The working distance [m]."""
+        return self.verdict.reading
+
+    @property
+    def contradicting(self) -> tuple[str, ...]:
+        """The planes that contradict the beams found without them."""
+        p = {one.plane: one.result.p_value for one in self.held_out.planes if one.result}
+        return contradicted(p) if p else ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingRows:
+    """One entry a reading that there is, rejected ones included, in the order of the stations.
+
+    Attributes
+    ----------
+    station, beam : (N,) of int
+        Rows and columns of the recording.
+    reading : (N,)
+        d [m].
+    residual : (N,)
+        [m]; NaN where it was rejected.
+    standardized : (N,)
+        Residual in units of its own standard deviation, that of the pose included; NaN where not known.
+    incidence : (N,)
+        Angle between beam and plane normal [rad]; NaN where there is no calibration.
+    spot : (N, 3)
+        Laser spot, world frame [m]; NaN likewise.
+    """
+
+    station: IntArray
+    beam: IntArray
+    reading: FloatArray
+    residual: FloatArray
+    standardized: FloatArray
+    incidence: FloatArray
+    spot: FloatArray
+
+    @property
+    def used(self) -> BoolArray:
+        """Which readings were used (N,)."""
+        return np.asarray(~np.isnan(self.residual))
+
+
+def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
+    """Compute what a report shows.
+
+    Raises
+    ------
+    InputError
+        A working distance that the sensor cannot read.
+    """
+    tell("report")
+    recording, rig = calibration.recording, options.rig
+    judged = verdict(calibration, recording, rig.limits, options.reading)
+    solved = calibration.status == "converged"
+    plan, past = options.plan, None
+    if solved and plan is None:
+        plan = next_stations(calibration, rig.sensor, rig.workspace, rig.goal)
+    if solved and math.isfinite(judged.reading):
+        past = history(calibration, judged.reading)
+    held = held_out(calibration)
+    rows = None if recording is None else _rows(calibration, recording)
+    return Subject(calibration, options, judged, held, past, plan, rows)
+
+
+def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
+    d, e = recording.ranges, calibration.fit.residuals
+    station, beam = np.nonzero(~np.isnan(d))
+    residual = e[station, beam] if e.shape == d.shape else np.full(len(station), np.nan)
+    nothing = np.full(len(station), np.nan)
+    where = (station, beam, d[station, beam], residual)
+    if calibration.status != "converged":
+        return ReadingRows(*where, nothing, nothing, np.full((len(station), 3), np.nan))
+    at = calibration.parameters()
+    R, t = recording.world_R_hand[station], recording.world_t_hand[station]
+    v = np.einsum("nij,nj->ni", R, at.directions[beam])
+    n = at.normals[recording.plane_of_station[station]]
+    incidence = np.arccos(np.clip(np.abs((v * n).sum(axis=1)), 0.0, 1.0))
+    g = model.corrected(d[station, beam], at.range_errors[beam])
+    spot = np.einsum("nij,nj->ni", R, at.locations[beam]) + t + g[:, None] * v
+    return ReadingRows(*where, _standardized(calibration, recording), incidence, spot)
+
+
+def _standardized(calibration: Calibration, recording: Recording) -> FloatArray:
+    """Return residuals in units of their standard deviations, in the order of the stations (N,).
+
+    As `Fit.max_standardized_residual` has it: with the range errors at the most probable scales.
+    """
+    fit, variances, scaled = calibration.fit, calibration.variances, calibration.at_scales
+    at = calibration.parameters() if scaled is None else scaled.parameters
+    if variances is None:
+        variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
+    if fit.poses == "estimated":  # what is left once the poses have moved
+        variances = variances.without_poses()
+    readings, table = recording.readings(), np.full(recording.ranges.shape, np.nan)
+    try:
+        sigma = reading_sigmas(at, readings, variances)
+    except HandlaserError:
+        sigma = np.full(len(readings), np.nan)
+    e = fit.residuals[readings.station, readings.beam]
+    table[readings.station, readings.beam] = np.divide(
+        e, sigma, out=np.full(len(e), np.nan), where=sigma > 0.0
+    )
+    return table[~np.isnan(recording.ranges)]

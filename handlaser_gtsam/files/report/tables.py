@@ -1,0 +1,94 @@
+"""Tables of a report: cells of text with the number behind them, by which they sort."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ...results.lines import decimals
+
+UNKNOWN = "undetermined"
+NONE = "\N{EN DASH}"
+LONGEST = 60
+"""Characters of a name in a table of many rows; that of the mounts has all."""
+MINUS = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Text, the number by which it sorts, and a mark: `good`, `care`, `bad`, or none."""
+
+    text: str
+    value: float | None = None
+    mark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A title; whether its cells are numbers; whether it gives way where the page is narrow."""
+
+    title: str
+    number: bool = True
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of cells under columns, with a note on what is not shown."""
+
+    name: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+
+
+def number(value: float | None, digits: int, mark: str = "") -> Cell:
+    """Return a cell of so many decimals; a dash where there is no number."""
+    if value is None or not math.isfinite(value):
+        return Cell(NONE, None, mark)
+    return Cell(plain(value, digits), float(value), mark)
+
+
+def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
+    """Return a cell of so many significant digits; a dash where there is no number."""
+    if value is None or not math.isfinite(value):
+        return Cell(NONE, None, mark)
+    return Cell(concise(value, digits), float(value), mark)
+
+
+def text(words: str, mark: str = "") -> Cell:
+    """Return a cell of words."""
+    return Cell(words, None, mark)
+
+
+def sentence(words: str) -> str:
+    """Return words that begin with a capital and end with a full stop."""
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
+
+
+def name_cell(name: str) -> Cell:
+    """Return a cell with the name of one of many, cut where it is longer than a table has room for."""
+    return Cell(name if len(name) <= LONGEST else name[: LONGEST - 1] + "…")
+
+
+def plain(value: float, digits: int) -> str:
+    """Return a number with so many decimals, a true minus, and no minus zero."""
+    found = f"{value:.{digits}f}"
+    if float(found) == 0.0:
+        found = found.removeprefix("-")
+    return found.replace("-", MINUS)
+
+
+def concise(value: float, digits: int = 3) -> str:
+    """Return a number of so many significant digits, a true minus."""
+    if value == 0.0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e6:
+        return plain(value, max(digits - 1 - math.floor(math.log10(abs(value))), 0))
+    return f"{value:.{digits - 1}e}".replace("-", MINUS)
+
+
+def digits_of(sigmas: Iterable[float], most: int) -> int:
+    """Return the decimals that show two digits of the smallest standard deviation."""
+    finite = [sigma for sigma in sigmas if math.isfinite(sigma) and sigma > 0.0]
+    return decimals(min(finite), most) if finite else most
