@@ -167,7 +167,6 @@ def _calibrated(
     from .. import pipeline
     from ..files.calibration_json import calibration_text
     from ..files.writing import write_text
-    from ..planning.advice import missing_stations, next_stations
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
@@ -192,15 +191,22 @@ def _calibrated(
     judged = verdict(result, recording, rig.limits, reading)
     advice = None
     if output.report is not None or not (output.json_ or output.quiet):
-        advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
-        if result.status == "unobservable":
-            advice = missing_stations(
-                recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
-            )
+        advice = _advice(result, recording, rig)
     if output.report is not None:
         whole = replace(result, recording=recording) if result.recording is None else result
-        _report(output, whole, path, given.rig, rig, advice)
+        _report(output, whole, path, rig_file, rig, advice)
     return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
+
+
+def _advice(result: "Calibration", recording: "Recording", rig: "Rig") -> "Plan | None":
+    """Return the next best stations, or those that are missing; None where nothing can be said."""
+    from ..planning.advice import missing_stations, next_stations
+
+    if result.status == "unobservable":
+        return missing_stations(
+            recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
+        )
+    return next_stations(result, rig.sensor, rig.workspace, rig.goal)
 
 
 def _report(

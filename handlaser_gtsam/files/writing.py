@@ -38,17 +38,6 @@ def write_bytes(path: Path, content: bytes) -> None:
     InputError
         What `require_writable` refuses, or no space left.
     """
-    write_bytes(path, text.encode("utf-8"))
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write `content` to `path` in one step.
-
-    Raises
-    ------
-    InputError
-        What `require_writable` refuses, or no space left.
-    """
     target, mode = _target(path)
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
