@@ -10,6 +10,7 @@ from .plan import plan
 from .simulate import simulate
 from .study import study
 from .validate import validate
+from .watch import watch
 
 app = typer.Typer(
     name="handlaser",
@@ -20,7 +21,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, plan, simulate, study, validate):
+for verb in (calibrate, check, plan, simulate, study, validate, watch):
     app.command()(expanded(verb))
 
 
