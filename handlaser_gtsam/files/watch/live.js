@@ -52,10 +52,11 @@
     });
     fill(at("counts"), ...counts);
     table(at("beams"), state.beams);
-    fill(at("undetermined"), ...state.undetermined.map((one) => made("li", one)));
     show(at("warnings-section"), state.warnings.length);
     fill(at("warnings"), ...state.warnings.map((one) => made("li", one)));
-    fill(at("next-words"), ...state.next.words.map((one) => made("p", one)));
+    at("promise").textContent = state.next.promise;
+    show(at("promise"), state.next.promise);
+    fill(at("advice"), ...state.next.advice.map((one) => made("p", one)));
     table(at("next-stations"), state.next.stations);
     show(at("content"), true);
   };
@@ -83,6 +84,8 @@
     layout.uirevision = "kept"; // who has turned the view keeps it
     if (layout.scene && place.clientWidth < 500) {
       for (const axis of Object.keys(layout.scene.camera.eye)) layout.scene.camera.eye[axis] *= 1.4;
+      Object.assign(layout.legend, { orientation: "h", yanchor: "bottom" });
+      layout.margin.t = 30;
     }
     try {
       await window.Plotly.react(place, data, layout, settings);

@@ -24,6 +24,8 @@ from .patience import PatientProtocol
 PORT = 8642
 TRIED = 20
 """Ports that are tried, from `PORT` on, where none is asked for."""
+BUFFER = 1 << 18
+"""Bytes that the system holds back at most for a client that does not read."""
 MOST_CLIENTS = 64
 """Who looks on at a time; a browser has one connection a tab."""
 
@@ -67,6 +69,7 @@ def _bound(host: str, port: int) -> socket.socket:
     found = socket.socket(family, kind, protocol)
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
         found.bind(address)
         found.listen()
     except OSError:

@@ -28,7 +28,6 @@ from ..report.tables import (
     digits_of,
     name_cell,
     number,
-    sentence,
     significant,
 )
 
@@ -48,14 +47,21 @@ def state_text(subject: Subject) -> str:
     content: Record = {
         "verdict": {"mark": head.mark, "opening": head.opening, "findings": list(head.findings)},
         "counts": [list(one) for one in _counts(subject)],
-        "undetermined": [sentence(one) for one in _undetermined(subject)],
         "warnings": warnings,
         "beams": _record(beams_table(subject)),
-        "next": {"words": list(next_words(subject)), "stations": _record(plan_table(subject))},
+        "next": _next(subject, head.findings),
         "space": None if space is None else _figure(scene_figure(space)),
         "falling": _figure(stations_figure(subject)),
     }
     return json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def _next(subject: Subject, said: tuple[str, ...]) -> Record:
+    """Return the next stations, what they promise, and what else would help and is not `said` yet."""
+    words, stations = list(next_words(subject)), plan_table(subject)
+    promise = words.pop() if stations is not None else ""
+    advice = [one for one in words if one not in said]
+    return {"promise": promise, "stations": _record(stations), "advice": advice}
 
 
 def _counts(subject: Subject) -> list[tuple[str, str]]:
@@ -70,12 +76,6 @@ def _counts(subject: Subject) -> list[tuple[str, str]]:
     if subject.solved and math.isfinite(fit.rms):
         found.append(("rms residual", f"{concise(fit.rms * MM)} mm"))
     return found
-
-
-def _undetermined(subject: Subject) -> tuple[str, ...]:
-    """Return what is undetermined, in words; nothing where all is, or where nothing was solved."""
-    found = subject.calibration.observability.undetermined
-    return tuple(map(str, found)) if subject.calibration.status == "unobservable" else ()
 
 
 def beams_table(subject: Subject) -> Table:

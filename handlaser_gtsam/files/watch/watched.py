@@ -77,4 +77,5 @@ def _seen(path: Path) -> tuple[int, ...]:
         found = path.stat()
     except OSError as error:
         return (-(error.errno or 1),)
-    return found.st_dev, found.st_ino, found.st_mode, found.st_size, found.st_mtime_ns
+    where = (found.st_dev, found.st_ino, found.st_mode, found.st_size)
+    return *where, found.st_ctime_ns, found.st_mtime_ns
