@@ -20,7 +20,7 @@ from ..report.mounts import MOST_BEAMS
 from ..report.scene import scene_figure
 from ..report.subject import Subject
 from ..report.tables import (
-    UNKNOWN,
+    NONE,
     Cell,
     Column,
     Table,
@@ -83,7 +83,12 @@ def beams_table(subject: Subject) -> Table:
     beams = list(subject.calibration.beams.values())
     radii = spot_radii(subject.calibration, subject.reading) if subject.solved else {}
     at = f" at a reading of {concise(subject.reading * MM, 4)} mm" if radii else ""
-    more = len(beams) - MOST_BEAMS
+    rows = tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
+    more, notes = len(beams) - MOST_BEAMS, []
+    if any(cell.mark == "care" for row in rows for cell in row):
+        notes.append("A dash stands for what the stations do not determine yet.")
+    if more > 0:
+        notes.append(f"{count(more, 'more beam')}: the JSON of the calibration has all.")
     return Table(
         "beams",
         "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
@@ -96,8 +101,8 @@ def beams_table(subject: Subject) -> Table:
             Column("std dev deg"),
             Column("95 % spot mm"),
         ),
-        tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS]),
-        f"{count(more, 'more beam')}: the JSON of the calibration has all." if more > 0 else "",
+        rows,
+        " ".join(notes),
     )
 
 
@@ -123,7 +128,7 @@ def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
 
 
 def _determined(value: float, sigma: float, digits: int) -> Cell:
-    return number(value, digits) if math.isfinite(sigma) else Cell(UNKNOWN, None, "care")
+    return number(value, digits) if math.isfinite(sigma) else Cell(NONE, None, "care")
 
 
 def _record(table: Table | None) -> Record | None:
