@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from .files.recording_csv import write_recording as write_recording
     from .files.report.options import ReportOptions as ReportOptions
     from .files.report.page import write_report as write_report
+    from .files.report.pictures import plot as plot
+    from .files.report.pictures import write_pictures as write_pictures
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
     from .files.stations_csv import read_stations as read_stations
@@ -154,6 +156,7 @@ _NAMES = {
     "files.recording_csv": "read_recording write_recording",
     "files.report.options": "ReportOptions",
     "files.report.page": "write_report",
+    "files.report.pictures": "plot write_pictures",
     "files.rig_toml": "Rig read_rig",
     "files.study_folder": "StudyFolder",
     "files.study_picture": "write_study_picture",

@@ -10,7 +10,7 @@ import polars
 
 import handlaser_gtsam as hl
 
-LATE = {"gtsam": gtsam, "pl": polars}
+LATE = {"gtsam": gtsam, "pl": polars, "Drawing": object}  # the last is of matplotlib, an extra
 LATE |= {name: getattr(hl, name) for name in hl.__all__}
 """Names that modules import for type checkers only."""
 

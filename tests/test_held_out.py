@@ -10,6 +10,7 @@ from helpers import GRIPPER, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.planning.history import history
 from handlaser_gtsam.validation.held_out import held_out
+from handlaser_gtsam.validation.parts import Whole
 from handlaser_gtsam.validation.scenes import Layout
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
@@ -119,3 +120,18 @@ def test_the_history_ends_where_the_calibration_is(gripper):
 def test_no_history_without_a_calibration(gripper):
     open_ = hl.calibrate(gripper.part([0, 1, 2, 3]), hl.Noise(3e-5, **EXACT))
     assert history(open_, 0.015) is None
+
+
+def test_all_stations_are_the_solution_at_the_most_probable_scales(gripper):
+    """With the prior of the range errors that was learned, and the errors of the poses."""
+    calibration = hl.calibrate(gripper, hl.Noise())
+    scaled = calibration.at_scales
+    assert scaled.range_error_prior is not None
+    found = Whole.of(calibration).solved_from(np.ones(len(gripper.plane_labels), dtype=bool))
+    own = np.sqrt(np.diagonal(found.joint.matrix(planes=[])))
+    whole = np.sqrt(np.diagonal(scaled.covariance.matrix(planes=[])))
+    assert own == pytest.approx(whole, rel=1e-3)
+    off = np.abs(found.at.locations - scaled.parameters.locations).max()
+    assert off < 1e-2 * whole[:3].min()
+    off = np.abs(found.at.range_errors - scaled.parameters.range_errors)
+    assert (off < 1e-2 * whole.reshape(-1, 8)[:, 6:]).all()

@@ -604,3 +604,80 @@ def test_what_is_no_calibration_or_no_file_is_refused(calibration, tmp_path):
         with pytest.raises(hl.InputError, match="no readable file"):
             hl.write_report(tmp_path / "a.html", calibration, told)
     assert list(tmp_path.iterdir()) == []
+
+
+# --- odd recordings ----------------------------------------------------------------------------------
+
+
+def sound(found):
+    page = Page(report_text(found, hl.ReportOptions()))
+    assert not re.search(r"\b(nan|inf|None)\b", page.text)
+    return page
+
+
+def test_readings_without_noise_have_a_report():
+    recording, _ = simulated(range_sigma=1e-15)
+    for noise in (hl.Noise(None, **EXACT), hl.Noise(3e-5, **EXACT)):
+        page = sound(hl.calibrate(recording, noise, hl.CalibrationOptions("none")))
+        assert len(page.table("mounts")) == 4 * 7
+
+
+def test_negative_readings_have_a_report():
+    """Of a sensor that reads the distance from a reference amid its range."""
+    recording, _ = simulated(layout=Layout(planes=5))
+    shift = float(np.median(recording.ranges)) + 0.001
+    moved = dataclasses.replace(recording, ranges=recording.ranges - shift, range_min=-0.03)
+    found = hl.calibrate(moved, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions("none"))
+    assert found.success
+    assert found.fit.median_reading < 0.0
+    page = sound(found)
+    assert len(page.table("spots")) == 4
+    assert min(page.data("figures")["by-range"]["data"][0]["x"]) < 0.0
+
+
+def test_repeated_stations_have_one_row(gripper):
+    """What is shown is what was solved: copies of a station are merged."""
+    rows = [*range(44), 3, 3, 7]
+    again = hl.Recording(
+        gripper.world_R_hand[rows],
+        gripper.world_t_hand[rows],
+        gripper.ranges[rows],
+        tuple(gripper.plane_labels[j] for j in rows),
+        gripper.beam_names,
+    )
+    found = hl.calibrate(again, hl.Noise(3e-5, **EXACT))
+    page = sound(found)
+    assert [row[0][0] for row in page.table("stations")] == [str(j) for j in range(1, 45)]
+    assert "44 with readings, of 47" in page.text
+    assert "repeat" in page.text
+
+
+def test_stations_without_some_beams_count_what_was_read(gripper):
+    ranges = gripper.ranges.copy()
+    ranges[5, 1:] = np.nan
+    ranges[9, 0] = np.nan
+    found = hl.calibrate(dataclasses.replace(gripper, ranges=ranges), hl.Noise(3e-5, **EXACT))
+    rows = sound(found).table("stations")
+    assert [rows[j][5][0] for j in (4, 5, 9)] == ["4", "1", "3"]
+
+
+def test_of_many_stations_those_with_the_largest_residuals_are_listed():
+    recording, _ = simulated(layout=Layout(planes=50))
+    found = hl.calibrate(recording, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions("none"))
+    page = sound(found)
+    largest = np.nanmax(np.abs(found.fit.residuals), axis=1)
+    worst = np.sort(np.argsort(-largest, kind="stable")[:400])
+    names = [row[0][0] for row in page.table("stations")]
+    assert names == [recording.station_names[j] for j in worst]
+    assert "The 400 stations of 550 with the largest residuals" in page.text
+    assert re.search(r"\d+ of 2200 readings are drawn, the largest residuals among them", page.text)
+    assert "40 of 50 planes were left out" in page.text
+
+
+def test_plane_by_plane_has_the_same_report(handlaser, tmp_path):
+    told = ("calibrate", GRIPPER / "recording.csv", "--rig", GRIPPER / "rig.toml", "--incremental")
+    code, _, _ = handlaser(*told, "--report", tmp_path / "a.html", "--out", tmp_path / "a.json")
+    assert code == 0
+    page = Page((tmp_path / "a.html").read_text())
+    assert page.data("calibration") == json.loads((tmp_path / "a.json").read_text())
+    assert len(page.table("stations")) == 44

@@ -25,7 +25,6 @@ from handlaser_gtsam.validation.scenes import Layout
 
 pytest.importorskip("starlette", reason="needs the extra watch")
 pytest.importorskip("uvicorn", reason="needs the extra watch")
-pytest.importorskip("plotly", reason="needs the extra watch")
 
 from watching import Client, answer, until, watching
 

@@ -180,7 +180,8 @@ def _calibrated(path: Path, given: Given, model: Model, manner: Manner, output: 
     if output.report is not None or not (output.json_ or output.quiet):
         advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
     if output.report is not None:
-        _report(output, result, path, given.rig, rig, advice)
+        whole = replace(result, recording=recording) if result.recording is None else result
+        _report(output, whole, path, given.rig, rig, advice)
     return _Outcome(result, recording, text, judged, check, fed, advice)
 
 

@@ -7,6 +7,7 @@ from .calibrate import calibrate
 from .check import check
 from .options import expanded
 from .plan import plan
+from .plot import plot
 from .simulate import simulate
 from .study import study
 from .validate import validate
@@ -21,7 +22,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, plan, simulate, study, validate, watch):
+for verb in (calibrate, check, plan, plot, simulate, study, validate, watch):
     app.command()(expanded(verb))
 
 

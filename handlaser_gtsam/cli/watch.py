@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..files.watch.watched import Watched
 
 LOOPBACK = "127.0.0.1"
-EXTRA = ("jinja2", "plotly", "starlette", "uvicorn")
+EXTRA = ("starlette", "uvicorn")
 """What the extra `watch` brings."""
 
 

@@ -33,12 +33,23 @@ def write_text(path: Path, text: str) -> None:
     InputError
         What `require_writable` refuses, or no space left.
     """
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write `content` to `path` in one step.
+
+    Raises
+    ------
+    InputError
+        What `require_writable` refuses, or no space left.
+    """
     target, mode = _target(path)
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
             Path(name).chmod(mode)
             Path(name).replace(target)
         except BaseException:

@@ -12,6 +12,7 @@ from ..model.losses import Loss
 from ..model.weighting import whitening
 from .calibration_data import CalibrationData
 from .limits import Limits
+from .notebook import notebook_html
 from .reports import Beam, Plane
 from .summary import screen_lines
 from .verdict import verdict
@@ -141,6 +142,10 @@ class Calibration(CalibrationData):
         """
         recording = self.recording
         return "\n".join(screen_lines(self, recording, verdict(self, recording, limits, reading)))
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict, and a row a beam."""
+        return notebook_html(self)
 
     def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
         """Return a table of the beams and one of the planes, a row each.

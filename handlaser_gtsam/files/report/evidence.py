@@ -13,7 +13,7 @@ from ...results.systematic import SystematicError
 from ...results.verdict import spot_shift
 from ...results.wording import size_in_words
 from ...validation.hold_out import HoldOut
-from .mounts import correlation_matrix
+from .correlations import FLAGGED, MOST_BEAMS, correlations_of
 from .subject import Subject
 from .tables import (
     NONE,
@@ -28,12 +28,10 @@ from .tables import (
     text,
 )
 
-FLAGGED = 0.8
 SMALL = 0.005
 """Parts of a variance below this are not worth a word."""
-"""Correlations above this are flagged."""
-MOST_PAIRS, MOST_BEAMS = 12, 8
-"""Correlations that are listed, and beams among which they are looked for."""
+MOST_PAIRS = 12
+"""Correlations that are listed."""
 
 Facts = tuple[tuple[str, str], ...]
 
@@ -127,9 +125,10 @@ def _indices(subject: Subject) -> Iterator[str]:
 
 def correlations_table(subject: Subject) -> Table | None:
     """Return the pairs of unknowns that are correlated above `FLAGGED`; None without a covariance."""
-    labels, C = correlation_matrix(subject, MOST_BEAMS)
-    if not labels:
+    found = correlations_of(subject)
+    if found is None:
         return None
+    labels, C = found.labels, found.matrix
     first, second = np.triu_indices(len(labels), 1)
     size = np.abs(C[first, second])
     strong = np.flatnonzero(size > FLAGGED)

@@ -6,7 +6,7 @@ texts that look like dates or numbers for such, so that every axis has its type.
 
 import html
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +40,12 @@ class Figure:
 def label(name: str, longest: int = LONGEST) -> str:
     """Return a foreign name for a picture: short, and taken neither for HTML nor for TeX."""
     return harmless(short(name, longest))
+
+
+def tick_labels(names: Sequence[str], room: int) -> list[str]:
+    """Return names for the ticks of an axis that has room for so many letters."""
+    longest = max(3, room // max(len(names), 1))
+    return [label(name, longest) for name in names]
 
 
 def short(name: str, longest: int = LONGEST) -> str:

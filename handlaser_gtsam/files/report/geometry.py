@@ -6,6 +6,7 @@ import numpy as np
 
 from ... import model
 from ...arrays import FloatArray, IntArray
+from ...data.parameters import Beams as BeamArrays
 from ...results.lines import MM
 from .figure import short
 from .subject import ReadingRows, Subject
@@ -99,13 +100,18 @@ def in_hand(subject: Subject) -> Geometry | None:
     reach = np.full(len(calibration.beams), calibration.fit.typical_range)
     if rows is not None:
         np.maximum.at(reach, rows.beam, rows.reading)
+    return of_hand(tuple(calibration.beams), calibration.parameters().beams, reach)
+
+
+def of_hand(names: tuple[str, ...], beams: BeamArrays, reach: FloatArray) -> Geometry | None:
+    """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
     if not np.isfinite(reach).all():
         return None
     found = []
-    for beam, most in zip(calibration.beams.values(), reach.tolist(), strict=True):
-        g = float(model.corrected(np.array([most]), beam.range_error[None])[0])
-        ends = np.stack((beam.location, beam.location + g * beam.direction)) * MM
-        found.append(Beams(beam.name, ends[None], (f"beam {beam.name}",)))
+    for name, r, v, k, most in zip(names, *beams, reach, strict=True):
+        g = float(model.corrected(most[None], k[None])[0])
+        ends = np.stack((r, r + g * v)) * MM
+        found.append(Beams(name, ends[None], (f"beam {short(name)}",)))
     extent = np.concatenate([one.segments.reshape(-1, 3) for one in found] + [np.zeros((1, 3))])
     length = 4.0 * AXES * max(float(np.ptp(extent, axis=0).max()), 1.0)
     hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))

@@ -74,7 +74,11 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
     yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
     if recording is not None:
-        yield "stations", str(len(recording.plane_labels))
+        every, read = (
+            len(recording.plane_labels),
+            int((~np.isnan(recording.ranges)).any(axis=1).sum()),
+        )
+        yield "stations", f"{read}" if read == every else f"{read} with readings, of {every}"
     yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)
@@ -109,6 +113,16 @@ def _sources(subject: Subject) -> list[tuple[str, Path | str]]:
     options = subject.options
     pairs = (("recording", options.recording_file), ("rig", options.rig_file))
     return [(kind, path) for kind, path in pairs if path is not None]
+
+
+def _model(subject: Subject) -> str:
+    """Return what was estimated and how, as far as a calibration tells."""
+    calibration = subject.calibration
+    terms = sorted({beam.terms for beam in calibration.beams.values()})
+    names = [("no range error", "k1", "k1 and k2")[count] for count in terms]
+    scaled = " under learned scales" if calibration.range_error_scales is not None else ""
+    fit = calibration.fit
+    return f"range errors: {', '.join(names)}{scaled}; hand poses {fit.poses}; {fit.loss} loss"
 
 
 def _robot(subject: Subject) -> str:
@@ -201,6 +215,7 @@ def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
             if given.range_sigma is None
             else f"{concise(given.range_sigma * MM)} mm, given",
         ),
+        ("model", _model(subject)),
         ("start", f"{start.method}; {count(len(start.tried), 'start')} tried"),
         ("iterations", str(calibration.iterations)),
         ("status", calibration.status.replace("_", " ")),

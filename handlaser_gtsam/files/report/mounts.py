@@ -191,26 +191,6 @@ def limits_table(subject: Subject) -> Table | None:
     )
 
 
-def correlation_matrix(subject: Subject, most: int) -> tuple[list[tuple[str, str]], FloatArray]:
-    """Return (beam, coordinate) of the unknowns of the first `most` beams, and their correlations.
-
-    Of the three components of a direction, the largest follows from the others and is left out.
-    """
-    joint = subject.calibration.covariance
-    if joint is None:
-        return [], np.empty((0, 0))
-    names = joint.beam_names[:most]
-    S = joint.matrix(names, [])
-    variance = np.diagonal(S)
-    keep = variance > 0.0
-    for index, basis in enumerate(joint.beam_bases[:most]):
-        keep[8 * index + 3 + int(np.linalg.norm(basis, axis=1).argmin())] = False
-    rows = np.flatnonzero(keep)
-    sigma = np.sqrt(variance[rows])
-    found: FloatArray = S[np.ix_(rows, rows)] / np.outer(sigma, sigma)
-    return [(names[row // 8], LABELS[row % 8]) for row in rows.tolist()], found
-
-
 def _more(count: int, noun: str) -> str:
     if count <= 0:
         return ""

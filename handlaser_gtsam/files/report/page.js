@@ -47,6 +47,7 @@
   // Figures: the page is read before the library runs; the flat ones are drawn one after the other, those
   // in space when they come into view.
   const figures = parsed("figures") || {};
+  const NARROW = 500;
   const settings = { displayModeBar: false, responsive: true };
   const started = new Set();
   const pause = () => new Promise((resolve) => setTimeout(resolve));
@@ -60,19 +61,26 @@
       place.style.setProperty("--ratio", `${width} / ${height}`);
     }
   };
-  const farther = (eye) => {
+  const webgl = () => document.createElement("canvas").getContext("webgl") !== null;
+  const shrink = (place, layout) => {
+    const eye = layout.scene.camera.eye;
     for (const axis of Object.keys(eye)) eye[axis] *= 1.4;
+    layout.height = 400;
+    place.style.height = "400px";
   };
   const draw = async (place) => {
     const name = place.dataset.figure;
     if (started.has(name) || !figures[name] || !window.Plotly) return;
     started.add(name);
     const space = place.closest(".space");
+    if (space && !webgl()) {
+      place.dataset.drawn = "still"; // the still picture stays
+      return;
+    }
     try {
       if (space) space.classList.add("live");
-      if (space && place.clientWidth < 500) farther(figures[name].layout.scene.camera.eye);
+      if (space && place.clientWidth < NARROW) shrink(place, figures[name].layout);
       await window.Plotly.newPlot(place, figures[name].data, figures[name].layout, settings);
-      if (space && !place.querySelector("canvas")) throw new Error("no WebGL");
       if (!space) {
         scalable(place);
         place.on("plotly_relayout", () => scalable(place));
@@ -80,7 +88,7 @@
       place.dataset.drawn = "yes";
     } catch (error) {
       if (!space) throw error;
-      space.classList.remove("live"); // the still picture stays
+      space.classList.remove("live");
       place.dataset.drawn = "still";
     }
   };

@@ -2,8 +2,8 @@
 
 The template escapes all text. Data for the script are JSON without `<`, `>` and `&`, so that nothing in
 them can end the script element or be read as HTML. plotly.js, which draws the figures, is in the page
-compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes through
-any mail.
+compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes
+through any mail.
 """
 
 import base64
@@ -17,8 +17,9 @@ from ...checks import require_kind
 from ...results.calibration import Calibration
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
-from . import evidence, head, knowledge_figures, mounts, residual_figures, stations
+from . import evidence, head, mounts, stations
 from .figure import Figure
+from .figures import flat_figures
 from .geometry import in_hand, in_world
 from .options import ReportOptions
 from .scene import scene_figure, still_picture
@@ -90,13 +91,7 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
 def _parts(subject: Subject) -> tuple[dict[str, object], list[Figure]]:
     """Return what the template shows, by name, and the figures."""
     spaces = [one for one in (in_world(subject), in_hand(subject)) if one is not None]
-    flat = [
-        *residual_figures.residual_figures(subject),
-        residual_figures.qq_figure(subject),
-        knowledge_figures.correlation_figure(subject),
-        knowledge_figures.stations_figure(subject),
-    ]
-    drawn = [scene_figure(one) for one in spaces] + [one for one in flat if one is not None]
+    drawn = [scene_figure(one) for one in spaces] + flat_figures(subject)
     parts: dict[str, Callable[[Subject], object]] = {
         "head": head.head_of,
         "next_words": head.next_words,

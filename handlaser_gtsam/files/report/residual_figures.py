@@ -1,6 +1,7 @@
 """Figures of the residuals: against range, incidence, station and plane, and beside a Gaussian."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +20,7 @@ from .figure import (
     label,
     layout,
     numbers,
+    tick_labels,
 )
 from .subject import ReadingRows, Subject
 
@@ -26,8 +28,8 @@ MOST_POINTS = 1000
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
 LEGEND = 8
-TICK_LETTERS = 64
-"""Of the names of all planes below a figure together."""
+ROOM = 48
+"""Letters of all planes below a figure on a phone."""
 """Up to so many beams have a legend."""
 SPREAD = 0.7
 """Of the distance between two planes, what the beams of one take up."""
@@ -43,7 +45,12 @@ def residual_figures(subject: Subject) -> list[Figure]:
     found = [_against_range(subject, rows, shown)]
     if subject.solved:
         found.append(_against_incidence(subject, rows, shown))
-    return [*found, _against_station(subject, rows, shown), _against_plane(subject, rows, shown)]
+    found += [_against_station(subject, rows, shown), _against_plane(subject, rows, shown)]
+    used = int(rows.used.sum())
+    if len(shown) == used:
+        return found
+    note = f" {len(shown)} of {used} readings are drawn, the largest residuals among them."
+    return [replace(one, caption=one.caption + note) for one in found]
 
 
 def _shown(rows: ReadingRows) -> IntArray:
@@ -79,7 +86,7 @@ def _points(subject: Subject, rows: ReadingRows, shown: IntArray, x: FloatArray)
                 "text": words,
                 "marker": {
                     "color": colour(index, len(names)),
-                    "symbol": SYMBOLS[index % len(SYMBOLS)],
+                    "symbol": SYMBOLS[index] if len(names) <= LEGEND else SYMBOLS[0],
                     "size": 6,
                     "opacity": 0.8,
                 },
@@ -178,7 +185,7 @@ def _against_plane(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figu
     below = axis(
         "plane",
         tickvals=list(ticks),
-        ticktext=[label(names[p], max(4, TICK_LETTERS // len(ticks))) for p in ticks],
+        ticktext=tick_labels([names[p] for p in ticks], ROOM),
         range=[-0.6, len(names) - 0.4],
         showgrid=False,
         zeroline=False,

@@ -16,7 +16,8 @@ EYE = (1.15, -1.3, 0.75)
 WIDTH, HEIGHT, ROOM = 760, 520, 28
 """Of the still picture, and the room around it."""
 LEGEND = 8
-LEGEND_ROW = 18
+LEGEND_ROW, LETTERS = 26, 19
+"""On paper two pictures stand side by side, half as large."""
 
 
 def scene_figure(geometry: Geometry) -> Figure:
@@ -176,12 +177,14 @@ def still_picture(geometry: Geometry) -> str:
         shade = colour(index, len(geometry.beams))
         ends = [place(segment) for segment in one.segments]
         lines = "".join(map(_path, ends))
-        parts.append(f'<path d="{lines}" fill="none" stroke="{shade}" stroke-opacity="0.6"/>')
+        parts.append(
+            f'<path d="{lines}" fill="none" stroke="{shade}" stroke-opacity="0.6" stroke-width="1.4"/>'
+        )
         dots = "".join(f"M{x:.1f} {y:.1f}h0" for _, (x, y) in ends)
-        parts.append(f'<path d="{dots}" stroke="{shade}" stroke-width="4" stroke-linecap="round"/>')
+        parts.append(f'<path d="{dots}" stroke="{shade}" stroke-width="5" stroke-linecap="round"/>')
     for axis, shade in enumerate(AXIS_COLOURS):
         lines = "".join(_path(place(hand[[0, 1 + axis]])) for hand in geometry.hands)
-        parts.append(f'<path d="{lines}" fill="none" stroke="{shade}" stroke-width="1.2"/>')
+        parts.append(f'<path d="{lines}" fill="none" stroke="{shade}" stroke-width="1.6"/>')
     parts += [*_key(geometry), *_ruler(scale)]
     return "".join([*parts, "</svg>"])
 
@@ -204,9 +207,10 @@ def _key(geometry: Geometry) -> Iterable[str]:
     if len(geometry.beams) > LEGEND:
         return
     for index, one in enumerate(geometry.beams):
-        y, shade = 16 + LEGEND_ROW * index, colour(index, len(geometry.beams))
-        yield f'<circle cx="12" cy="{y}" r="4" fill="{shade}"/>'
-        yield f'<text x="22" y="{y + 4}" font-size="12" fill="{INK}">beam {label(one.name)}</text>'
+        y, shade = 18 + LEGEND_ROW * index, colour(index, len(geometry.beams))
+        yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
+        words = f"beam {label(one.name)}"
+        yield f'<text x="26" y="{y + 6}" font-size="{LETTERS}" fill="{INK}">{words}</text>'
 
 
 def _ruler(scale: float) -> Iterable[str]:
@@ -216,6 +220,6 @@ def _ruler(scale: float) -> Iterable[str]:
     x, y = WIDTH - 12.0, HEIGHT - 12.0
     yield f'<path d="M{x:.1f} {y:.1f}h{-length * scale:.1f}" stroke="{GREY}" stroke-width="2"/>'
     yield (
-        f'<text x="{x:.1f}" y="{y - 6.0:.1f}" font-size="12" text-anchor="end" fill="{INK}">'
+        f'<text x="{x:.1f}" y="{y - 6.0:.1f}" font-size="{LETTERS}" text-anchor="end" fill="{INK}">'
         f"{length:g} mm</text>"
     )

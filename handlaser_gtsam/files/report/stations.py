@@ -18,16 +18,16 @@ def stations_table(subject: Subject) -> Table | None:
     recording, rows = subject.calibration.recording, subject.rows
     if recording is None or rows is None:
         return None
-    count = len(recording.plane_labels)
-    shown, note = np.arange(count), ""
+    shown, note = np.unique(rows.station), ""  # those merged into others have no readings
+    count, every = len(shown), len(recording.plane_labels)
     if count > MOST_STATIONS:
-        largest = np.zeros(count)
+        largest = np.zeros(every)
         np.maximum.at(largest, rows.station, np.nan_to_num(np.abs(rows.residual)))
         shown = np.sort(np.argsort(-largest, kind="stable")[:MOST_STATIONS])
         note = f"The {MOST_STATIONS} stations of {count} with the largest residuals."
     digits = digits_of([subject.calibration.fit.rms * MM], 6) + 1
     order = np.argsort(rows.station, kind="stable")
-    first = np.searchsorted(rows.station[order], np.arange(count + 1))
+    first = np.searchsorted(rows.station[order], np.arange(every + 1))
     return Table(
         "stations",
         "Residuals are predicted less read; the largest with its beam, and in its own standard "

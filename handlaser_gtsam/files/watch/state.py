@@ -15,7 +15,7 @@ from ..json_text import Record
 from ..report.figure import Figure
 from ..report.geometry import in_world
 from ..report.head import head_of, next_words, plan_table
-from ..report.knowledge_figures import stations_figure
+from ..report.history_figure import stations_figure
 from ..report.mounts import MOST_BEAMS
 from ..report.scene import scene_figure
 from ..report.subject import Subject

@@ -1,4 +1,4 @@
-"""Figures of what is known: correlations, and how the uncertainty fell with the stations."""
+"""The figure of what was known after how many stations."""
 
 import math
 
@@ -7,83 +7,13 @@ import numpy as np
 from ...arrays import FloatArray
 from ...results.lines import DEG, MM
 from ..json_text import Record
-from .evidence import FLAGGED, MOST_BEAMS
-from .figure import COLOURS, Figure, axis, label, layout, numbers
-from .mounts import correlation_matrix
+from .figure import COLOURS, Figure, axis, layout, numbers
 from .subject import Subject
 
 NICE = (1.0, 2.0, 5.0)
 MOST_TICKS = 7
 ROOM = 0.06
 """Above and below a logarithmic curve, in decades."""
-
-
-def correlation_figure(subject: Subject) -> Figure | None:
-    """Return the correlations of all unknowns of the beams; None without a covariance."""
-    labels, C = correlation_matrix(subject, MOST_BEAMS)
-    if not labels or not subject.solved:
-        return None
-    beams = list(dict.fromkeys(beam for beam, _ in labels))
-    first = [next(i for i, (beam, _) in enumerate(labels) if beam == name) for name in beams]
-    ends = [*first[1:], len(labels)]
-    numbered = {beam: label(beam) for beam in beams}
-    if len(set(numbered.values())) < len(beams):  # names that differ only where they are cut
-        numbered = {beam: f"{label(beam)} ({i})" for i, beam in enumerate(beams, 1)}
-    words = [f"beam {numbered[beam]} {name}" for beam, name in labels]
-    trace: Record = {
-        "type": "heatmap",
-        "z": [numbers(row, 3) for row in C],
-        "x": words,
-        "y": words,
-        "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
-        "zmin": -1,
-        "zmax": 1,
-        "colorscale": _scale(),
-        "colorbar": {
-            "thickness": 10,
-            "len": 0.9,
-            "outlinewidth": 0,
-            "tickvals": [-1, -0.8, 0, 0.8, 1],
-        },
-    }
-    middles = [(a + b - 1) / 2.0 for a, b in zip(first, ends, strict=True)]
-    names = [f"beam {label(name)}" for name in beams]
-    lines: list[Record] = [
-        {"type": "line", "line": {"color": "white", "width": 2}, **where}
-        for start in first[1:]
-        for where in (
-            {"xref": "paper", "x0": 0, "x1": 1, "y0": start - 0.5, "y1": start - 0.5},
-            {"yref": "paper", "y0": 0, "y1": 1, "x0": start - 0.5, "x1": start - 0.5},
-        )
-    ]
-    side = axis(
-        "",
-        type="category",
-        tickvals=middles,
-        ticktext=names,
-        showgrid=False,
-        zeroline=False,
-        ticks="",
-    )
-    caption = (
-        "Correlations. Every beam has location x, y, z, two components of its direction, and its "
-    )
-    caption += f"range errors. Dark is above {FLAGGED} in size: hardly told apart."
-    upright = side | {"autorange": "reversed", "tickangle": -90}
-    drawn = layout("", "", 420, {"xaxis": side, "yaxis": upright, "shapes": lines})
-    return Figure("correlation", caption, [trace], drawn)
-
-
-def _scale() -> list[tuple[float, str]]:
-    """Return colours that are pale up to the flag and dark beyond."""
-    edge = 0.5 * (1.0 + FLAGGED)
-    return [
-        (0.0, "#08306b"),
-        (1.0 - edge, "#6baed6"),
-        (0.5, "#f7f8fa"),
-        (edge, "#fc9272"),
-        (1.0, "#7f0000"),
-    ]
 
 
 def stations_figure(subject: Subject) -> Figure | None:
@@ -148,6 +78,8 @@ def _logarithmic(traces: list[Record], side: str) -> Record:
         for y in trace["y"]
         if y
     ]
+    if not values:  # of readings without noise
+        return {"type": "linear"}
     low, high = math.log10(min(values)) - ROOM, math.log10(max(values)) + ROOM
     powers = range(math.floor(low), math.ceil(high) + 1)
     ticks = [step * 10.0**power for power in powers for step in NICE]
