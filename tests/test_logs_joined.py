@@ -77,6 +77,29 @@ def test_files_are_joined_by_station(tmp_path, driven):
     assert found.samples is None  # the three rows that stand twice are no further readings
 
 
+@pytest.mark.parametrize("of_poses", [True, False])
+def test_the_column_of_planes_may_be_in_either_file(tmp_path, driven, of_poses):
+    drive, _ = driven
+    _, t, d = at_stands(drive)
+    files = tmp_path / "poses.csv", tmp_path / "readings.csv"
+    labels = ["AB"[w] for w in drive.plane_of_stand]
+    for file, header, rows in zip(
+        files,
+        (POSE, "range_left,range_right"),
+        (np.hstack((t, drive.stand_quaternion)), d),
+        strict=True,
+    ):
+        mine = (file == files[0]) == of_poses
+        lines = [f"station,{header}" + ",wall" * mine]
+        for i, (row, label) in enumerate(zip(rows, labels, strict=True)):
+            lines.append(f"P{i},{numbers(row)}" + f",{label}" * mine)
+        file.write_text("\n".join(lines) + "\n")
+    found = hl.read_log(files[0], hl.LogFormat(readings=files[1], plane_column="wall"))
+    assert found.plane_labels == tuple(labels)
+    with pytest.raises(hl.InputError, match="no column 'door' in both files"):
+        hl.read_log(files[0], hl.LogFormat(readings=files[1], plane_column="door"))
+
+
 def test_labels_that_do_not_match_are_refused(tmp_path):
     poses, readings = tmp_path / "poses.csv", tmp_path / "readings.csv"
     poses.write_text(f"station,{POSE}\nP1,1,0,0,0,0,0,1\n")

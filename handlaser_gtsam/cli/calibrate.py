@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .log_options import Log
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, logged
+from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, logged, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -91,13 +91,7 @@ class Output:
     @property
     def reading(self) -> float | None:
         """The reading of --at-range-mm in metres."""
-        from ..checks import require_number
-        from ..data.recording import LARGEST
-
-        if self.at_range_mm is None:
-            return None
-        require_number("--at-range-mm", self.at_range_mm, -1e3 * LARGEST, 1e3 * LARGEST)
-        return 1e-3 * self.at_range_mm
+        return metres(self.at_range_mm)
 
     def check(self, sources: tuple[Path | None, ...]) -> None:
         """Refuse files that cannot be written, or are one of the `sources` or each other."""

@@ -138,6 +138,17 @@ def logged(path: Path, rig: "Rig") -> "tuple[LogReport, Noise]":
     return report, noise
 
 
+def metres(at_range_mm: float | None) -> float | None:
+    """Return the reading of --at-range-mm in metres."""
+    from ..checks import require_number
+    from ..data.recording import LARGEST
+
+    if at_range_mm is None:
+        return None
+    require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST, 1e3 * LARGEST)
+    return 1e-3 * at_range_mm
+
+
 def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     """Return a verb that takes the fields of its groups, instead of the groups, and --log-level."""
     groups: dict[str, Callable[..., object]] = {}

@@ -16,6 +16,7 @@ from .plot import plot
 from .simulate import simulate
 from .study import study
 from .validate import validate
+from .watch import watch
 
 NAME = "handlaser"
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
@@ -27,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate):
+for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate, watch):
     app.command(epilog=epilog(verb.__name__))(expanded(verb))
 
 

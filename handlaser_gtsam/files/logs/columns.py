@@ -93,10 +93,17 @@ def columns_of(
         beams,
         given.beam_column if readings else "",
         given.range_column if readings else "",
-        _named(table, given.plane_column, ("plane",)),
+        _plane_column(table, given, alone=poses and readings),
         _named(table, station, ("station",)),
         _named(table, time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
     )
+
+
+def _plane_column(table: Table, given: LogFormat, *, alone: bool) -> str:
+    """Return the column of planes; of two files either may have the one that is stated."""
+    if given.plane_column and not alone and given.plane_column not in table.frame.columns:
+        return ""
+    return _named(table, given.plane_column, ("plane",))
 
 
 def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:

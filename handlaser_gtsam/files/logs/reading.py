@@ -9,6 +9,7 @@ from ...checks import require_kind
 from ...data.recording import Recording
 from ...errors import InputError
 from ...model.sensor import Sensor
+from ...text import shown
 from ..recording_csv import POSE, read_recording
 from ..writing import path_of
 from .assembling import Known, Stationed, assembled
@@ -131,6 +132,9 @@ def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
     second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
     table = read_log_table(given.readings or path, replace(second, pose_format="", rotation=""))
     readings = rows_of(table, given, known.sensor, poses=False)
+    if given.plane_column and not (poses.columns.plane or readings.columns.plane):
+        expected = "the name of a column of either, as its header has it"
+        raise InputError(f"no column {shown(given.plane_column)} in both files", expected, path)
     if poses.stations is not None and readings.stations is not None and not given.stands:
         joined = by_station(poses, readings)
         return _report(path, poses, readings, joined, given, known, (0.0, None))

@@ -1,0 +1,1 @@
+"""A page that follows a recording as it grows: who reads it, who calibrates, who serves the page."""

@@ -1,0 +1,116 @@
+"""Who may ask: requests by the names of this computer only, and from no other page.
+
+A page from elsewhere can make a browser ask a server on the same computer, under a name of its own that
+leads there (DNS rebinding) or from its own origin. Both show in what the browser says of the request.
+"""
+
+import ipaddress
+import re
+import socket
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
+FORBIDDEN = 403
+HTTP_PORT = 80
+HEADERS = {
+    "cache-control": "no-store",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """By what names a server may be asked.
+
+    Attributes
+    ----------
+    port : int
+    names : frozenset of str
+        In lower case, IPv6 addresses in brackets.
+    any_address : bool
+        Whether every numerical address will do: where others may ask, nobody can tell which of them
+        lead here; no name can be made to lead to them.
+    """
+
+    port: int
+    names: frozenset[str]
+    any_address: bool
+
+    def allow(self, authority: str) -> bool:
+        """Tell whether `authority`, a host with a port, is this server."""
+        found = AUTHORITY.fullmatch(authority.lower())
+        if found is None or int(found[2] or HTTP_PORT) != self.port:
+            return False
+        return found[1] in self.names or (self.any_address and _is_address(found[1]))
+
+
+def names_of(host: str, bound: socket.socket) -> Names:
+    """Return the names of a server that was asked to listen at `host`, and does so at `bound`."""
+    address, port = bound.getsockname()[:2]
+    here = {spelt(host), spelt(address)}
+    if is_loopback(bound):
+        return Names(port, frozenset(here | {"localhost", "127.0.0.1", "[::1]"}), False)
+    name = socket.gethostname().lower()
+    everywhere = {"localhost", name, f"{name.partition('.')[0]}.local"}
+    return Names(port, frozenset(here | everywhere), True)
+
+
+def is_loopback(bound: socket.socket) -> bool:
+    """Tell whether only this computer reaches a socket."""
+    return ipaddress.ip_address(bound.getsockname()[0].partition("%")[0]).is_loopback
+
+
+def spelt(host: str) -> str:
+    """Return a host as an address of a page has it."""
+    host = host.lower()
+    return f"[{host}]" if ":" in host else host
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        return False
+    return True
+
+
+class Guard:
+    """Refuses requests under a foreign name or from a foreign page, and sets headers of security."""
+
+    def __init__(self, app: ASGIApp, names: Names, policy: str) -> None:
+        self._app, self._names = app, names
+        headers = HEADERS | {"content-security-policy": policy}
+        self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or let the application do so."""
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", []), *self._headers]
+            await send(message)
+
+        fault = self.fault(Headers(scope=scope))
+        app = self._app if not fault else PlainTextResponse(f"{fault}\n", FORBIDDEN)
+        await app(scope, receive, with_headers)
+
+    def fault(self, headers: Headers) -> str:
+        """Return why a request is refused; empty where it is not."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or not self._names.allow(hosts[0]):
+            return "refused: asked under a name that is not that of this server"
+        for origin in headers.getlist("origin"):
+            if origin.lower() != f"http://{hosts[0].lower()}":
+                return "refused: asked from another page"
+        site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
+        if site in ("cross-site", "same-site") and mode != "navigate":
+            return "refused: asked from another page"
+        return ""

@@ -1,0 +1,213 @@
+"""The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP."""
+
+import asyncio
+import errno
+import ipaddress
+import socket
+import threading
+from collections.abc import Callable
+from types import TracebackType
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
+from uvicorn import Config, Server
+
+from ...errors import InputError
+from .guard import Guard, is_loopback, names_of, spelt
+from .hub import Hub
+from .page import live_page
+from .patience import PatientProtocol
+
+PORT = 8642
+TRIED = 20
+"""Ports that are tried, from `PORT` on, where none is asked for."""
+BUFFER = 1 << 18
+"""Bytes that the system holds back at most for a client that does not read."""
+MOST_CLIENTS = 64
+"""Who looks on at a time; a browser has one connection a tab."""
+
+
+def listening(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens.
+
+    Parameters
+    ----------
+    host : str
+    port : int or None
+        0 takes any that is free; None takes `PORT`, or the next that is free.
+
+    Raises
+    ------
+    InputError
+        The port is taken, or the host is none of this computer's.
+    """
+    ports = range(PORT, PORT + TRIED) if port is None else (port,)
+    for one in ports:
+        try:
+            return _bound(host, one)
+        except (OSError, UnicodeError) as error:
+            taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+            if taken and one != ports[-1]:
+                continue
+            if taken:
+                found = f"port {one} of {host}, which is in use"
+                raise InputError(found, "--port with another, or 0 for any that is free") from error
+            why = getattr(error, "strerror", None) or "no such name"
+            found = f"no way to listen at {host}, port {one} ({why})"
+            raise InputError(found, "a host and a port of this computer") from error
+    raise AssertionError(ports)
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    flags = socket.AI_PASSIVE
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        host, port, type=socket.SOCK_STREAM, flags=flags
+    )[0]
+    found = socket.socket(family, kind, protocol)
+    try:
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        found.bind(address)
+        found.listen()
+    except OSError:
+        found.close()
+        raise
+    return found
+
+
+class PageServer:
+    """A context in which the page is served.
+
+    Parameters
+    ----------
+    host : str
+        As it was asked for.
+    bound : socket
+        It listens already; it is closed at the end.
+    """
+
+    def __init__(self, host: str, bound: socket.socket) -> None:
+        page = live_page()
+        self._bound, self._page = bound, page
+        self._hub = Hub(page.name)
+        routes = [Route("/", self._index), Route("/events", self._events)]
+        guarded = Guard(Starlette(routes=routes), names_of(host, bound), page.policy)
+        self._server = Server(
+            Config(
+                guarded,
+                http=PatientProtocol,
+                ws="none",
+                lifespan="off",
+                log_config=None,
+                log_level="critical",
+                access_log=False,
+                server_header=False,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def __enter__(self) -> "PageServer":
+        self._thread.start()
+        self._ready.wait()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._server.should_exit = self._server.force_exit = True
+        self._soon(self._hang_up)
+        self._thread.join(3.0)
+        self._bound.close()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        host, port = self._bound.getsockname()[:2]
+        if ipaddress.ip_address(host.partition("%")[0]).is_unspecified:
+            host = socket.gethostname()
+        return f"http://{spelt(host)}:{port}/"
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this computer reaches the page."""
+        return is_loopback(self._bound)
+
+    @property
+    def clients(self) -> int:
+        """How many look on."""
+        return self._hub.clients
+
+    def publish(self, kind: str, text: str) -> None:
+        """Show a text, one line, to all who look on; from any thread."""
+        self._soon(lambda: self._hub.publish(kind, text))
+
+    def _soon(self, what: Callable[[], None]) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(what)
+
+    def _hang_up(self) -> None:
+        for one in list(self._server.server_state.connections):
+            one.transport.abort()
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._ready.set()
+        await self._server.serve(sockets=[self._bound])
+
+    async def _index(self, _: Request) -> Response:
+        return HTMLResponse(self._page.html)
+
+    async def _events(self, request: Request) -> Response:
+        if self._hub.clients >= MOST_CLIENTS:
+            return PlainTextResponse("too many look on already\n", 503, {"retry-after": "10"})
+        return _Events(self._hub, request.headers.get("last-event-id", ""))
+
+
+class _Events(Response):
+    """Server-sent events until the client has gone."""
+
+    media_type = "text/event-stream"
+
+    def __init__(self, hub: Hub, last: str) -> None:
+        super().__init__()
+        self._hub, self._heard = hub, {"state": last}
+        del self.headers["content-length"]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
+        await send(start)
+        if scope["method"] == "HEAD":
+            await send({"type": "http.response.body", "body": b""})
+            return
+        self._hub.clients += 1
+        gone = asyncio.create_task(_gone(receive))
+        try:
+            body = self._hub.hello
+            while not gone.done():
+                await send({"type": "http.response.body", "body": body, "more_body": True})
+                news = asyncio.create_task(self._hub.news(self._heard))
+                await asyncio.wait({gone, news}, return_when=asyncio.FIRST_COMPLETED)
+                if not news.done():
+                    news.cancel()
+                    break
+                body = news.result()
+        finally:
+            self._hub.clients -= 1
+            gone.cancel()
+
+
+async def _gone(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass

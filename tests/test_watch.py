@@ -1,0 +1,598 @@
+"""The page that follows a recording: who may ask, who looks on, and what the file may do meanwhile.
+
+Clients are sockets with a parser of their own. Skipped without the extra `watch`.
+"""
+
+import contextlib
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from helpers import GRIPPER, simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.files.recording_csv import write_recording
+from handlaser_gtsam.validation.scenes import Layout
+
+pytest.importorskip("starlette", reason="needs the extra watch")
+pytest.importorskip("uvicorn", reason="needs the extra watch")
+
+from watching import Client, answer, until, watching
+
+from handlaser_gtsam.files.watch import patience
+from handlaser_gtsam.files.watch.follower import Follower
+from handlaser_gtsam.files.watch.guard import Names, names_of
+from handlaser_gtsam.files.watch.hub import Hub
+from handlaser_gtsam.files.watch.server import PageServer, listening
+from handlaser_gtsam.files.watch.watched import Watched
+
+LINES = (GRIPPER / "recording.csv").read_text().splitlines(keepends=True)
+RIG = (GRIPPER / "rig.toml").read_text()
+KIB = 1024
+MIB = KIB * KIB
+
+
+def resident(pid):
+    """Bytes of memory of a process."""
+    text = Path(f"/proc/{pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+) kB", text)[1]) * KIB
+
+
+linux = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
+
+
+@pytest.fixture
+def look_on():
+    """Make clients, all of which vanish at the end."""
+    made = []
+
+    def look(*arguments, **more):
+        made.append(Client(*arguments, **more))
+        return made[-1]
+
+    yield look
+    for one in made:
+        one.close()
+
+
+# --- a thousand stations -----------------------------------------------------------------------------
+
+
+@linux
+def test_everybody_ends_at_the_same_state_after_a_thousand_stations(tmp_path, look_on):
+    """Five look on, one of which stops reading at once; lines arrive in pieces."""
+    recording, _ = simulated(layout=Layout(beams=2, planes=8, stations=125))
+    write_recording(tmp_path / "all.csv", recording)
+    (tmp_path / "rig.toml").write_text(RIG.replace("[0, 30]", "[0, 60]"))
+    header, *rows = (tmp_path / "all.csv").read_text().splitlines(keepends=True)
+    assert len(rows) == 1000
+    path = tmp_path / "recording.csv"
+    path.write_text(header)
+    with watching(tmp_path, "--port", 0) as (process, port):
+        live = [look_on(port) for _ in range(4)]
+        stopped = look_on(port, buffer=4 * KIB, begin=False)
+        until(lambda: all(one.status.get("phase") == "waiting" for one in live))
+        before = resident(process.pid)
+        with path.open("a") as file:
+            for number, row in enumerate(rows):
+                for piece in (row[:40], row[40:]):
+                    file.write(piece)
+                    file.flush()
+                    time.sleep(0.005 if number % 10 else 0.02)
+        until(lambda: all(one.counted("stations") == 1000 for one in live), 240)
+        until(lambda: all(one.status["phase"] == "current" for one in live))
+        assert resident(process.pid) - before < 40 * MIB
+        assert len({(one.newest["state"], one.newest["status"]) for one in live}) == 1
+        stopped.begin()  # it was hung up on, or hears what is newest
+        until(lambda: not stopped.open or stopped.counted("stations") == 1000)
+        if stopped.open:
+            assert stopped.newest["state"] == live[0].newest["state"]
+            assert stopped.count["state"] <= min(one.count["state"] for one in live)
+        late = look_on(port)
+        until(lambda: "state" in late.newest and "status" in late.newest)
+        assert late.newest["state"] == live[0].newest["state"]
+        assert late.status == live[0].status
+        shown = live[0].state
+    rig = hl.read_rig(tmp_path / "rig.toml")
+    read = hl.read_recording(path, rig.sensor)
+    expected = hl.calibrate(read, rig.noise, hl.CalibrationOptions(sensor=rig.sensor))
+    assert shown["verdict"]["opening"] == "Usable"
+    for row, beam in zip(shown["beams"]["rows"], expected.beams.values(), strict=True):
+        for cell, value in zip(row[1:4], beam.location.tolist(), strict=True):
+            text = cell[0].replace("\N{MINUS SIGN}", "-")
+            unit = 10.0 ** -len(text.partition(".")[2])  # of the last digit that is shown
+            assert abs(float(text) - 1e3 * value) <= 0.51 * unit
+
+
+# --- who looks on ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def server():
+    with PageServer("127.0.0.1", listening("127.0.0.1", 0)) as found:
+        found.port = int(found.url.rstrip("/").rpartition(":")[2])
+        yield found
+
+
+@linux
+def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
+    """Two thousand states of 200 kB would be 400 MB for each of three that do not read."""
+    stopped = [look_on(server.port, buffer=4 * KIB, begin=False) for _ in range(3)]
+    live = [look_on(server.port) for _ in range(2)]
+    until(lambda: server.clients == 5)
+    text = "x" * 200 * KIB
+    before = resident(os.getpid())
+    for number in range(2000):
+        server.publish("state", json.dumps([number, text]))
+        if number % 20 == 0:
+            time.sleep(0.01)
+    until(lambda: all(one.state[:1] == [1999] for one in live if "state" in one.newest))
+    # One state in the making, and two on their way, for each of five; and what Python keeps of it.
+    assert resident(os.getpid()) - before < 60 * MIB
+    for one in stopped:
+        one.begin()
+    until(lambda: all("state" in one.newest and one.state[0] == 1999 for one in stopped))
+    assert all(one.count["state"] < 100 for one in stopped)
+
+
+def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
+    monkeypatch.setattr(patience, "PATIENCE", 0.3)
+    stopped, live = look_on(server.port, buffer=4 * KIB, begin=False), look_on(server.port)
+    until(lambda: server.clients == 2)
+    for number in range(30):
+        server.publish("state", json.dumps([number, "x" * 400 * KIB]))
+        time.sleep(0.05)
+    until(lambda: server.clients == 1)
+    until(lambda: live.state[0] == 29)
+    assert live.open
+    stopped.begin()
+    until(lambda: not stopped.open)
+
+
+def test_who_vanishes_is_forgotten(server, look_on):
+    clients = [look_on(server.port) for _ in range(10)]
+    until(lambda: server.clients == 10)
+    for one in clients[1:]:
+        one.close()
+    until(lambda: server.clients == 1)
+    server.publish("state", "[7]")
+    until(lambda: clients[0].state == [7])
+
+
+def test_who_comes_back_hears_only_what_is_new(server, look_on):
+    server.publish("state", "[1]")
+    first = look_on(server.port)
+    until(lambda: "state" in first.newest)
+    mark = Hub("")
+    mark.publish("state", "[1]")
+    (known,) = re.findall(r"id: (\w+)", mark.unheard({}).decode())
+    asking = socket.create_connection(("127.0.0.1", server.port))
+    host = f"Host: 127.0.0.1:{server.port}"
+    asking.sendall(f"GET /events HTTP/1.1\r\n{host}\r\nLast-Event-ID: {known}\r\n\r\n".encode())
+    until(lambda: server.clients == 2)
+    server.publish("status", "[2]")
+    heard = b""
+    while b"event: status" not in heard:
+        heard += asking.recv(4096)
+    assert b"event: hello" in heard
+    assert b"event: state" not in heard
+    asking.close()
+
+
+def test_too_many_are_told_so(server, monkeypatch, look_on):
+    monkeypatch.setattr("handlaser_gtsam.files.watch.server.MOST_CLIENTS", 1)
+    look_on(server.port)
+    until(lambda: server.clients == 1)
+    status, headers, _ = answer(server.port, "/events")
+    assert (status, headers["retry-after"]) == (503, "10")
+
+
+# --- who may ask -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["/", "/events", "/nothing"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "evil.example:{port}"},
+        {"Host": "127.0.0.1.evil.example:{port}"},
+        {"Host": "localhost.:{port}"},
+        {"Host": "localhost"},
+        {"Host": "127.0.0.1:1"},
+        {"Host": "192.168.0.7:{port}"},
+        {"Host": "user@127.0.0.1:{port}"},
+        {"Host": ""},
+        {"Origin": "http://evil.example"},
+        {"Origin": "http://localhost:3000"},
+        {"Origin": "https://127.0.0.1:{port}"},
+        {"Origin": "http://127.0.0.1:{port}.evil.example"},
+        {"Origin": "null"},
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors"},
+        {"Sec_Fetch_Site": "same-site", "Sec_Fetch_Mode": "cors"},
+    ],
+    ids=str,
+)
+def test_a_foreign_host_or_origin_is_refused(server, headers, path):
+    told = {name: value.format(port=server.port) for name, value in headers.items()}
+    status, answered, text = answer(server.port, path, **told)
+    assert status == 403
+    assert text.startswith("refused: ")
+    assert text.count("\n") == 1
+    assert "access-control-allow-origin" not in answered
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Host": "localhost:{port}", "Origin": "http://localhost:{port}"},
+        {"Host": "LOCALHOST:{port}"},
+        {"Host": "[::1]:{port}"},
+        {"Origin": "http://127.0.0.1:{port}", "Sec_Fetch_Site": "same-origin"},
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate"},
+    ],
+    ids=str,
+)
+def test_the_page_itself_is_answered_and_nobody_else_may_read_it(server, headers):
+    told = {name: value.format(port=server.port) for name, value in headers.items()}
+    status, answered, text = answer(server.port, "/", **told)
+    assert status == 200
+    assert text.startswith("<!doctype html>")
+    assert "access-control-allow-origin" not in answered
+    assert answered["x-content-type-options"] == "nosniff"
+    policy = dict(part.split(" ", 1) for part in answered["content-security-policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert policy["connect-src"] == "'self'"
+    assert "unsafe" not in policy["script-src"]
+    assert "http" not in answered["content-security-policy"]
+
+
+def test_a_host_that_stands_twice_or_not_at_all_is_refused(server):
+    right = f"Host: 127.0.0.1:{server.port}\r\n"
+    for version, hosts in (("1.1", right + "Host: evil.example\r\n"), ("1.1", ""), ("1.0", "")):
+        with socket.create_connection(("127.0.0.1", server.port)) as asking:
+            asking.sendall(f"GET / HTTP/{version}\r\n{hosts}\r\n".encode())
+            assert re.match(rb"HTTP/1\.\d 40[03]", asking.recv(100))
+
+
+def test_there_is_nothing_else_to_ask_for(server):
+    assert answer(server.port, "/", "POST", Content_Length="0")[0] == 405
+    assert answer(server.port, "/events", "DELETE")[0] == 405
+    assert answer(server.port, "/../../etc/passwd")[0] == 404
+    assert answer(server.port, "/events", "HEAD")[0] == 200
+    until(lambda: server.clients == 0)
+
+
+def test_names_of_a_server_for_others():
+    with listening("0.0.0.0", 0) as bound:
+        names, port = names_of("0.0.0.0", bound), bound.getsockname()[1]
+    for host in ("192.168.0.7", "[fe80::1]", "localhost", socket.gethostname()):
+        assert names.allow(f"{host}:{port}"), host
+    for host in ("evil.example", "192.168.0.7.evil.example", "1e3", "0x7f.1"):
+        assert not names.allow(f"{host}:{port}"), host
+    assert Names(80, frozenset({"cell"}), any_address=False).allow("CELL")
+
+
+# --- what the file may do ----------------------------------------------------------------------------
+
+
+class Shown:
+    """Follows the files of a folder without a server, and keeps what is published."""
+
+    def __init__(self, folder, **more):
+        self.newest, self.states = {}, 0
+        self.path, self.rig = folder / "recording.csv", folder / "rig.toml"
+        self.follower = Follower(Watched(self.path, self.rig, **more), self._published)
+        self._thread = threading.Thread(target=self.follower.run)
+        self._thread.start()
+
+    def _published(self, kind, text):
+        assert "\n" not in text
+        self.states += kind == "state"
+        self.newest[kind] = json.loads(text)
+
+    def is_at(self, phase, stations=None):
+        """Wait until a state of so many stations is shown, and what the status says; return it."""
+
+        def reached():
+            state, status = self.newest.get("state"), self.newest.get("status", {})
+            counted = None if state is None else int(dict(state["counts"])["stations"])
+            return status.get("phase") == phase and counted == stations and status
+
+        return until(reached)
+
+    def end(self):
+        self.follower.stop()
+        self._thread.join()
+
+
+@pytest.fixture
+def shown(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    found = Shown(tmp_path)
+    yield found
+    found.end()
+
+
+def test_a_recording_that_comes_grows_goes_and_comes_again(shown):
+    assert shown.is_at("waiting")["note"] == "waiting for recording.csv, which is not there"
+    shown.path.touch()
+    until(lambda: shown.is_at("waiting")["note"] == "waiting for the first station")
+    shown.path.write_text(LINES[0])
+    shown.path.write_text("".join(LINES[:4]))
+    shown.is_at("current", 3)
+    assert shown.newest["state"]["verdict"]["opening"] == "Not usable, undetermined"
+    assert any("Turn the hand" in words for words in shown.newest["state"]["next"]["advice"])
+    assert shown.newest["state"]["falling"] is None
+    with shown.path.open("a") as file:
+        file.write("".join(LINES[4:20]) + LINES[20][:30])
+        file.flush()
+        until(lambda: shown.is_at("current", 19)["note"] == "line 21 is not whole yet")
+        assert shown.newest["state"]["verdict"]["opening"] == "Usable"
+        assert len(shown.newest["state"]["next"]["stations"]["rows"]) == 3
+        assert shown.newest["state"]["falling"]["data"]
+        until(lambda: shown.is_at("current", 19)["note"].startswith("not used: "))
+        file.write(LINES[20][30:])
+    assert shown.is_at("current", 20)["note"] == ""
+    shown.path.unlink()
+    assert shown.is_at("waiting", 20)["note"] == "waiting for recording.csv, which is not there"
+    shown.path.write_text("".join(LINES[:16]))
+    shown.is_at("current", 15)
+
+
+def test_what_is_wrong_is_said_and_the_last_good_state_stays(shown):
+    good = "".join(LINES[:20])
+    shown.path.write_text(good)
+    shown.is_at("current", 19)
+    kept = shown.newest["state"]
+    cell = LINES[9].split(",")
+    wrong = {
+        "line 10, column x": good.replace(LINES[9], ",".join([*cell[:2], "<b>1</b>", *cell[3:]])),
+        "line 5: found 3 fields": good.replace(LINES[4], "A,4,0.1\n"),
+        "control character": good.replace(LINES[9], "\x00" * 50 + "\n"),
+        "no column 'plane'": good.replace("plane", "planes", 1),
+        "found no reading at all": "".join(line.rsplit(",", 1)[0] + "," * (i > 0) + "\n"
+                                           if i else line for i, line in enumerate(LINES[:20])),
+    }  # fmt: skip
+    for words, text in wrong.items():
+        shown.path.write_text(text)
+        error = until(lambda words=words: words in shown.is_at("refused", 19)["error"])
+        assert error
+        assert str(shown.path) in shown.newest["status"]["error"]
+        assert shown.newest["status"]["error"].isprintable()
+        assert shown.newest["state"] == kept
+    shown.path.write_bytes(good.encode("utf-16"))
+    until(lambda: "UTF-16" in shown.is_at("refused", 19)["error"])
+    shown.path.write_text(good)
+    assert shown.is_at("current", 19)["error"] == ""
+    assert shown.newest["state"] == kept
+
+
+def test_a_file_that_is_truncated_replaced_or_no_file_for_a_while(shown, tmp_path):
+    shown.path.write_text("".join(LINES))
+    shown.is_at("current", 44)
+    with shown.path.open("r+") as file:  # in place, as a spreadsheet or a shell does
+        file.truncate(len("".join(LINES[:18])))
+    shown.is_at("current", 17)
+    (tmp_path / "beside").write_text("".join(LINES[:25]))
+    (tmp_path / "beside").replace(shown.path)
+    shown.is_at("current", 24)
+    shown.path.unlink()
+    shown.path.mkdir()
+    until(lambda: "no regular file" in shown.is_at("refused", 24)["error"])
+    shown.path.rmdir()
+    os.mkfifo(shown.path)  # whoever opens it waits for ever
+    time.sleep(0.5)
+    shown.path.unlink()
+    shown.path.write_text("".join(LINES[:15]))
+    shown.is_at("current", 14)
+
+
+def test_a_change_whose_time_stamp_is_put_back_is_found(shown):
+    text = "".join(LINES[:20])
+    shown.path.write_text(text)
+    shown.is_at("current", 19)
+    time.sleep(0.2)
+    stamp, before = shown.path.stat().st_mtime_ns, shown.states
+    digit = text.rindex("\n") - 6
+    other = text[:digit] + ("1" if text[digit] != "1" else "2") + text[digit + 1 :]
+    shown.path.write_text(other)
+    os.utime(shown.path, ns=(stamp, stamp))
+    until(lambda: shown.states > before)
+
+
+def test_the_rig_file_counts_as_soon_as_it_changes(shown):
+    shown.path.write_text("".join(LINES))
+    shown.is_at("current", 44)
+    assert shown.newest["state"]["verdict"]["mark"] == "good"
+    shown.rig.write_text(RIG + "[limits]\nrms_mm = 0.001\n")
+    until(lambda: "outside the limits" in shown.newest["state"]["verdict"]["opening"])
+    shown.rig.write_text(RIG + "[limits]\nrms_mm = zero\n")
+    assert str(shown.rig) in shown.is_at("refused", 44)["error"]
+    shown.rig.unlink()  # one that lies in the folder may be missing
+    shown.is_at("current", 44)
+    shown.rig.write_text(RIG)
+    until(lambda: shown.newest["state"]["verdict"]["opening"] == "Usable")
+
+
+def test_a_last_line_without_an_end_counts_once_the_file_has_rested(shown):
+    shown.path.write_text("".join(LINES[:20]).rstrip("\n"))
+    assert shown.is_at("current", 18)["note"] == "line 20 is not whole yet"
+    assert shown.is_at("current", 19)["note"] == ""
+
+
+def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
+    shown.path.write_text("".join(LINES[:20]))
+    shown.is_at("current", 19)
+    until(lambda: shown.follower._asked is None)
+    os.kill(shown.follower._worker.process.pid, signal.SIGKILL)
+    shown.path.write_text("".join(LINES[:22]))
+    shown.is_at("current", 21)  # another one took its place
+
+    def killed():
+        worker = shown.follower._worker
+        if worker is not None and worker.process.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(worker.process.pid, signal.SIGKILL)
+        return shown.newest["status"]["error"]
+
+    shown.path.write_text("".join(LINES[:24]))
+    assert "the calibration ended with signal 9" in until(killed)
+    shown.is_at("refused", 21)
+    shown.path.write_text("".join(LINES[:26]))
+    shown.is_at("current", 25)
+
+
+def test_names_are_text_wherever_they_are_shown(tmp_path):
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    names = ("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", "%{x}$a$", "&lt;b&gt;")
+    planes = {plane: f"<b>{plane}</b>" for plane in recording.plane_names}
+    named = replace(
+        recording,
+        beam_names=names,
+        plane_labels=tuple(planes[plane] for plane in recording.plane_labels),
+    )
+    write_recording(tmp_path / "recording.csv", named)
+    found = Shown(tmp_path, given={"range_mm": (0.0, 30.0)})
+    try:
+        found.is_at("current", 44)
+    finally:
+        found.end()
+    state = found.newest["state"]
+    assert [row[0][0] for row in state["beams"]["rows"]] == list(names)  # the page sets it as text
+    for figure in (state["space"], state["falling"]):
+        shown = [{**one, "legendgroup": ""} for one in figure["data"]]  # that is never text
+        drawn = json.dumps(shown)
+        for tag in ("<script", "<img", "<b>"):
+            assert tag not in drawn
+    assert "&lt;script&gt;" in json.dumps(state["space"]["data"])
+
+
+# --- the command -------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_ends_at_once_with_one_line(tmp_path, look_on):
+    (tmp_path / "recording.csv").write_text("".join(LINES))
+    with watching(tmp_path, "--port", 0) as (process, port):
+        clients = [look_on(port), look_on(port, buffer=KIB, begin=False)]
+        until(lambda: clients[0].status.get("phase") == "calibrating" or clients[0].state)
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+        assert (process.returncode, err) == (130, "handlaser: stopped by Ctrl-C\n")
+        assert out.endswith("Ctrl-C ends\n")
+        assert time.monotonic() - began < 10.0
+        until(lambda: not clients[0].open)
+
+
+@linux
+def test_no_process_stays_behind(tmp_path, look_on):
+    (tmp_path / "recording.csv").write_text("".join(LINES))
+    with watching(tmp_path, "--port", 0) as (process, port):
+        client = look_on(port)
+        until(lambda: client.counted("stations") == 44)
+        children = [
+            int(path.parent.name)
+            for path in Path("/proc").glob("[0-9]*/stat")
+            if _parent(path) == process.pid
+        ]
+        assert children
+        process.kill()
+        until(lambda: not any(_alive(child) for child in children))
+
+
+def _parent(path):
+    with contextlib.suppress(OSError):
+        return int(path.read_text().rpartition(")")[2].split()[1])
+    return None
+
+
+def _alive(pid):
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def test_a_port_in_use_is_one_clear_line(handlaser, tmp_path):
+    with listening("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        code, out, err = handlaser("watch", tmp_path, "--port", port)
+    assert (code, out) == (2, "")
+    assert err == (
+        f"handlaser: found port {port} of 127.0.0.1, which is in use; "
+        "expected --port with another, or 0 for any that is free\n"
+    )
+
+
+def test_without_a_port_the_next_free_one_is_taken(monkeypatch):
+    with listening("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        monkeypatch.setattr("handlaser_gtsam.files.watch.server.PORT", port)
+        with listening("127.0.0.1", None) as found:
+            assert port < found.getsockname()[1] < port + 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["{folder}/none"], "found neither a folder nor a file"),
+        (["{folder}/none/recording.csv"], "found neither a folder nor a file"),
+        (["/dev/null"], "found neither a file nor a folder"),
+        (["{folder}", "--rig", "{folder}/none.toml"], "found no such file; expected a rig file"),
+        (["{folder}", "--range-sigma-mm", "-1"], "found range sigma -0.001 m"),
+        (
+            ["{folder}", "--host", "no.such.name.invalid"],
+            "no way to listen at no.such.name.invalid",
+        ),
+        (["{folder}", "--host", "192.0.2.1"], "no way to listen at 192.0.2.1"),
+        (["{folder}", "--at-range-mm", "nan"], "--at-range-mm"),
+    ],
+)
+def test_what_cannot_be_watched_is_refused(handlaser, tmp_path, arguments, words):
+    told = [one.format(folder=tmp_path) for one in arguments]
+    code, out, err = handlaser("watch", *told, "--port", 0)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_without_the_extra_it_is_named(handlaser, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "starlette", None)
+    code, _, err = handlaser("watch", tmp_path)
+    assert code == 2
+    assert "pip install 'handlaser-gtsam[watch]'" in err
+
+
+def test_a_file_with_its_rig_and_a_host_for_others(tmp_path, look_on):
+    (tmp_path / "cell.csv").write_text("".join(LINES))
+    (tmp_path / "cell.toml").write_text(RIG)
+    rig = ("--rig", tmp_path / "cell.toml")
+    with watching(tmp_path / "cell.csv", *rig, "--host", "0.0.0.0", "--port", 0) as (process, port):
+        client = look_on(port)
+        until(lambda: client.counted("stations") == 44)
+        assert client.status["file"] == "cell.csv"
+        assert answer(port, Host=f"192.168.0.7:{port}")[0] == 200
+        assert answer(port, Host=f"evil.example:{port}")[0] == 403
+        process.send_signal(signal.SIGINT)
+        assert "whoever reaches this computer sees the page" in process.communicate(timeout=60)[1]
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\nsys.argv = ['handlaser', 'watch', '--help']\n"
+        "from handlaser_gtsam.cli import main\n"
+        "try: main()\n"
+        "finally: print([n for n in ('gtsam', 'starlette', 'uvicorn', 'plotly') if n in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.endswith("[]\n")

@@ -1,0 +1,124 @@
+"""What the tests of `handlaser watch` share: the command as a process, and clients on real sockets."""
+
+import contextlib
+import http.client
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+BEGUN = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests says
+from handlaser_gtsam.cli import main
+main()
+"""
+PATIENCE = 90.0
+"""Seconds until a busy machine has done anything."""
+
+
+def until(condition, seconds=PATIENCE):
+    """Wait until a condition holds, and return what it returned."""
+    end = time.monotonic() + seconds
+    while True:
+        found = condition()
+        if found or time.monotonic() > end:
+            assert found, "it did not happen"
+            return found
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def watching(*arguments):
+    """Run the command; yield the process and the port."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", BEGUN, "watch", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        line = process.stdout.readline()
+        yield process, int(re.search(r"http://\S+:(\d+)/", line)[1])
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE)
+
+
+def answer(port, path="/", method="GET", **headers):
+    """Ask once; return status, headers in lower case, and text."""
+    asked = {name.replace("_", "-"): value for name, value in headers.items()}
+    asking = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
+    asking.putrequest(method, path, skip_host="Host" in asked)
+    for name, value in asked.items():
+        asking.putheader(name, value)
+    asking.endheaders()
+    found = asking.getresponse()
+    told = {name.lower(): value for name, value in found.getheaders()}
+    text = "" if told.get("content-type", "").startswith("text/event") else found.read().decode()
+    asking.close()
+    return found.status, told, text
+
+
+class Client:
+    """Looks on: keeps the newest event of every kind, and how many there were."""
+
+    def __init__(self, port, buffer=None, begin=True):
+        self.newest, self.count, self.open = {}, {}, True
+        self._socket = socket.socket()
+        if buffer:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+        self._socket.connect(("127.0.0.1", port))
+        self._socket.sendall(f"GET /events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        if begin:
+            self.begin()
+
+    def begin(self):
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self):
+        """Vanish."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    @property
+    def state(self):
+        return json.loads(self.newest.get("state", "{}"))
+
+    @property
+    def status(self):
+        return json.loads(self.newest.get("status", "{}"))
+
+    def counted(self, term):
+        """A number of the state."""
+        return int(dict(self.state.get("counts", [])).get(term, -1))
+
+    def _read(self):
+        with contextlib.suppress(OSError, ValueError, http.client.HTTPException):
+            self._follow(http.client.HTTPResponse(self._socket))
+        self.open = False
+
+    def _follow(self, response):
+        with response:
+            response.begin()
+            kind, data = "", []
+            while line := response.readline():
+                name, _, value = line.decode().rstrip("\n").partition(":")
+                if name == "event":
+                    kind = value.strip()
+                elif name == "data":
+                    data.append(value.removeprefix(" "))
+                elif not name and kind:
+                    self.newest[kind] = "\n".join(data)
+                    self.count[kind] = self.count.get(kind, 0) + 1
+                    kind, data = "", []
