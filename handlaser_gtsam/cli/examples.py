@@ -27,6 +27,10 @@ EXAMPLES = {
         "handlaser plan recording.csv --rig rig.toml \\\n    --stations 12 --out stations.csv",
         "handlaser plan recording.csv --rig rig.toml \\\n    --stations 5 --picture forecast.svg",
     ),
+    "plot": (
+        "handlaser plot recording.csv --rig rig.toml \\\n    --out pictures",
+        "handlaser plot calibration.json --out mounts",
+    ),
     "simulate": (
         "handlaser simulate made",
         "handlaser simulate made --scene arm --beams 2 \\\n    --k1 0.01 --seed 7 --force",
@@ -39,8 +43,13 @@ EXAMPLES = {
         "handlaser validate recording.csv --rig rig.toml",
         "handlaser validate recording.csv \\\n    --calibration calibration.json",
     ),
+    "watch": (
+        "handlaser watch .",
+        "handlaser watch recording.csv --rig rig.toml \\\n    --port 9000 --open",
+    ),
 }
-"""What a person copies, by verb. The files are those of examples/gripper and examples/study."""
+"""What a person copies, by verb; those of `watch` run until they are stopped. The files are
+those of examples/gripper and examples/study."""
 
 
 def epilog(verb: str) -> str:
