@@ -20,6 +20,10 @@ from .state import state_text
 from .watched import Watched
 
 
+GIVING_WAY = 5
+"""Added to the niceness: whoever moves the robot and records comes first."""
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """What became of the files.
@@ -119,6 +123,7 @@ class Calibrator:
 def work(asked: "Connection[Answer, bool]", watched: Watched) -> None:
     """Answer whoever asks, until nobody does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
+    os.nice(GIVING_WAY)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     calibrator = Calibrator(watched)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
