@@ -19,7 +19,6 @@ from .snapshot import Snapshot, recording_in, snapshot
 from .state import state_text
 from .watched import Watched
 
-
 GIVING_WAY = 5
 """Added to the niceness: whoever moves the robot and records comes first."""
 
