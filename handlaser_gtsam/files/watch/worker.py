@@ -87,7 +87,7 @@ class Calibrator:
         return answer
 
     def _calibrated(self, found: Snapshot, rest: bytes) -> Answer:
-        if not found.stations and not rest.strip():
+        if not found.has_stations(rest):
             return Answer(note="waiting for the first station", waiting=True)
         try:
             rig = known_rig(found.rig, self._watched.given)
@@ -107,7 +107,7 @@ class Calibrator:
             try:
                 return recording_in(found.lines + rest, path, sensor), ""
             except InputError as error:
-                if not found.stations:
+                if not found.has_stations():
                     raise
                 whole, note = recording_in(found.lines, path, sensor), f"not used: {error}"
                 return whole, note
