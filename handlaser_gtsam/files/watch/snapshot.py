@@ -39,7 +39,7 @@ class Snapshot:
     digest: str
 
     def has_stations(self, rest: bytes = b"") -> bool:
-        """Tell whether anything follows the header, in the whole lines and in what stands after them."""
+        """Tell whether anything follows the header, in the whole lines or in the rest after them."""
         return sum(1 for line in (self.lines + rest).splitlines() if line.strip()) > 1
 
     @property
