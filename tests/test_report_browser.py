@@ -310,6 +310,34 @@ def test_the_checks_of_the_layout_find_what_they_look_for(chromium, reports):
     found.page.close()
 
 
+def test_a_window_that_changes_its_size_is_laid_out_anew(chromium, reports):
+    found = Seen(chromium, reports / "good.html", 1280)
+    for width in (390, 800, 1280):
+        found.page.set_viewport_size({"width": width, "height": 900})
+        place = "document.querySelector('#qq .main-svg').getBoundingClientRect().width"
+        wanted = "document.querySelector('#qq').clientWidth"
+        for _ in range(100):  # plotly.js waits a moment before it draws again
+            found.page.wait_for_timeout(100)
+            if abs(found.evaluate(place) - found.evaluate(wanted)) < ROUNDING:
+                break
+        found.page.wait_for_timeout(500)
+        assert found.evaluate(FAULTS, ROUNDING) == [], width
+    assert found.faults == []
+    found.page.close()
+
+
+def test_without_scripts_the_page_is_whole_but_for_its_figures(chromium, reports):
+    context = chromium.new_context(
+        java_script_enabled=False, viewport={"width": 390, "height": 900}
+    )
+    page = context.new_page()
+    page.goto((reports / "good.html").as_uri())
+    assert page.is_visible("#table-mounts")
+    assert page.is_visible("[data-space=space-world] .still svg")
+    assert not page.is_visible("#qq")
+    context.close()
+
+
 def test_it_is_laid_out_on_paper(chromium, reports):
     """As wide as A4 within its margins: stills instead of what turns, and nothing cut."""
     found = Seen(chromium, reports / "good.html", 1280)

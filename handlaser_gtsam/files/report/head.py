@@ -74,11 +74,9 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
     yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
     if recording is not None:
-        every, read = (
-            len(recording.plane_labels),
-            int((~np.isnan(recording.ranges)).any(axis=1).sum()),
-        )
-        yield "stations", f"{read}" if read == every else f"{read} with readings, of {every}"
+        read = (~np.isnan(recording.ranges)).any(axis=1)
+        merged = "" if read.all() else f" with readings, of {len(read)}"
+        yield "stations", f"{read.sum()}{merged}"
     yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)
@@ -119,7 +117,7 @@ def _model(subject: Subject) -> str:
     """Return what was estimated and how, as far as a calibration tells."""
     calibration = subject.calibration
     terms = sorted({beam.terms for beam in calibration.beams.values()})
-    names = [("no range error", "k1", "k1 and k2")[count] for count in terms]
+    names = [("no range error", "k1", "k1 and k2")[term] for term in terms]
     scaled = " under learned scales" if calibration.range_error_scales is not None else ""
     fit = calibration.fit
     return f"range errors: {', '.join(names)}{scaled}; hand poses {fit.poses}; {fit.loss} loss"

@@ -94,8 +94,8 @@
   };
   const start = async () => {
     const library = document.getElementById("plotly");
-    if (!library) return;
-    if (!window.DecompressionStream) return; // an old browser: tables and still pictures are all there is
+    if (!library || !window.DecompressionStream) return; // an old browser: tables and still pictures
+    document.documentElement.classList.add("drawing");
     const packed = atob(library.textContent);
     const bytes = new Uint8Array(packed.length);
     for (let i = 0; i < packed.length; i += 1) bytes[i] = packed.charCodeAt(i);

@@ -214,7 +214,7 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
         axes.axvspan(shape["x0"], shape["x1"], color=GREY, alpha=0.13, lw=0)
 
 
-def _axis(axes: "Axes", axis: Mapping[str, Any], side: str) -> None:
+def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
     own = axes.xaxis if side == "x" else axes.yaxis
     own.set_label_text(axis["title"]["text"], fontsize=9)
@@ -230,7 +230,7 @@ def _axis(axes: "Axes", axis: Mapping[str, Any], side: str) -> None:
         for text in own.get_ticklabels():
             text.set_parse_math(False)
     if axis.get("showgrid", True):
-        axes.grid(axis=side, color=LINE, lw=0.7)  # type: ignore[arg-type]
+        axes.grid(axis=side, color=LINE, lw=0.7)
         axes.set_axisbelow(True)
 
 

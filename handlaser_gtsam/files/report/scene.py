@@ -42,7 +42,7 @@ def scene_figure(geometry: Geometry) -> Figure:
     eye: Record = dict(zip("xyz", EYE, strict=True))
     view: Record = {
         "aspectmode": "data",
-        "camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.1}},
+        "camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.15}},
         "dragmode": "turntable",
     }
     layout: Record = {
