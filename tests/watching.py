@@ -42,7 +42,8 @@ def watching(*arguments):
         text=True,
     )
     try:
-        line = process.stdout.readline()
+        line, ends = process.stdout.readline(), process.stdout.readline()
+        assert ends == "Ctrl-C ends\n"
         yield process, int(re.search(r"http://\S+:(\d+)/", line)[1])
     finally:
         if process.poll() is None:

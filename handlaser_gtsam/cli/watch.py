@@ -116,4 +116,4 @@ def _say(watched: "Watched", server: "PageServer", serving: Serving) -> None:
     if serving.open_:
         import webbrowser
 
-        webbrowser.open(server.url)
+        webbrowser.open_new_tab(server.url)

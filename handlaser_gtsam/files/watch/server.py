@@ -147,7 +147,15 @@ class PageServer:
         return self._hub.clients
 
     def publish(self, kind: str, text: str) -> None:
-        """Show a text, one line, to all who look on; from any thread."""
+        """Show a text, one line, to all who look on; from any thread.
+
+        Raises
+        ------
+        RuntimeError
+            The server has ended, which it does only at the end of its context.
+        """
+        if not self._thread.is_alive():
+            raise RuntimeError("the server of the page has ended")
         self._soon(lambda: self._hub.publish(kind, text))
 
     def _soon(self, what: Callable[[], None]) -> None:

@@ -38,10 +38,9 @@ class Snapshot:
     rig: Path | None
     digest: str
 
-    @property
-    def stations(self) -> int:
-        """How many whole lines follow the header, at most."""
-        return max(sum(1 for line in self.lines.splitlines() if line.strip()) - 1, 0)
+    def has_stations(self, rest: bytes = b"") -> bool:
+        """Tell whether anything follows the header, in the whole lines or in the rest after them."""
+        return sum(1 for line in (self.lines + rest).splitlines() if line.strip()) > 1
 
     @property
     def last_line(self) -> int:

@@ -19,6 +19,9 @@ from .snapshot import Snapshot, recording_in, snapshot
 from .state import state_text
 from .watched import Watched
 
+GIVING_WAY = 5
+"""Added to the niceness: whoever moves the robot and records comes first."""
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -84,7 +87,7 @@ class Calibrator:
         return answer
 
     def _calibrated(self, found: Snapshot, rest: bytes) -> Answer:
-        if not found.stations and not rest.strip():
+        if not found.has_stations(rest):
             return Answer(note="waiting for the first station", waiting=True)
         try:
             rig = known_rig(found.rig, self._watched.given)
@@ -104,7 +107,7 @@ class Calibrator:
             try:
                 return recording_in(found.lines + rest, path, sensor), ""
             except InputError as error:
-                if not found.stations:
+                if not found.has_stations():
                     raise
                 whole, note = recording_in(found.lines, path, sensor), f"not used: {error}"
                 return whole, note
@@ -119,6 +122,7 @@ class Calibrator:
 def work(asked: "Connection[Answer, bool]", watched: Watched) -> None:
     """Answer whoever asks, until nobody does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
+    os.nice(GIVING_WAY)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     calibrator = Calibrator(watched)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
