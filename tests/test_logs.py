@@ -528,6 +528,22 @@ def test_a_log_that_is_taken_for_a_recording_is_recognised(handlaser, gripper_lo
     assert err.count("\n") == 1
 
 
+def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
+    handlaser, gripper_log, tmp_path
+):
+    rig, out = tmp_path / "rig.toml", tmp_path / "recording.csv"
+    rig.write_text(
+        '[log]\npose_format = "fanuc"\nrange_units = "mm"\n'
+        'range_columns = ["1=d1", "2=d2", "3=d3", "4=d4"]\n'
+    )
+    assert handlaser("convert", gripper_log, "--rig", rig, "--out", out)[0] == 0
+    code, said, _ = handlaser("check", out, "--rig", rig)
+    assert (code, said) == handlaser("check", gripper_log, "--rig", rig)[:2]
+    code, _, err = handlaser("check", out, "--units", "mm")  # as a log of ros in millimetres
+    assert code == 2
+    assert "--units m" in err or "--pose-format ros" in err
+
+
 def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(
@@ -549,8 +565,8 @@ def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
         "X,Y,Z,W,P,R",
     ]
     assert handlaser("convert", gripper_log, "--rig", rig, *spelled)[0] == 0
-    code, out, _ = handlaser("convert", gripper_log, "--rig", rig, *spelled, "--plane", "one")
-    assert code == 0
+    code, out, err = handlaser("convert", gripper_log, "--rig", rig, *spelled, "--plane", "one")
+    assert (code, err) == (0, "")
     assert "4 beams, 1 plane, " in out
 
 

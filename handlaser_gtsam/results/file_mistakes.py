@@ -67,14 +67,14 @@ def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, 
 
     Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
     """
-    one = one_beam(recording)
+    one = _one_beam(recording)
     now = misfit(one, terms, "glance")
     for words, undone in HYPOTHESES.items():
         if now >= PROMISING * misfit(undone(one), terms, "glance"):
             yield words, undone, "normal"
 
 
-def one_beam(recording: Recording) -> Recording:
+def _one_beam(recording: Recording) -> Recording:
     """Return the readings of the beam with most of them, where they suffice."""
     seen = ~np.isnan(recording.ranges)
     beam = int(np.argmax(seen.sum(axis=0)))

@@ -11,10 +11,11 @@ from ...errors import InputError
 from ...model.sensor import Sensor
 from ...text import shown
 from ..recording_csv import POSE, read_recording
+from ..table import read_table
 from ..writing import path_of
 from .assembling import Known, Stationed, assembled
 from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
-from .columns import formats_in
+from .columns import columns_of, formats_in
 from .format import LogFormat, convention_of
 from .held import held_poses
 from .joining import Joined, by_station, one_table
@@ -92,11 +93,15 @@ def read_any(
 ) -> LogReport:
     """Read a recording in CSV, or a log: where anything is stated, or the file is of another kind.
 
+    A file without the columns that are stated, but with the header of a recording, is one all the same:
+    what `convert` has written is calibrated with the rig file of the log.
+
     Raises
     ------
     InputError
     """
-    if given.stated or is_bag(path) or path.suffix.lower() in FOREIGN:
+    foreign = is_bag(path) or path.suffix.lower() in FOREIGN
+    if foreign or (given.stated and not _is_recording(path, given)):
         return describe_log(path, given, sensor, range_sigma)
     try:
         return LogReport(read_recording(path, sensor))
@@ -107,6 +112,22 @@ def read_any(
         raise InputError(
             error.found, error.expected + hint, error.path, error.line, error.column
         ) from error
+
+
+def _is_recording(path: Path, given: LogFormat) -> bool:
+    """Tell whether a file has the header of a recording, and not the columns that are stated."""
+    try:
+        table = read_table(path, ("plane", *POSE))
+    except InputError:
+        return False
+    names = set(table.frame.columns)
+    if not names.issuperset(("plane", *POSE)) or given.readings is not None:
+        return False
+    try:
+        columns_of(table, given)
+    except InputError:
+        return True
+    return False
 
 
 def _hint(error: InputError) -> str:
