@@ -74,7 +74,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
     yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
     if recording is not None:
-        read = (~np.isnan(recording.ranges)).any(axis=1)
+        read = np.atleast_1d((~np.isnan(recording.ranges)).any(axis=1))
         merged = "" if read.all() else f" with readings, of {len(read)}"
         yield "stations", f"{read.sum()}{merged}"
     yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
