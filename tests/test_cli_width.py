@@ -49,10 +49,10 @@ FURTHER = (
     "handlaser validate recording.csv --rig rig.toml --hold-out recording.csv",
     "handlaser plan --rig planned.toml",
 )
-RUN = {verb: own[0] for verb, own in EXAMPLES.items() if verb not in ("watch", "plot")}
+ENDING = {verb: own[0] for verb, own in EXAMPLES.items() if verb not in ("watch", "plot")}
 """What ends by itself, and needs no extra; `plot` says one line a file."""
 SCREENS = [
-    *(example for verb, example in RUN.items() if verb != "export"),
+    *(example for verb, example in ENDING.items() if verb != "export"),
     "handlaser export calibration.json --to kuka --out a_file_with_a_name.dat",
     *FURTHER,
 ]
@@ -82,10 +82,12 @@ def test_nothing_is_lost_on_a_narrow_screen(handlaser, monkeypatch):
         texts[columns] = handlaser(*arguments)[1]
     monkeypatch.delenv("COLUMNS")
     assert handlaser(*arguments)[1] == texts[100] == texts[200]
+    values = re.findall(r"-?\d+\.\d+(?= \+- )", texts[100])
+    assert len(values) > 20
     for columns in (50, 80):
         assert "moving a spot by 0.42 mm" in " ".join(texts[columns].split())
         assert len(texts[columns].splitlines()) <= as_many(30, columns)
-        for value in ("10.812", "13.458", "-2.111", "0.10406", "0.99180"):
+        for value in values[:6]:
             assert value in texts[columns]
 
 
@@ -169,7 +171,7 @@ def test_colours_are_for_terminals_that_want_them():
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-@pytest.mark.parametrize("example", [*RUN.values(), *FURTHER])
+@pytest.mark.parametrize("example", [*ENDING.values(), *FURTHER])
 def test_every_verb_speaks_any_encoding(folder, monkeypatch, example, encoding):
     monkeypatch.chdir(folder)
     shutil.copy(ROOT / "examples" / "planned" / "rig.toml", "planned.toml")

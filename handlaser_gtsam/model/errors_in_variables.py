@@ -24,6 +24,9 @@ from ..data.readings import Readings, Regressors
 from .equation import corrected, residuals, scene
 from .weighting import Variances, Whitening, slopes, whitening
 
+MOST_NOISE = 4.0
+"""Standard deviations of a reading that count as noise: what is farther off is none of it."""
+
 
 def weighed(
     readings: Readings, at: Parameters, variances: Variances, terms: int
@@ -62,6 +65,7 @@ def freed_of_noise(
     share = slopes(at, readings) * variance
     if readings.samples is not None:
         share = share / np.sqrt(readings.samples)
-    level = d + share * heavy
+    most = MOST_NOISE * np.sqrt(variance)
+    level = d + np.clip(share * heavy, -most, most)
     constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)
     return replace(readings, regressors=Regressors(constant, level))

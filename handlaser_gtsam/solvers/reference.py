@@ -35,6 +35,8 @@ ROUNDS = 4
 """Of new weights; each leaves about a thousandth of what the one before left."""
 POSE_STEP = 1e-6
 """By which poses are moved [rad], [m]."""
+MOST_NOISE = 4.0
+"""Standard deviations of a reading that count as noise."""
 
 Differences = Literal["2-point", "3-point"]
 
@@ -199,7 +201,9 @@ class ReferenceProblem:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
             blocks.append(csr_array(np.linalg.inv(np.linalg.cholesky(C))))
             order.append(rows)
-            self.level[rows] += of_reading[rows] * np.linalg.solve(C, residual[rows])
+            noise_of = of_reading[rows] * np.linalg.solve(C, residual[rows])
+            most = MOST_NOISE * noise.range_sigma[self.beam[rows]]
+            self.level[rows] += np.clip(noise_of, -most, most)
         self.base = true - self.level * (beam[:, 5] + beam[:, 6] * self.level)
         at = np.concatenate(order)
         inverse = np.argsort(at)

@@ -15,9 +15,10 @@ from ..data.readings import Readings
 from ..data.recording import Recording
 from ..errors import SolverError
 from ..estimation.covariance import covariance_of_determined
+from ..model.errors_in_variables import weighed
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..model.weighting import Variances, whitening
+from ..model.weighting import Variances
 from ..observability.rank import Observability, observability
 from ..results.calibration import Calibration
 from ..solvers.steps import newton_step
@@ -135,8 +136,8 @@ class Whole:
         problem.determined(problem.at)
         at = problem.at
         for _ in range(STEPS):
-            how = whitening(at, problem.readings, problem.variances)
-            at, length = newton_step(at, problem.readings, self.terms, how, problem.prior)
+            readings, how = weighed(problem.readings, at, problem.variances, self.terms)
+            at, length = newton_step(at, readings, self.terms, how, problem.prior)
             if length < SETTLED:
                 return problem.solved(at)
         raise SolverError("no solution was found near the whole one")
@@ -172,9 +173,9 @@ class _Problem:
 
     def determined(self, at: Parameters) -> tuple[Observability, float]:
         """Return what the readings say of everything, and the sigma of a whitened residual [m]."""
-        how = whitening(at, self.readings, self.variances)
         terms, prior = self.whole.terms, self.prior
-        found = observability(at, self.readings, terms, how.sigma, whitening=how, prior=prior)
+        readings, how = weighed(self.readings, at, self.variances, terms)
+        found = observability(at, readings, terms, how.sigma, whitening=how, prior=prior)
         if not found.full:
             words = f"{found.unknowns - found.rank} of {found.unknowns} unknowns are undetermined"
             raise SolverError(words)
