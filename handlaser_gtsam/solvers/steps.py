@@ -36,7 +36,9 @@ def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArra
         diagonal = diagonal + _lift(damping, diagonal)
         np.einsum("kii->ki", beam)[:] = diagonal
     scale = 1.0 / np.sqrt(diagonal)
-    S = (beam - taken[..., :size]) * (scale[:, :, None] * scale[:, None])
+    S = beam - taken[..., :size]
+    S *= scale[:, :, None]  # one after the other: their product may overflow
+    S *= scale[:, None]
     gradient = (normal.beam_gradient - taken[..., size]) * scale
     step = -scale * solve_stack(S, gradient[..., None])[..., 0]
     moved = answer[..., size] + (answer[..., :size] @ step[..., None])[..., 0]
