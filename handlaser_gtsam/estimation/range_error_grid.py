@@ -5,6 +5,7 @@ The means over all beams and the contrasts between them make the prior of `mixtu
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import logsumexp
@@ -51,6 +52,7 @@ class RangeErrorGrid(Value):
         return RangeErrorGrid(self.own[kept], self.common[kept], self.log_prior[kept])
 
 
+@cache
 def widest_grid(linearity: float, terms: int, beams: int) -> RangeErrorGrid:
     """Return a coarse grid over all scales that are possible."""
     steps = round(SPAN / STEP)
@@ -87,8 +89,11 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    each = _log_density(x[:, :, None] - shared).sum(axis=1)
-    log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
+    together = _log_density(shared)[None]
+    for side in sides:  # a point's density is the product of those of its coordinates
+        one = _log_density(side[:, None] - shared)
+        together = (together[:, None] + one).reshape(-1, len(shared))
+    log_prior = logsumexp(together, axis=1) + np.log(SHARED_STEP)
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)

@@ -49,10 +49,16 @@ def leverages(parameters: Parameters, readings: Readings, found: Observability) 
         rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
         beams[i][np.ix_(has, has)] = S[rows, rows]
         across[:, i, has] = follow[:, rows]
-    h: FloatArray = np.einsum("ni,nij,nj->n", own, beams[readings.beam], own)
-    h -= 2.0 * np.einsum("ni,nij,nj->n", own, across[readings.plane, readings.beam], plane)
-    h += np.einsum("ni,nij,nj->n", plane, rest[readings.plane], plane)
+    h = _product(own, beams[readings.beam], own)
+    h -= 2.0 * _product(own, across[readings.plane, readings.beam], plane)
+    h += _product(plane, rest[readings.plane], plane)
     return h
+
+
+def _product(a: FloatArray, matrix: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a' M b (N,) for rows a (N, i) and b (N, j) and matrices (N, i, j)."""
+    found: FloatArray = ((a[:, None] @ matrix)[:, 0] * b).sum(axis=1)
+    return found
 
 
 def standardized(
