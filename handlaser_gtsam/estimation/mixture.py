@@ -135,14 +135,17 @@ class BeamPosterior:
     def _of_few(
         self, k: FloatArray, beams: IntArray, width: int, widest: float
     ) -> tuple[Contrasts, FloatArray, FloatArray]:
-        """Return contrasts of at most `MOST_BEAMS` beams, with covariances and estimates of them."""
+        """Return contrasts of at most `MOST_BEAMS` beams, with covariances and estimates of them.
+
+        Covariances are positive semidefinite to the last bit, whatever is nearly undetermined.
+        """
         if len(beams) <= MOST_BEAMS:
-            return self.every, self.V, self.k
+            return self.every, _semidefinite(self.V), self.k
         chosen = np.unique(np.linspace(0, len(beams) - 1, MOST_BEAMS).round().astype(np.intp))
         few = Contrasts.of(beams[chosen], k.shape[1], width, widest)
         V = few.turn @ self.covariance[:, few.at[:, None], few.at] @ few.turn.T
         own = self.mean[:, few.at] + k[beams[chosen]].ravel()
-        return few, V, own @ few.turn.T
+        return few, _semidefinite(V), own @ few.turn.T
 
     def narrowed(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return Z (C, K, K) and Z k^ (C, K) for priors (C, K), each of one of the sets (C,)."""
@@ -156,22 +159,28 @@ class BeamPosterior:
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
         of, V, k = self.telling
-        own, count = of.spread(grid), len(self.k)
+        own, count = of.spread(grid), len(k)
         if not self.has_prior:
             return np.broadcast_to(self.log_evidence[:, None], (count, len(own)))
         found = np.empty((count, len(own)))
-        size = -np.log(own / of.widest).sum(axis=1)
-        share = max(LARGEST_CHUNK // max(own.size * own.shape[1], 1), 1)
+        R, size = _roots(own, of.widest), own.shape[1]
+        RR, rows = R[:, :, None] * R[:, None, :], np.arange(size)
+        share = max(LARGEST_CHUNK // max(RR.size, 1), 1)
         for a in range(0, count, share):
-            sets = np.arange(a, min(a + share, count)).repeat(len(own))
-            R, inner = _narrowing(np.tile(own, (len(sets) // len(own), 1)), of.widest, V[sets])
-            right = R * k[sets]
-            log_det = np.linalg.slogdet(inner)[1]
-            solved = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
-            value = -0.5 * (log_det + np.einsum("ca,ca->c", right, solved))
-            found[a : a + share] = value.reshape(-1, len(own)) + size
+            some = slice(a, a + share)
+            right = R * k[some, None]
+            # The factor of 1 + R V R bordered by R k holds the half of what is asked for in its last row.
+            inner = np.empty((*right.shape[:2], size + 1, size + 1))
+            np.multiply(V[some, None], RR, out=inner[..., :size, :size])
+            inner[..., rows, rows] += 1.0
+            inner[..., size, :size] = right
+            inner[..., size, size] = 1.0 + (right**2).sum(axis=2)
+            root = np.linalg.cholesky(inner)
+            squares = (root[..., size, :size] ** 2).sum(axis=2)
+            log_root = np.log(root[..., rows, rows]).sum(axis=2)
+            found[some] = -0.5 * squares - log_root
         log_evidence: FloatArray = self.log_evidence[:, None] + found
-        return log_evidence
+        return log_evidence - np.log(own / of.widest).sum(axis=1)
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
@@ -244,8 +253,21 @@ class BeamPosterior:
 
 def _narrowing(own: FloatArray, widest: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K) and covariances V (C, K, K)."""
-    R = np.sqrt(np.maximum(own**-2 - widest**-2, 0.0))
+    R = _roots(own, widest)
     return R, np.eye(own.shape[1]) + R[:, :, None] * V * R[:, None, :]
+
+
+def _roots(own: FloatArray, widest: FloatArray) -> FloatArray:
+    """Return the roots (C, K) of the information of priors (C, K) beyond that of the widest."""
+    found: FloatArray = np.sqrt(np.maximum(own**-2 - widest**-2, 0.0))
+    return found
+
+
+def _semidefinite(V: FloatArray) -> FloatArray:
+    """Return covariances (J, K, K) without what rounding made negative."""
+    values, axes = np.linalg.eigh(0.5 * (V + np.swapaxes(V, 1, 2)))
+    found: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
+    return found
 
 
 def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
