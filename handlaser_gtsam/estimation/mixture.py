@@ -169,7 +169,7 @@ class BeamPosterior:
         for a in range(0, count, share):
             some = slice(a, a + share)
             right = R * k[some, None]
-            # The factor of 1 + R V R bordered by R k holds the half of what is asked for in its last row.
+            # The last row of the factor of 1 + R V R bordered by R k solves for R k.
             inner = np.empty((*right.shape[:2], size + 1, size + 1))
             np.multiply(V[some, None], RR, out=inner[..., :size, :size])
             inner[..., rows, rows] += 1.0
@@ -180,7 +180,8 @@ class BeamPosterior:
             log_root = np.log(root[..., rows, rows]).sum(axis=2)
             found[some] = -0.5 * squares - log_root
         log_evidence: FloatArray = self.log_evidence[:, None] + found
-        return log_evidence - np.log(own / of.widest).sum(axis=1)
+        log_evidence -= np.log(own / of.widest).sum(axis=1)
+        return log_evidence
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""

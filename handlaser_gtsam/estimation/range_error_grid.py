@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
@@ -89,19 +88,18 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    together = _log_density(shared)[None]
+    together = _density(shared)[None]
     for side in sides:  # a point's density is the product of those of its coordinates
-        one = _log_density(side[:, None] - shared)
-        together = (together[:, None] + one).reshape(-1, len(shared))
-    log_prior = logsumexp(together, axis=1) + np.log(SHARED_STEP)
+        together = (together[:, None] * _density(side[:, None] - shared)).reshape(-1, len(shared))
+    log_prior = np.log(SHARED_STEP * together.sum(axis=1))
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)
 
 
-def _log_density(x: FloatArray) -> FloatArray:
-    """Return the logarithm of the density of the logarithm x of a half-Cauchy variable of scale 1."""
-    density: FloatArray = np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
+def _density(x: FloatArray) -> FloatArray:
+    """Return the density of the logarithm x of a half-Cauchy variable of scale 1."""
+    density: FloatArray = 1.0 / (np.pi * np.cosh(x))
     return density
 
 
