@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -142,8 +143,15 @@ class ScaleProblem:
         self.wide = self._widest(readings.beams)
         self.rows = LinearReadings(at, readings, terms, self.length, base)
         self._last: _Last | None = None
-        alike = known is None and members is None and scales.common
-        self._part = self if self._is_small(alike=alike) else self._smaller(few_beams=alike)
+
+    @cached_property
+    def _part(self) -> "ScaleProblem":
+        """The problem in which scales are searched for: of a part of many readings, or itself."""
+        alike = self.known is None and self.members is None and self.scales.common
+        few = self.readings.beams <= MOST_BEAMS or not alike
+        if few and len(self.readings) <= ENOUGH:
+            return self
+        return self._smaller(few_beams=alike)
 
     def mode(self, start: FloatArray) -> FloatArray:
         """Return the most probable logarithms of the scales of the noise."""
@@ -151,7 +159,8 @@ class ScaleProblem:
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known."""
-        if self._part.readings.beams < self.readings.beams:
+        many = self.readings.beams > MOST_BEAMS
+        if many and self._part.readings.beams < self.readings.beams:
             return self._part.range_error_scales(mode)
         grid, beams = self._grid(mode)
         if grid.own.shape[1] == 0:
@@ -197,11 +206,6 @@ class ScaleProblem:
         beams, planes = self.beams(mode[None])
         mean, _ = beams.conditional(scale)
         return mean, planes.step[0] - planes.response[0] @ mean
-
-    def _is_small(self, *, alike: bool) -> bool:
-        """Tell whether all readings are looked at wherever the scales are searched for."""
-        few = self.readings.beams <= MOST_BEAMS or not alike
-        return few and len(self.readings) <= ENOUGH
 
     def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
         """Return the same of a part of the readings, of `MOST_BEAMS` beams alone if they are alike."""

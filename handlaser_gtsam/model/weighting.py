@@ -116,6 +116,8 @@ class Whitening(Value):
 
     def apply_rows(self, rows: FloatArray) -> FloatArray:
         """Return whitened rows (N, D)."""
+        if not self.is_coupled:
+            return self.coefficients() * rows
         white: FloatArray = (self.root @ self._grid(rows))[self.station, self.beam]
         return white
 
@@ -125,6 +127,8 @@ class Whitening(Value):
 
     def weighed(self, rows: FloatArray) -> FloatArray:
         """Return sigma^2 inv(C) times rows (N, D)."""
+        if not self.is_coupled:
+            return self.coefficients() ** 2 * rows
         heavy: FloatArray = (self.root @ (self.root @ self._grid(rows)))[self.station, self.beam]
         return heavy
 
