@@ -5,7 +5,8 @@
 
 The scene is the robot cell of `benchmarks.defaults` with 4 beams and a = 0.3. Every recording is
 calibrated as it is; then again, with the same random numbers, with one systematic error of 1.5 times
-the size that the result states as detectable, and of just that size. For an error that is local to a
+the size that the result states as detectable, and of just that size: positive and negative in turn,
+because what the tests linearise is not the same in both directions. For an error that is local to a
 plane these are the size and the effect stated for the plane, beam or station where it is injected.
 
     found      any systematic error is found, at 1.5 times and at once the stated size
@@ -186,6 +187,7 @@ def run_injected(
     stated = clean.of(scene.code)
     if stated is None or not math.isfinite(stated.detectable):
         return None
+    factor *= (-1.0) ** seed
     done = calibrated(replace(scene, size=factor * stated.detectable), given, seed)
     if done is None:
         return Injected(False, False, np.full_like(clean.mounts, np.nan), factor * stated.shift)
