@@ -7,13 +7,12 @@ too flat. Outliers are tested again with the final model, for range errors may h
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from ..arrays import BoolArray, IntArray
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..distributions import gaussian_sf, student_quantile
 from ..model import sensor as limits
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
@@ -155,7 +154,7 @@ def _tested(
     far = cut(part, kept, sigma)
     if noise.range_sigma is None or solution.scales_estimated:
         # Few readings make their own scale small: what is far in units of it need not be an outlier.
-        far = float(student.isf(norm.sf(far), max(solution.redundancy, 1)))
+        far = -float(student_quantile(gaussian_sf(far), max(solution.redundancy, 1)))
     agreeing = np.abs(t) <= far
     if not enough(part, agreeing, terms):
         return used
