@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
@@ -87,16 +86,18 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    each = _log_density(x[:, :, None] - shared).sum(axis=1)
-    log_prior = logsumexp(_log_density(shared) + each, axis=1) + np.log(SHARED_STEP)
+    density = SHARED_STEP * _density(shared)
+    for side in sides:  # what is shared stays the last axis
+        density = density[..., None, :] * _density(side[:, None] - shared)
+    log_prior = np.log(density.sum(axis=-1)).ravel()
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)
 
 
-def _log_density(x: FloatArray) -> FloatArray:
-    """Return the logarithm of the density of the logarithm x of a half-Cauchy variable of scale 1."""
-    density: FloatArray = np.log(2.0 / np.pi) + x - np.logaddexp(0.0, 2.0 * x)
+def _density(x: FloatArray) -> FloatArray:
+    """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
+    density: FloatArray = 1.0 / (np.pi * np.cosh(x))
     return density
 
 
