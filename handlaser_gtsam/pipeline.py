@@ -7,6 +7,7 @@ import numpy as np
 from .checks import require_kind
 from .data.noise import Noise
 from .data.ordering import sorted_readings
+from .data.parameters import Parameters
 from .data.recording import Recording
 from .data.screen import screened
 from .errors import CalibrationWarning
@@ -48,7 +49,29 @@ def calibrate(
         pose covariances of another number of stations; arguments of other types, or contradictory.
     """
     noise = Noise() if noise is None else noise
-    options = _checked(recording, noise, CalibrationOptions() if options is None else options)
+    options = CalibrationOptions() if options is None else options
+    return _calibrated(recording, noise, options, None, progress)
+
+
+def calibrate_from(
+    start: Parameters, recording: Recording, noise: Noise, options: CalibrationOptions
+) -> Calibration:
+    """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
+
+    No start is sought: a search goes on to its end where nothing fits, which is wasted on a model that
+    is known to fit less well.
+    """
+    return _calibrated(recording, noise, options, start, None)
+
+
+def _calibrated(
+    recording: Recording,
+    noise: Noise,
+    options: CalibrationOptions,
+    start: Parameters | None,
+    progress: Listener | None,
+) -> Calibration:
+    options = _checked(recording, noise, options)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
     found = screened(recording, noise.range_sigma)
     recording = found.recording
@@ -59,7 +82,9 @@ def calibrate(
     # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
     with told_to(progress):
         local, ordered = readings.seen_from(origins), noise.reordered(order.stations)
-        selection = select(recording, local, ordered, options)
+        if start is not None:
+            start = start.part(order.beams, order.planes).seen_from(origins)
+        selection = select(recording, local, ordered, options, start)
         # 4. Covariances of what is determined, in the names and the order of the recording.
         result = assemble(Problem(recording, readings, order, origins, noise), selection)
     return _logged(replace(result, recording=recording), found.warnings)

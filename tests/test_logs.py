@@ -503,8 +503,7 @@ def test_calibrate_check_and_validate_take_a_log(handlaser, gripper_log):
         assert np.allclose(one["direction"], other["direction"], atol=1e-8)
     code, out, _ = handlaser("check", gripper_log, *OPTIONS)
     assert (code, out) == handlaser("check", GRIPPER / "recording.csv")[:2]
-    code, out, _ = handlaser("validate", gripper_log, *OPTIONS, *rig, "--splits", "0")
-    assert code == handlaser("validate", GRIPPER / "recording.csv", *rig, "--splits", "0")[0] == 0
+    assert handlaser("validate", gripper_log, *OPTIONS, *rig, "--splits", "0")[0] == 0
 
 
 def test_convert_writes_the_recording(handlaser, gripper_log, tmp_path):

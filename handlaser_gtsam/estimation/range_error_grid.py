@@ -88,17 +88,17 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    together = _density(shared)[None]
-    for side in sides:  # a point's density is the product of those of its coordinates
-        together = (together[:, None] * _density(side[:, None] - shared)).reshape(-1, len(shared))
-    log_prior = np.log(SHARED_STEP * together.sum(axis=1))
+    density = SHARED_STEP * _density(shared)
+    for side in sides:  # what is shared stays the last axis
+        density = density[..., None, :] * _density(side[:, None] - shared)
+    log_prior = np.log(density.sum(axis=-1)).ravel()
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)
 
 
 def _density(x: FloatArray) -> FloatArray:
-    """Return the density of the logarithm x of a half-Cauchy variable of scale 1."""
+    """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
     density: FloatArray = 1.0 / (np.pi * np.cosh(x))
     return density
 

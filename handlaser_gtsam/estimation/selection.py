@@ -4,22 +4,21 @@ Readings outside the sensor's range are left out first, then outliers, then thos
 too flat. Outliers are tested again with the final model, for range errors may have looked like them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from ..arrays import BoolArray, IntArray
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..distributions import gaussian_sf, student_quantile
 from ..model import sensor as limits
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, test
-from ..starts import Start, find_start
+from ..starts import find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .solve import solve
@@ -63,8 +62,9 @@ def select(
     readings: Readings,
     noise: Noise,
     options: CalibrationOptions,
+    start: Parameters | None = None,
 ) -> Selection:
-    """Choose readings and solve them jointly.
+    """Choose readings and solve them jointly, from a start or from one that is sought.
 
     Raises
     ------
@@ -75,7 +75,8 @@ def select(
     inside[limits.within_range(readings, options.sensor)] = True
     limits.require_all(recording, readings.subset(np.flatnonzero(inside)))
     rows = np.flatnonzero(inside)
-    first = _first(readings.subset(rows), noise, options)
+    part = readings.subset(rows)
+    first = _first(part, noise, options) if start is None else _given(part, start, options.terms)
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
@@ -96,18 +97,26 @@ def select(
         if (used == before).all():
             break
         solution = solved(solution.parameters)
-    return Selection(used, ~inside, flat, first.method, first.start.tried, solution)
+    return Selection(used, ~inside, flat, first.method, first.tried, solution)
 
 
 @dataclass(frozen=True, slots=True)
 class _First:
     """Where the joint solution starts, and which readings it takes."""
 
-    start: Start
+    tried: tuple[tuple[str, float], ...]
     kept: BoolArray
     parameters: Parameters
     method: str
     scale: float | None
+
+
+def _given(readings: Readings, start: Parameters, terms: int) -> _First:
+    """Begin at a start that is given, with all readings that it can predict."""
+    k = np.where(np.arange(2) < terms, start.range_errors, 0.0)
+    start = replace(start, range_errors=k)
+    kept = np.isfinite(residuals(start, readings))
+    return _First((), kept, start, "given", _scale(readings, start))
 
 
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
@@ -123,7 +132,7 @@ def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _Fi
         found = Consensus(start, everything, start.parameters, start.method, None)
     steep = np.isfinite(residuals(found.parameters, readings))
     scale = found.range_sigma or _scale(readings, found.parameters)
-    return _First(found.start, found.kept & steep, found.parameters, found.method, scale)
+    return _First(found.start.tried, found.kept & steep, found.parameters, found.method, scale)
 
 
 def _scale(readings: Readings, parameters: Parameters) -> float | None:
@@ -155,7 +164,7 @@ def _tested(
     far = cut(part, kept, sigma)
     if noise.range_sigma is None or solution.scales_estimated:
         # Few readings make their own scale small: what is far in units of it need not be an outlier.
-        far = float(student.isf(norm.sf(far), max(solution.redundancy, 1)))
+        far = -float(student_quantile(gaussian_sf(far), max(solution.redundancy, 1)))
     agreeing = np.abs(t) <= far
     if not enough(part, agreeing, terms):
         return used

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number
@@ -15,6 +13,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
+from ..distributions import gaussian_quantile, student_quantile
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
@@ -169,7 +168,9 @@ class CalibrationData(Value):
             return value[:, None] + np.stack(sides, axis=1)
         known = self.fit.range_sigma_given and not self.noise_estimate
         tail = 0.5 * (1.0 + level)
-        factor = float(norm.ppf(tail) if known else student.ppf(tail, max(self.fit.dof, 1)))
+        factor = float(
+            gaussian_quantile(tail) if known else student_quantile(tail, max(self.fit.dof, 1))
+        )
         return np.stack((value - factor * found.sigma, value + factor * found.sigma), axis=1)
 
 

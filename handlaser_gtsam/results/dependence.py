@@ -23,7 +23,7 @@ draws tell.
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.linalg.lapack import dtbtrs
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
@@ -157,7 +157,9 @@ class _Chain:
         for rows in np.split(self.order, self.bounds[1:-1]):
             steps = np.sqrt(1.0 - rho**2) * white[rows]
             steps[0] = white[rows[0]]
-            noise[rows] = lfilter([1.0], [1.0, -rho], steps, axis=0)
+            # x[i] - rho x[i - 1] = steps[i]: ones on the diagonal, -rho below it.
+            band = np.array([[1.0], [-rho]]).repeat(len(rows), axis=1)
+            noise[rows] = dtbtrs(band, steps, uplo="L", diag="U")[0]
         return noise
 
     def growth_of_means(self, rho: float) -> float:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
 
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.value import Value
+from ..distributions import chi2_sf
 from ..model.joint import JointCovariance
 from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected
@@ -182,7 +182,7 @@ class Fit(Value):
     @property
     def p_value(self) -> float:
         """Probability of a larger chi2 if the sigmas are right; NaN without degrees of freedom."""
-        return float(chi2.sf(self.chi2, self.dof)) if self.dof > 0 else math.nan
+        return float(chi2_sf(self.chi2, self.dof)) if self.dof > 0 else math.nan
 
     @property
     def outliers(self) -> int:

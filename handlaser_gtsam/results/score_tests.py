@@ -8,12 +8,17 @@ a strained member is judged as if range errors had no prior.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import nct, norm
-from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..distributions import (
+    gaussian_cdf,
+    gaussian_quantile,
+    gaussian_sf,
+    student_mean,
+    student_quantile,
+    student_sf,
+)
 from .alternatives import alternatives
 from .projection import WIDTH, Projection, Rows
 from .significance import FAMILY_LEVEL, holm
@@ -212,7 +217,7 @@ class ScoreTests:
 
 def two_sided(z: FloatArray, dof: int | None) -> FloatArray:
     """Return the probability of a larger |z|: Gaussian, or Student's with dof - 1."""
-    tail = norm.sf(np.abs(z)) if dof is None else student.sf(np.abs(z), dof - 1)
+    tail = gaussian_sf(np.abs(z)) if dof is None else student_sf(np.abs(z), dof - 1)
     return np.asarray(2.0 * tail)
 
 
@@ -222,16 +227,11 @@ def needed(level: float, dof: int | None) -> tuple[float, float]:
     The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
     Student.
     """
-    gaussian = float(norm.isf(0.5 * level))
+    gaussian = -float(gaussian_quantile(0.5 * level))
     if dof is None or dof > GAUSSIAN_DOF:
-        return gaussian, gaussian + float(norm.ppf(POWER))
-    critical = float(student.isf(0.5 * level, dof - 1))
-
-    def short(mean: float) -> float:
-        return float(nct.sf(critical, dof - 1, mean)) - POWER
-
-    top = 2.0 * critical + 10.0
-    return critical, float(brentq(short, 0.0, top)) if short(top) > 0.0 else top
+        return gaussian, gaussian + float(gaussian_quantile(POWER))
+    critical = -float(student_quantile(0.5 * level, dof - 1))
+    return critical, student_mean(1.0 - POWER, dof - 1, critical)
 
 
 def alike(rho: FloatArray, delta: float) -> BoolArray:
@@ -243,5 +243,5 @@ def alike(rho: FloatArray, delta: float) -> BoolArray:
     -+ rho) / 2), F the Gaussian distribution function.
     """
     a, b = delta * np.sqrt(0.5 * (1.0 - rho)), delta * np.sqrt(0.5 * (1.0 + rho))
-    right = norm.cdf(a) * norm.cdf(b) + norm.cdf(-a) * norm.cdf(-b)
+    right = gaussian_cdf(a) * gaussian_cdf(b) + gaussian_sf(a) * gaussian_sf(b)
     return np.asarray(right < RIGHT)

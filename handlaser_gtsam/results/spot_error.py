@@ -32,13 +32,12 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import f as f_distribution
 
 from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.recording import LARGEST, Readings, Recording
+from ..distributions import chi2_quantile, f_quantile
 from ..errors import HandlaserError, InputError
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, whitening
@@ -91,11 +90,8 @@ def radius(covariance: FloatArray, dof: float = math.inf) -> float:
     if mean == 0.0:
         return 0.0
     f = float((values / mean).sum() ** 2 / ((values / mean) ** 2).sum())
-    if math.isinf(dof):
-        ratio = float(chi2_distribution.ppf(LEVEL, f)) / f
-    else:
-        ratio = float(f_distribution.ppf(LEVEL, f, dof))
-    return math.sqrt(mean * ratio)
+    ratio = chi2_quantile(LEVEL, f) / f if math.isinf(dof) else f_quantile(LEVEL, f, dof)
+    return math.sqrt(mean * float(ratio))
 
 
 def freedom(calibration: CalibrationData) -> float:

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..distributions import chi2_cdf
 from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
 from ..model.equation import plausible_range_errors
@@ -169,7 +169,7 @@ def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
     """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted."""
     if not (fit.range_sigma_given and fit.dof > 0):
         return
-    larger, smaller = fit.p_value, float(chi2_distribution.cdf(fit.chi2, fit.dof))
+    larger, smaller = fit.p_value, float(chi2_cdf(fit.chi2, fit.dof))
     if larger < SINGLE_LEVEL:
         remedy = "" if treated else "state the robot's sigmas or "
         yield CalibrationWarning(

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from scipy.special import betaln, chdtrc, gammaln
-from scipy.stats import f as f_distribution
+from scipy.special import betaln, gammaln
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..data.value import Value
+from ..distributions import chi2_sf, f_sf
 from ..solvers.normal_equations import NormalEquations
 
 MOST_SIGMA = 0.1
@@ -318,11 +318,11 @@ def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
     """Return the logarithm of the probability of a larger statistic, beyond the smallest number too."""
     with np.errstate(divide="ignore"):
         if np.isinf(dof):
-            log_p = np.log(chdtrc(rank, statistic))
+            log_p = np.log(chi2_sf(statistic, rank))
             half = np.maximum(0.5 * statistic, 1.0)
             tail = (0.5 * rank - 1.0) * np.log(half) - half - gammaln(0.5 * rank)
         else:
-            log_p = np.asarray(f_distribution.logsf(statistic / rank, rank, dof))
+            log_p = np.log(f_sf(statistic / rank, rank, dof))
             a = 0.5 * dof
             tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
     return np.where(np.isfinite(log_p), log_p, tail)

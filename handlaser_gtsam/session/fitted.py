@@ -5,14 +5,12 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.special import chdtrc
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
+from ..distributions import chi2_sf, gaussian_sf, student_quantile
 from ..errors import GrazingBeamError
 from ..keys import plane_key, pose_key
 from ..model.errors_in_variables import weighed
@@ -129,7 +127,7 @@ class FittedPlane:
         dof = self.config.sigma_dof
         if np.isfinite(dof):  # an estimated sigma may be wrong by so much
             chi2 /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
-        return free <= 0 or bool(chdtrc(free, chi2) > UNLIKELY)
+        return free <= 0 or bool(chi2_sf(chi2, free) > UNLIKELY)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""
@@ -261,7 +259,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
     soon: then it is not the readings that are at fault.
     """
     dof = fitted.config.sigma_dof
-    cut = CUT if np.isinf(dof) else float(student.isf(norm.sf(CUT), dof))
+    cut = CUT if np.isinf(dof) else -float(student_quantile(gaussian_sf(CUT), dof))
     bad = np.zeros(recording.ranges.shape, dtype=bool)
     total, now = int((~np.isnan(recording.ranges)).sum()), fitted
     while True:

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import f as f_distribution
 
 from .. import model
 from ..arrays import FloatArray, IntArray
@@ -26,6 +24,7 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
+from ..distributions import chi2_sf, f_sf
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
@@ -249,8 +248,8 @@ class _Quadratic:
         if dof == 0:
             return float("nan")
         if self.known:
-            return float(chi2_distribution.sf(statistic, dof))
-        return float(f_distribution.sf(statistic / dof, dof, max(self.dof, 1)))
+            return float(chi2_sf(statistic, dof))
+        return float(f_sf(statistic / dof, dof, max(self.dof, 1)))
 
 
 def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
@@ -275,7 +274,7 @@ def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
         float(np.abs(e).max()),
         chi2,
         of.dof,
-        float(chi2_distribution.sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
+        float(chi2_sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
         drift,
         of.rank,
         of.p_value(drift, of.rank),

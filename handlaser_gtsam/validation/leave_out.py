@@ -20,7 +20,7 @@ from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
-from ..pipeline import calibrate
+from ..pipeline import calibrate, calibrate_from
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spots import plane_of
@@ -140,7 +140,7 @@ def _validated(
     planes = recording.plane_names if len(recording.plane_names) > 1 else ()
     total = 2 + len(planes) + splits
     tell("leave-out", 0, total, "everything")
-    whole = _calibrated(recording, noise, options)
+    whole = _ended(calibrate(recording, noise, options))
     if whole.status != "converged":
         raise SolverError(f"no calibration to validate: {whole.message}")
     kept = whole.used_in(recording)
@@ -155,7 +155,9 @@ def _validated(
         one = _split(kept, noise, keep, rng)
         predictions += [] if one is None else [one]
     tell("leave-out", total - 1, total, "without range error")
-    bare = _calibrated(kept, noise, replace(keep, range_error="none"))
+    bare = _ended(
+        calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
+    )
     return Validation(
         whole,
         tuple(left_out),
@@ -170,7 +172,7 @@ def _without(
 ) -> PlaneLeftOut:
     mine = np.array([label == plane for label in recording.plane_labels])
     try:
-        found = _calibrated(*_part(recording, noise, ~mine), options)
+        found = _ended(calibrate(*_part(recording, noise, ~mine), options))
         if found.status != "converged":
             return PlaneLeftOut(plane, None, found.message)
         own, seen = _part(recording, noise, mine)
@@ -180,9 +182,8 @@ def _without(
         return PlaneLeftOut(plane, None, str(error))
 
 
-def _calibrated(recording: Recording, noise: Noise, options: CalibrationOptions) -> Calibration:
-    """Calibrate; Ctrl-C ends everything."""
-    found = calibrate(recording, noise, options)
+def _ended(found: Calibration) -> Calibration:
+    """Return a calibration; Ctrl-C in it ends everything."""
     if found.interrupted:
         raise KeyboardInterrupt
     return found

@@ -5,9 +5,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import beta, norm
 
 from ...arrays import BoolArray, FloatArray, IntArray
+from ...distributions import beta_quantile, gaussian_quantile
 from ...results.lines import DEG, MM
 from ..json_text import Record
 from .figure import (
@@ -210,9 +210,9 @@ def qq_figure(subject: Subject) -> Figure | None:
         return None
     z, count = np.sort(z), len(z)
     rank = np.arange(1, count + 1)
-    expected = np.asarray(norm.ppf((rank - 0.5) / count))
+    expected = gaussian_quantile((rank - 0.5) / count)
     low, high = (
-        np.asarray(norm.ppf(beta.ppf(tail, rank, count + 1 - rank))) for tail in (0.025, 0.975)
+        gaussian_quantile(beta_quantile(tail, rank, count + 1 - rank)) for tail in (0.025, 0.975)
     )
     keep = _evenly(count)
     x = numbers(expected[keep])

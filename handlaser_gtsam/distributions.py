@@ -1,0 +1,98 @@
+"""Probabilities and quantiles of the distributions that tests and intervals take.
+
+They come from `scipy.special`, and not from `scipy.stats`, whose import takes as long as a
+calibration. All take and return arrays or numbers; a survival function is the probability of a
+larger value, and keeps its relative precision far out.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import (
+    betaincinv,
+    chdtr,
+    chdtrc,
+    fdtrc,
+    fdtri,
+    gammaincinv,
+    nctdtr,
+    ndtr,
+    ndtri,
+    stdtr,
+    stdtrit,
+)
+
+from .arrays import FloatArray, IntArray
+
+Numbers = float | FloatArray | IntArray
+
+
+def gaussian_cdf(x: Numbers) -> FloatArray:
+    """Return the probability of a Gaussian below x."""
+    return _array(ndtr(_array(x)))
+
+
+def gaussian_sf(x: Numbers) -> FloatArray:
+    """Return the probability of a Gaussian above x."""
+    return _array(ndtr(-_array(x)))
+
+
+def gaussian_quantile(p: Numbers) -> FloatArray:
+    """Return what a Gaussian stays below with probability p."""
+    return _array(ndtri(_array(p)))
+
+
+def student_sf(x: Numbers, dof: Numbers) -> FloatArray:
+    """Return the probability of a Student t above x."""
+    return _array(stdtr(_array(dof), -_array(x)))
+
+
+def student_quantile(p: Numbers, dof: Numbers) -> FloatArray:
+    """Return what a Student t stays below with probability p."""
+    return _array(stdtrit(_array(dof), _array(p)))
+
+
+def student_mean(p: float, dof: float, x: float) -> float:
+    """Return the noncentrality at which a noncentral Student t stays below x with probability p.
+
+    It is found by halving between 0 and 2 x + 10, and is the larger one where it lies beyond.
+    """
+    low, high = 0.0, 2.0 * x + 10.0
+    if nctdtr(dof, high, x) > p:
+        return high
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if nctdtr(dof, middle, x) > p else (low, middle)
+    return high
+
+
+def chi2_cdf(x: Numbers, dof: Numbers) -> FloatArray:
+    """Return the probability of a chi-square below x; x below zero is rounding of zero."""
+    return _array(chdtr(_array(dof), np.maximum(_array(x), 0.0)))
+
+
+def chi2_sf(x: Numbers, dof: Numbers) -> FloatArray:
+    """Return the probability of a chi-square above x; x below zero is rounding of zero."""
+    return _array(chdtrc(_array(dof), np.maximum(_array(x), 0.0)))
+
+
+def chi2_quantile(p: Numbers, dof: Numbers) -> FloatArray:
+    """Return what a chi-square stays below with probability p; dof need not be whole."""
+    return 2.0 * _array(gammaincinv(0.5 * _array(dof), _array(p)))
+
+
+def f_sf(x: Numbers, dof: Numbers, below: Numbers) -> FloatArray:
+    """Return the probability of an F of dof over `below` degrees of freedom above x."""
+    return _array(fdtrc(_array(dof), _array(below), np.maximum(_array(x), 0.0)))
+
+
+def f_quantile(p: Numbers, dof: Numbers, below: Numbers) -> FloatArray:
+    """Return what an F of dof over `below` degrees of freedom stays below with probability p."""
+    return _array(fdtri(_array(dof), _array(below), _array(p)))
+
+
+def beta_quantile(p: Numbers, a: Numbers, b: Numbers) -> FloatArray:
+    """Return what a beta variate stays below with probability p."""
+    return _array(betaincinv(_array(a), _array(b), _array(p)))
+
+
+def _array(values: ArrayLike) -> FloatArray:
+    return np.asarray(values, dtype=np.float64)
