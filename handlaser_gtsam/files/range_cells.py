@@ -1,13 +1,14 @@
 """Cells of ranges as numbers: which are readings, and which say that there is none."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
 
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import LARGEST
-from ..data.screen import code_warning, coded_numbers
+from ..data.screen import LEAST, code_warning, coded_numbers
 from ..errors import CalibrationWarning
 from ..model.sensor import Sensor
 from .table import Table, column_numbers
@@ -66,6 +67,8 @@ def code_warnings(
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning for every code, as it is written, with its beams and its count.
 
+    Numbers that are no codes, and no distances because the stated range excludes them, share one.
+
     Parameters
     ----------
     columns : C series of M cells
@@ -78,10 +81,26 @@ def code_warnings(
         for row in np.flatnonzero(coded[:, i]).tolist():
             whose = names[row if len(names) > 1 else 0]
             found.setdefault(str(columns[i][row]), []).append(whose)
-    return tuple(
+    outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
+    warnings = [
         code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
         for cell, whose in found.items()
-    )
+        if cell not in outside
+    ]
+    if outside:
+        ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
+        every = [beam for cell in outside for beam in found[cell]]
+        named = list(dict.fromkeys(every))
+        warnings.append(code_warning(" to ".join(ends), named, len(every), stated=True))
+    return tuple(warnings)
+
+
+def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
+    """Tell whether a cell is a number that stands too seldom for a code of its own."""
+    try:
+        return math.isfinite(float(cell)) and len(found[cell]) < LEAST
+    except ValueError:
+        return False
 
 
 def _word_codes(column: pl.Series) -> BoolArray:
