@@ -28,7 +28,7 @@ LOG = [
     "mm",
 ]
 CHANNELS = ("--range-columns", "1=Laser 1,2=Laser 2,3=Laser 3,4=Laser 4")
-LASERS = ("--readings", "kuka_lasers.csv", *CHANNELS)
+LASERS = ("--readings", "kuka_lasers.csv", *CHANNELS, "--range-units", "mm")
 SCREENS = (
     ("convert", "kuka_poses.csv", *LASERS, *LOG),
     ("calibrate", "kuka_poses.csv", *LASERS, *LOG),
