@@ -93,7 +93,7 @@ def _first_fault(
         return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
     if fault["type"] == "missing":
         kind = expected.split(",")[0]
-        return InputError(f"no field {field}", f"it: {kind} needs it there", path)
+        return InputError(f"no field {field}", f"the field, which {kind} needs", path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
 
 
