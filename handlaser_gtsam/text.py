@@ -51,6 +51,11 @@ A_NAME = f"printable text of 1 to {LONGEST_NAME} characters without blanks at it
 """What `name_fault` expects."""
 
 
+def count(number: int, noun: str) -> str:
+    """Return a number of things: "1 beam", "2 beams"."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def some(names: Sequence[str], most: int) -> str:
     """Return at most so many names, and how many more there are."""
     shown = ", ".join(names[:most])

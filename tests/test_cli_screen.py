@@ -1,6 +1,7 @@
 """The default screen of handlaser calibrate: 30 lines of 100 columns, the verdict first."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -133,6 +134,21 @@ def test_the_undetermined_is_named_in_words_and_rows(handlaser, tmp_path):
     lines = fits(out)
     assert lines[0].startswith("Not usable, undetermined")
     assert any("undetermined" in line for line in lines if line.startswith("1  "))
+
+
+def test_the_stations_that_are_missing_leave_room_for_the_rest(handlaser, tmp_path, recording):
+    """Twelve stations in words would be more than the screen has."""
+    path, rig = tmp_path / "begun.csv", GRIPPER.parent / "planned" / "rig.toml"
+    hl.write_recording(path, recording.part(range(4)))
+    code, out, _ = handlaser("calibrate", path, "--rig", rig)
+    assert code == 3
+    lines = fits(out)
+    more = re.fullmatch(r"  and (\d+) more: --verbose", lines[-1])
+    shown = sum(line.startswith("  before plane A") for line in lines)
+    assert shown >= 2
+    every = handlaser("calibrate", path, "--rig", rig, "--verbose")[1]
+    assert every.count("  before plane A") == shown + int(more[1])
+    assert lines[1].endswith("...")  # a sentence that is cut does not end with a full stop as well
 
 
 def test_values_have_the_digits_of_their_sigma():

@@ -8,7 +8,9 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from helpers import GRIPPER, ROOT
 from rich.table import Table
@@ -113,6 +115,21 @@ def test_mounts_of_any_number_fit(calibration, width, count):
     assert ("more beams" in lines[-1]) == (count == 12)
     if width < 76:  # values are followed by their standard deviation
         assert sum("+-" in line for line in lines) == 2 * shown
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_numbers_with_six_decimals_and_a_sign_stand_apart(calibration, width):
+    """As of a thousand readings a station: sigmas of 1e-5."""
+    beams = [
+        replace(beam, direction=-np.abs(beam.direction), covariance=1e-4 * beam.covariance)
+        for beam in calibration.beams.values()
+    ]
+    lines = list(beam_rows(beams, width))
+    assert max(map(len, lines)) <= width
+    rows = [line for line in lines if re.match(r".{8} [rv] ", line)]
+    assert len(rows) == 2 * len(beams)
+    for line in rows:
+        assert len(re.findall(r"(?<= )-?\d+\.\d{3,6} \+- \d\.\d{3,6}(?= |$)", line)) >= 3
 
 
 def test_a_table_that_does_not_fit_is_said_in_words(monkeypatch):

@@ -17,7 +17,21 @@ PAGE = (ROOT / "docs" / "glossary.md").read_text()
 ENTRIES = re.findall(r"^\| (\*\*.*?) \| (.*) \|$", PAGE, flags=re.MULTILINE)
 TERMS = [term for names, _ in ENTRIES for term in re.findall(r"\*\*(.+?)\*\*", names)]
 RIG = ("--rig", "rig.toml")
+LOG = [
+    "--pose-format",
+    "kuka",
+    "--station-column",
+    "Point",
+    "--plane-column",
+    "Plate",
+    "--range-units",
+    "mm",
+]
+CHANNELS = ("--range-columns", "1=Laser 1,2=Laser 2,3=Laser 3,4=Laser 4")
+LASERS = ("--readings", "kuka_lasers.csv", *CHANNELS, "--range-units", "mm")
 SCREENS = (
+    ("convert", "kuka_poses.csv", *LASERS, *LOG),
+    ("calibrate", "kuka_poses.csv", *LASERS, *LOG),
     ("calibrate", "recording.csv", *RIG, "-v", "--incremental", "--cross-check"),
     ("calibrate", "recording.csv", *RIG, "--cross-check"),
     ("calibrate", "recording.csv", "-v", "--range-error", "k1"),
@@ -42,6 +56,8 @@ def folder(tmp_path_factory):
         shutil.copy(source, path)
     shutil.copy(ROOT / "examples" / "planned" / "rig.toml", path / "planned.toml")
     shutil.copy(ROOT / "examples" / "study" / "study.toml", path)
+    for name in ("kuka_poses.csv", "kuka_lasers.csv"):
+        shutil.copy(ROOT / "examples" / "logs" / name, path)
     rig = (path / "rig.toml").read_text()
     (path / "tight.toml").write_text(f"{rig}\n[limits]\nrms_mm = 0.001\nlocation_sigma_mm = 5\n")
     hl.write_recording(path / "degenerate.csv", degenerate("two planes, no rotation"))

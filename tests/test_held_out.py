@@ -117,6 +117,24 @@ def test_the_history_ends_where_the_calibration_is(gripper):
         assert found.known.location_sigma[12] == pytest.approx(own, rel=0.2)
 
 
+@pytest.mark.parametrize("noise", [hl.Noise(3e-5, **EXACT), hl.Noise(3e-5), hl.Noise()])
+def test_the_history_ends_there_where_scales_were_learned(gripper, noise):
+    """Scales that are integrated over, and what the beams have in common, count at the end."""
+    calibration = hl.calibrate(gripper, noise)
+    assert calibration.learned is not None
+    known = history(calibration, 0.015).known
+    beams = calibration.beams.values()
+    assert known.location_sigma[-1] == pytest.approx(max(b.location_sigma.max() for b in beams))
+    assert known.direction_sigma[-1] == pytest.approx(max(b.direction_sigma for b in beams))
+    # Where a beam ends, drawn a hundred thousand times: Satterthwaite's radius is within 1 % of the
+    # true one, and the draws tell a quantile to half a percent.
+    rng = np.random.default_rng(5)
+    spots = [hl.spot(calibration, name, 0.015).covariance for name in calibration.beams]
+    away = [rng.multivariate_normal(np.zeros(3), S, 100_000) for S in spots]
+    radii = [np.quantile(np.linalg.norm(x, axis=1), 0.95) for x in away]
+    assert known.spot[-1] == pytest.approx(max(radii), rel=0.02)
+
+
 def test_no_history_without_a_calibration(gripper):
     open_ = hl.calibrate(gripper.part([0, 1, 2, 3]), hl.Noise(3e-5, **EXACT))
     assert history(open_, 0.015) is None

@@ -18,6 +18,7 @@ from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
 from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
 from handlaser_gtsam.planning.choice import choose, value
+from handlaser_gtsam.planning.completing import completing_motion
 from handlaser_gtsam.planning.information import outlook, told, updated
 from handlaser_gtsam.planning.order import divided, shortest, way
 from handlaser_gtsam.planning.route import goal_rows, spot_rows
@@ -340,6 +341,16 @@ def test_a_workspace_out_of_reach_is_said(recorded):
         hl.plan(recorded[2], 5, SENSOR, far)
 
 
+def test_a_home_that_looks_away_is_named(recorded):
+    """The default home is that of a hand that looks up; most hands look down."""
+    turned = replace(WORKSPACE, home=WORKSPACE.home @ np.diag([1.0, -1.0, -1.0]))
+    with pytest.raises(
+        hl.InputError,
+        match=r"plane A .*home_quaternion \[1, 0, 0, 0\]; .*qx, qy, qz, qw of a hand that faces",
+    ):
+        hl.plan(recorded[2], 5, SENSOR, turned)
+
+
 # --- the way -----------------------------------------------------------------------------------------
 
 
@@ -423,6 +434,26 @@ def test_bounds_too_wide_for_the_sensor_are_refused():
     wide = replace(here.bounds, location_within=0.02)
     with pytest.raises(hl.InputError, match="narrower bounds"):
         hl.blind_motion(wide, SENSOR, here.workspace, here.noise)
+
+
+def test_bounds_whose_plate_is_turned_over_are_refused():
+    """With its normal towards the sensor: before a first motion, and with one begun."""
+    rng = np.random.default_rng(4)
+    here = cell(rng, 1)
+    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    begun = here.measured(motion, rng).part(np.arange(4))
+    plate = replace(here.bounds.plate, normal=-here.bounds.plate.normal)
+    over = replace(here.bounds, plate=plate)
+    with pytest.raises(
+        hl.InputError, match="a normal of the plate that points away from the sensor"
+    ):
+        hl.blind_motion(over, SENSOR, here.workspace, here.noise)
+    with pytest.raises(hl.InputError, match="points away from the sensor"):
+        completing_motion(over, SENSOR, begun, here.workspace, here.noise)
+    anywhere = replace(here.workspace, largest_turn=math.pi)
+    with pytest.raises(hl.InputError, match="face each other at no station"):
+        completing_motion(over, SENSOR, begun, anywhere, here.noise)
+    assert missing_stations(begun, over, SENSOR, anywhere, here.noise) is None
 
 
 def test_the_same_seed_gives_the_same_plan(recorded):

@@ -222,6 +222,31 @@ def test_words_for_no_reading_are_counted(tmp_path, recording, word):
     assert hl.calibrate(read, NOISE).warnings == read.warnings
 
 
+def test_numbers_that_the_stated_range_excludes_share_one_warning(tmp_path, recording):
+    cells = {(2, 0): "-0.681", (3, 0): "-15.5", (5, 1): "-2.4", (6, 1): "nan"}
+    read = hl.read_recording(written(tmp_path, recording, cells), hl.Sensor(0.0, 0.03))
+    assert np.isnan(read.ranges).sum() == 4
+    assert codes(read) == ["reading-code"] * 2
+    words = str(read.warnings[1])
+    assert words.startswith("3 readings of '-15.5' to '-0.681' of beams 1, 2 counted as no reading")
+    assert (
+        "excludes them; leave such cells empty" in words
+    )  # the range is stated: no need to say so
+    assert "state the sensor's range" in str(read.warnings[0])
+
+
+def test_a_refused_reading_is_told_in_the_unit_of_its_file(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("X,Y,Z,A,B,C,L1\n600,100,400,0,0,0,12\n600,100,410,5,0,0,-3\n")
+    given = hl.LogFormat(pose_format="kuka", plane="A", range_columns=("L1",), range_units="mm")
+    with pytest.raises(
+        hl.InputError, match="'-3'; expected a positive range in millimetres"
+    ) as told:
+        hl.read_log(path, given)
+    assert "--range-mm MIN MAX" in str(told.value)
+    hl.read_log(path, given, hl.Sensor(-0.005, 0.03))  # what the message tells to state
+
+
 @pytest.mark.parametrize("text", ["0", "-1", "4294967295"])
 def test_impossible_numbers_are_codes_where_they_pile_up_or_the_range_says_so(
     tmp_path, recording, text

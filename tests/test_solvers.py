@@ -161,6 +161,7 @@ def test_too_few_iterations_are_said(problem):
     graph = build_graph(problem[1], problem[2], 0, SIGMA)
     result = levenberg_marquardt(graph, LevenbergOptions(max_iterations=1))
     assert result.status == "max_iterations"
+    assert result.message == "not converged within 1 trial step"
 
 
 def far_start(truth: Parameters, turn: float) -> Parameters:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 DISAGREEMENT = 0.01
 """Solvers that differ by more standard deviations than this have not found the same optimum."""
+LEAST_ADVICE = 5
+"""Lines of the screen that the next best stations have at least; warnings come before more."""
 
 
 OutliersChoice = StrEnum("OutliersChoice", {"reject": "reject", "keep": "keep"})
@@ -224,41 +226,63 @@ def _report(
 
 def _show(outcome: _Outcome, output: Output) -> None:
     from ..planning.advice import advice_lines
-    from ..results.lines import WIDTH, as_many, wrapped
-    from ..results.summary import screen_lines
-    from ..text import printable
+    from ..results.lines import WIDTH, wrapped
     from .incremental import comparison_line, update_table
-    from .tables import TableConsole, calibration_tables, cross_check_line, fitting
+    from .tables import TableConsole, calibration_tables, fitting
     from .width import text_width
 
-    result, fed, width = outcome.result, outcome.fed, text_width()
-    lines = as_many(2, width)
-    closing = (
-        [] if outcome.check is None else wrapped(cross_check_line(outcome.check), lines, width)
-    )
-    for line in [] if outcome.advice is None else advice_lines(outcome.advice):
-        closing += wrapped(line, None, width)
-    if outcome.read:
-        closing += wrapped(f"log: {printable('; '.join(outcome.read))}", None, width)
-    written = [path for path in (output.out, output.report) if path is not None]
-    closing += [f"wrote {printable(str(path))}" for path in written]
+    fed, width = outcome.fed, text_width()
+    before, after = _around(outcome, output, width)
     console = TableConsole(
         highlight=False, markup=False, width=None if sys.stdout.isatty() else width
     )
     if output.verbose:
-        for part in calibration_tables(result, outcome.recording, outcome.verdict):
+        for part in calibration_tables(outcome.result, outcome.recording, outcome.verdict):
             text = "\n".join(wrapped(part, None, width)) if isinstance(part, str) else part
             console.print(text, soft_wrap=True)
+        words = [] if outcome.advice is None else advice_lines(outcome.advice)
+        advice = [line for text in words for line in wrapped(text, None, width)]
     else:
-        shown = result, outcome.recording, outcome.verdict
-        for line in screen_lines(*shown, closing=len(closing), width=width):
+        lines, advice = _screen(outcome, len(before) + len(after), width)
+        for line in lines:
             console.print(line, soft_wrap=True)
     if fed is not None:
         console.print(fitting(update_table(fed), WIDTH))
         if fed.comparison is not None:
-            closing = [*wrapped(comparison_line(fed.comparison), None, width), *closing]
-    for line in closing:
+            before = [*wrapped(comparison_line(fed.comparison), None, width), *before]
+    for line in (*before, *advice, *after):
         console.print(line, soft_wrap=True)
+
+
+def _around(outcome: _Outcome, output: Output, width: int) -> tuple[list[str], list[str]]:
+    """Return the lines before and after the next best stations."""
+    from ..results.lines import as_many, wrapped
+    from ..text import printable
+    from .tables import cross_check_line
+
+    before: list[str] = []
+    if outcome.check is not None:
+        before = wrapped(cross_check_line(outcome.check), as_many(2, width), width)
+    after: list[str] = []
+    if outcome.read:
+        after = wrapped(f"log: {printable('; '.join(outcome.read))}", None, width)
+    written = [path for path in (output.out, output.report) if path is not None]
+    return before, [*after, *(f"wrote {printable(str(path))}" for path in written)]
+
+
+def _screen(outcome: _Outcome, around: int, width: int) -> tuple[list[str], list[str]]:
+    """Return the default screen, and the next best stations that fit below it with lines `around`."""
+    from ..planning.advice import advice_within
+    from ..results.lines import as_many
+    from ..results.summary import LINES, screen_lines
+
+    shown, most = (outcome.result, outcome.recording, outcome.verdict), as_many(LINES, width)
+    if outcome.advice is None:
+        return screen_lines(*shown, closing=around, width=width), []
+    kept = as_many(LEAST_ADVICE, width)
+    lines = screen_lines(*shown, closing=around + kept, width=width)
+    room = max(most - around - len(lines), kept)
+    return lines, advice_within(outcome.advice, room, width)
 
 
 def _warnings(outcome: _Outcome) -> Iterator[str]:

@@ -82,15 +82,22 @@ def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWar
     return (replace(recording, ranges=d) if found else recording), tuple(found)
 
 
-def code_warning(what: str, beams: list[str], count: int) -> CalibrationWarning:
-    """Return the warning that a value was taken for "no reading"."""
+def code_warning(
+    what: str, beams: list[str], count: int, *, stated: bool = False
+) -> CalibrationWarning:
+    """Return the warning that a value was taken for "no reading".
+
+    `stated` says that the sensor's range was, and excludes it.
+    """
+    why = "such a value stands for a missing echo or the sensor's limit, not for a distance; leave "
+    why += "such cells empty, or state the sensor's range (range_mm)"
+    if stated:
+        why = "the stated range (range_mm) excludes them; leave such cells empty"
     whose = f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
     readings = f"{count} readings" if count > 1 else "one reading"
     return CalibrationWarning(
         "reading-code",
-        f"{readings} of {what} of {whose} counted as no reading: such a value stands for a missing "
-        "echo or the sensor's limit, not for a distance; leave such cells empty, or state the sensor's "
-        "range (range_mm)",
+        f"{readings} of {what} of {whose} counted as no reading: {why}",
         {"readings": count},
     )
 

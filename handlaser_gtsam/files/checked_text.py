@@ -91,6 +91,9 @@ def _first_fault(
         names = ", ".join(next(filter(None, several), ())) if len(place) <= 2 else ""
         expected = f"one of {names}" if names else "a field of the format"
         return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
+    if fault["type"] == "missing":
+        kind = expected.split(",")[0]
+        return InputError(f"no field {field}", f"the field, which {kind} needs", path)
     return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
 
 

@@ -1,17 +1,20 @@
 """Cells of ranges as numbers: which are readings, and which say that there is none."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
 
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import LARGEST
-from ..data.screen import code_warning, coded_numbers
+from ..data.screen import LEAST, code_warning, coded_numbers
 from ..errors import CalibrationWarning
 from ..model.sensor import Sensor
 from .table import Table, column_numbers
 
+MILLIMETRE = 1e-3
+"""[m]"""
 NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
 """Words, with a sign or without, by which sensors and programs say that there is no reading."""
 
@@ -51,9 +54,11 @@ def range_numbers(
     coded = impossible & sensor.range_stated
     coded |= coded_numbers(d, impossible)
     least = "a range" if sensor.range_min < 0.0 else "a positive range"
+    units = "millimetres" if unit == MILLIMETRE else "metres"
     expected = (
-        f"{least} in metres up to {LARGEST:.0f}, or an empty cell for no reading; if the sensor can "
-        "read this, or says so that it reads nothing, state its range: range_mm in the rig file"
+        f"{least} in {units} up to {LARGEST / unit:.0f}, or an empty cell for no reading; if the "
+        "sensor can read this, or says so that it reads nothing, state its range: --range-mm MIN MAX, "
+        "or range_mm in the rig file"
     )
     for i, name in enumerate(columns):
         table.refuse((impossible & ~coded)[:, i], name, expected)
@@ -65,6 +70,8 @@ def code_warnings(
     columns: Sequence[pl.Series], beams: Sequence[Sequence[str]], coded: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning for every code, as it is written, with its beams and its count.
+
+    Numbers that are no codes, and no distances because the stated range excludes them, share one.
 
     Parameters
     ----------
@@ -78,10 +85,26 @@ def code_warnings(
         for row in np.flatnonzero(coded[:, i]).tolist():
             whose = names[row if len(names) > 1 else 0]
             found.setdefault(str(columns[i][row]), []).append(whose)
-    return tuple(
+    outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
+    warnings = [
         code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
         for cell, whose in found.items()
-    )
+        if cell not in outside
+    ]
+    if outside:
+        ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
+        every = [beam for cell in outside for beam in found[cell]]
+        named = list(dict.fromkeys(every))
+        warnings.append(code_warning(" to ".join(ends), named, len(every), stated=True))
+    return tuple(warnings)
+
+
+def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
+    """Tell whether a cell is a number that stands too seldom for a code of its own."""
+    try:
+        return math.isfinite(float(cell)) and len(found[cell]) < LEAST
+    except ValueError:
+        return False
 
 
 def _word_codes(column: pl.Series) -> BoolArray:

@@ -8,7 +8,7 @@ from ..data.recording import Recording
 from ..errors import HandlaserError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
-from ..results.lines import MM
+from ..results.lines import MM, wrapped
 from .belief import belief_of
 from .bounds import Bounds
 from .choice import choose
@@ -95,3 +95,19 @@ def advice_lines(plan: Plan) -> list[str]:
         q = ", ".join(f"{value:.4f}" for value in quaternions[j])
         lines.append(f"  before plane {plane}: ({x:.1f}, {y:.1f}, {z:.1f}) mm, qx qy qz qw ({q})")
     return lines
+
+
+def advice_within(plan: Plan, most: int, width: int) -> list[str]:
+    """Return the same in at most `most` lines of a screen; stations without room are counted.
+
+    What is said before them is always there.
+    """
+    head, *stations = [wrapped(line, None, width) for line in advice_lines(plan)]
+    lines = [line for station in stations for line in station]
+    if len(head) + len(lines) <= most:
+        return [*head, *lines]
+    shown, number = list(head), 0
+    while len(shown) + len(stations[number]) < most:  # one line says how many more there are
+        shown += stations[number]
+        number += 1
+    return [*shown, f"  and {len(stations) - number} more: --verbose"]

@@ -36,7 +36,7 @@ from .moves import (
 )
 from .plate import MOST_PLANES
 from .route import Plan, forecast_of, planned
-from .workspace import Workspace, joined, picked, require_range
+from .workspace import Workspace, joined, picked, require_facing, require_range
 
 LEAST_STATIONS, MOST_BLIND = 11, 60
 """Before a plane: four positions and seven turns; beyond the most, the bounds are too wide."""
@@ -115,6 +115,8 @@ def _plan(cell: Cell, motion: Stations, planes: int, goal: Goal, rng: np.random.
 
 def _motion(cell: Cell, count: int | None, rng: np.random.Generator) -> Stations:
     """Return translations and turns that are safe for all mounts drawn, and determine them."""
+    plate = cell.bounds.plate
+    require_facing("the plate", cell.workspace, cell.bounds.directions, plate.normal)
     mounts = cell.bounds.draw(rng, MOUNTS)
     base = facing_plate(cell)
     first = spread_translations(cell, base, mounts)

@@ -32,7 +32,7 @@ from .moves import (
     safe_for_all,
 )
 from .route import Plan, forecast_of, planned
-from .workspace import Workspace, joined, picked, require_range, workspace_of
+from .workspace import Workspace, joined, picked, require_facing, require_range, workspace_of
 
 COUNTS = (3, 4, 5, 6, 8, 10, 12)
 """So many stations are tried, until they determine the mounts."""
@@ -71,6 +71,7 @@ def completing_motion(
     workspace = workspace_of(recording) if workspace is None else workspace
     variances = expected_noise(Noise() if noise is None else noise, sensor, beams)
     cell = Cell(bounds, sensor, workspace, variances)
+    require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
     taken = _taken(recording)
     drawn = [bounds.draw(rng) for _ in range(JUDGED)]
     judged = [
@@ -114,6 +115,11 @@ def _told(belief: Belief, taken: Stations, recording: Recording) -> FloatArray:
     n = belief.mean.normals[taken.plane]
     n_hand = np.einsum("mji,mj->mi", taken.world_R_hand, n)
     facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
+    if not facing.any():
+        raise InputError(
+            "bounds of beams and plate that face each other at no station of the recording",
+            "the normal of the plate away from the sensor, and directions in the hand frame",
+        )
     rows = told(belief, picked(taken, np.flatnonzero(facing)))
     read = ~np.isnan(recording.ranges[facing])
     return np.where(read[..., None], rows, 0.0)

@@ -147,6 +147,8 @@ def candidates(
         The sensor's range is not stated, or there is hardly a station.
     """
     require_range(sensor)
+    at, name = belief.mean, belief.plane_names[plane]
+    require_facing(f"plane {name}", workspace, at.directions, at.normals[plane])
     kept: list[Stations] = []
     drawn = found_so_far = tried_by_arm = 0
     while drawn < TRIES * count and found_so_far < count and tried_by_arm < ARM_TRIES * count:
@@ -174,6 +176,38 @@ def _round(count: int, drawn: int, found: int) -> int:
         return count
     missing = MORE_THAN_MISSING * (count - found) * drawn / max(found, 1)
     return int(np.clip(missing, 0.1 * count, min(max(MOST_AT_ONCE, count), TRIES * count - drawn)))
+
+
+def require_facing(
+    what: str, workspace: Workspace, directions: FloatArray, normal: FloatArray
+) -> None:
+    """Refuse a home from which no turn that is allowed brings all beams to face a plane.
+
+    Parameters
+    ----------
+    what : str
+        The plane, in words.
+    workspace : Workspace
+    directions : (B, 3)
+        Of the beams, hand frame.
+    normal : (3,)
+        Of the plane, away from the sensor, world frame.
+
+    Raises
+    ------
+    InputError
+        The angle between a beam and the normal is above a right angle by more than the largest turn.
+    """
+    away = np.arccos(np.clip(directions @ workspace.home.T @ normal, -1.0, 1.0))
+    if float(away.max()) <= 0.5 * math.pi + workspace.largest_turn:
+        return
+    x, y, z, w = Rotation.from_matrix(workspace.home).as_quat(canonical=True)
+    raise InputError(
+        f"beams that look away from {what} however the hand turns from its home, home_quaternion "
+        f"[{x:.4g}, {y:.4g}, {z:.4g}, {w:.4g}]",
+        "home_quaternion in the table [workspace]: qx, qy, qz, qw of a hand that faces the plate, such "
+        "as a station's; and a normal of the plate that points away from the sensor",
+    )
 
 
 def _nowhere(plane: str, workspace: Workspace, tried_by_arm: int) -> InputError:

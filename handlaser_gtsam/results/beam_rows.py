@@ -16,6 +16,10 @@ THREE_WIDE = 76
 """Columns that three numbers need with their standard deviations."""
 NAME = 8
 """Columns of a beam's name."""
+PAIR = 22
+"""Columns of a number with its standard deviation: a blank, a sign and six decimals of a direction."""
+MOST_OF_ERROR = (5, 4)
+"""Decimals of k1 and k2 [1/m]."""
 
 
 def beam_rows(beams: list[Beam], width: int) -> Iterator[str]:
@@ -30,7 +34,7 @@ def beam_rows(beams: list[Beam], width: int) -> Iterator[str]:
 
 def _two_rows(beams: list[Beam]) -> Iterator[str]:
     """Yield the mounts of few beams: two rows each, every number with its standard deviation."""
-    yield "beam      hand frame: location r [mm], unit direction v        range error k1, k2 [1/m]"
+    yield "beam      hand frame: location r [mm], unit direction v           range error k1, k2 [1/m]"
     for beam in beams:
         sigma = _sigma(beam)
         for k, (symbol, rows, scale, most) in enumerate(
@@ -39,8 +43,8 @@ def _two_rows(beams: list[Beam]) -> Iterator[str]:
             values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
             digits = _row_decimals(sigmas, most)
             pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-            cells = "".join(f"{with_sigma(x, s, digits):>21}" for x, s in pairs)
-            error, own = "0", _row_decimals(sigma[6 + k : 7 + k], 6 - 2 * k)
+            cells = "".join(f"{with_sigma(x, s, digits):>{PAIR}}" for x, s in pairs)
+            error, own = "0", _row_decimals(sigma[6 + k : 7 + k], MOST_OF_ERROR[k])
             if k < beam.terms:
                 error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
             yield f"{'' if k else _short(beam.name):<{NAME}} {symbol}{cells}  k{k + 1} {error}"
@@ -55,19 +59,19 @@ def _three_rows(beams: list[Beam]) -> Iterator[str]:
             values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
             digits = _row_decimals(sigmas, most)
             pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-            cells = "".join(f"{with_sigma(x, s, digits):>21}" for x, s in pairs)
+            cells = "".join(f"{with_sigma(x, s, digits):>{PAIR}}" for x, s in pairs)
             yield f"{_short(beam.name) if symbol == 'r' else '':<{NAME}} {symbol}{cells}"
         errors = (
             with_sigma(
                 float(beam.range_error[i]),
                 float(sigma[6 + i]),
-                _row_decimals(sigma[6 + i : 7 + i], 6 - 2 * i),
+                _row_decimals(sigma[6 + i : 7 + i], MOST_OF_ERROR[i]),
             )
             if i < beam.terms
             else "0"
             for i in range(2)
         )
-        yield f"{'':<{NAME}} k" + "".join(f"{one:>21}" for one in errors)
+        yield f"{'':<{NAME}} k" + "".join(f"{one:>{PAIR}}" for one in errors)
 
 
 def _compact_rows(beams: list[Beam]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import math
 import textwrap
 
+from ..text import count as count
 from ..text import some as some
 
 WIDTH = 100
@@ -53,8 +54,3 @@ def with_sigma(value: float, sigma: float, digits: int) -> str:
     if not math.isfinite(sigma):
         return UNDETERMINED
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"
-
-
-def count(number: int, noun: str) -> str:
-    """Return a number of things: "1 beam", "2 beams"."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")

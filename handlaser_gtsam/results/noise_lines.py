@@ -9,6 +9,8 @@ from .lines import DEG, MM, some
 from .reports import NoiseComponent
 
 SHOWN = 4
+PRIOR = "the prior decides"
+"""Of a sigma of which the recording says little."""
 KINDS = {
     "range": "a reading",
     "pose translation": "hand position",
@@ -26,28 +28,24 @@ def noise_words(result: CalibrationData, *, brief: bool = False) -> str:
     parts = [_estimate(one) for one in ranges]
     if brief and len(parts) > 1:
         sigmas = [one.sigma * MM for one in ranges]
-        parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam (estimated)"]
+        how = (
+            f"estimated; {PRIOR} some" if any(one.prior_carries for one in ranges) else "estimated"
+        )
+        parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {result.fit.range_sigma * MM:.3g} mm ({how})"]
     parts += [_estimate(one) for one in estimated if one.quantity != "range"]
-    words = ", ".join([*parts, *_given_poses(result)])
-    carried = [_owner(one) for one in estimated if one.prior_carries]
-    if carried:
-        words += f"; the prior decides that of {some(carried, SHOWN)}"
-    return f"noise, standard deviations: {words}"
+    return f"noise, standard deviations: {', '.join([*parts, *_given_poses(result)])}"
 
 
 def _estimate(one: NoiseComponent) -> str:
     """Return an estimated sigma with its own standard deviation."""
     scale, unit = (DEG, "deg") if one.quantity == "pose rotation" else (MM, "mm")
     error = f" +- {one.error * scale:.1g}" if math.isfinite(one.error) else ""
-    return f"{_owner(one)} {one.sigma * scale:.2g}{error} {unit} (estimated)"
-
-
-def _owner(one: NoiseComponent) -> str:
-    """Return what a sigma is of."""
-    return KINDS[one.quantity] + ("" if one.beam is None else f" of beam {one.beam}")
+    owner = KINDS[one.quantity] + ("" if one.beam is None else f" of beam {one.beam}")
+    how = PRIOR if one.prior_carries else "estimated"
+    return f"{owner} {one.sigma * scale:.2g}{error} {unit} ({how})"
 
 
 def _given_poses(result: CalibrationData) -> list[str]:

@@ -84,7 +84,8 @@ class Verdict:
         """All of it in one sentence."""
         planes = f", confirmed by {count(self.confirmed_by, 'plane')} left out"
         confirmed = planes if self.confirmed_by else ""
-        return f"{OPENING[self.code]}{confirmed}: {'; '.join(self.findings)}."
+        words = "; ".join(self.findings)
+        return f"{OPENING[self.code]}{confirmed}: {words}{'' if words.endswith('...') else '.'}"
 
     @property
     def exceeded(self) -> tuple[str, ...]:

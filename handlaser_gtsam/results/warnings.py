@@ -13,6 +13,7 @@ from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
 from ..model.equation import plausible_range_errors
 from ..model.sensor import BY_LIMITS
+from .lines import count
 from .reports import Fit
 from .significance import SINGLE_LEVEL
 
@@ -75,14 +76,14 @@ def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
     """Name a beam most of whose readings contradict the rest; None where there is none."""
     out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
     kept = (~np.isnan(fit.residuals)).sum(axis=0)
-    for name, count in zip(recording.beam_names, kept.tolist(), strict=True):
-        if out[name] > count:
+    for name, left in zip(recording.beam_names, kept.tolist(), strict=True):
+        if out[name] > left:
             return CalibrationWarning(
                 "contradicting-beam",
-                f"{out[name]} of the {out[name] + count} readings of beam {name} contradict the "
+                f"{out[name]} of the {out[name] + left} readings of beam {name} contradict the "
                 f"others: look for another unit, a swapped column or a loose sensor, or leave beam "
                 f"{name} out; {CHECKS}",
-                {"beam": name, "rejected": out[name], "readings": out[name] + count},
+                {"beam": name, "rejected": out[name], "readings": out[name] + left},
             )
     return None
 
@@ -235,8 +236,13 @@ def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
             {"station": station, "beam": beam, "sigmas": far},
         )
     if not fit.range_sigma_given and redundancy < FEW:
+        more = (
+            f"only {count(redundancy, 'reading')} more than"
+            if redundancy > 0
+            else "no more readings than"
+        )
         words = (
-            f"only {redundancy} readings more than unknowns: the noise is hardly determined, and "
+            f"{more} unknowns: the noise is hardly determined, and "
             "neither are the standard deviations; add stations, or give the range sigma"
         )
         yield CalibrationWarning("few-readings", words, {"redundancy": redundancy})

@@ -22,6 +22,7 @@ from ..arrays import FloatArray
 from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
+from ..text import count
 from .graph import CalibrationGraph
 from .linear import Step
 from .objectives import BatchObjective, GraphObjective, Objective, Point
@@ -221,7 +222,10 @@ class _Search:
         try:
             status, message = self.run()
         except KeyboardInterrupt:
-            status, message = "interrupted", f"stopped by Ctrl-C after {self.accepted} steps"
+            status, message = (
+                "interrupted",
+                f"stopped by Ctrl-C after {count(self.accepted, 'step')}",
+            )
         point = self.point
         residual, white = of_readings(point.at.residual), of_readings(point.at.white)
         history = tuple(self.history)
@@ -243,12 +247,12 @@ class _Search:
             decrement = None if step is None else step.decrement
             reason = self.stopping.arrived(decrement, self.damping, self.point.cost)
             if reason is not None:
-                return "converged", f"{reason} after {self.accepted} steps"
+                return "converged", f"{reason} after {count(self.accepted, 'step')}"
             if not self._adapt_damping(gain):
-                return "stalled", f"no step lowers the cost after {self.accepted} steps"
+                return "stalled", f"no step lowers the cost after {count(self.accepted, 'step')}"
             if accepted:
                 linear = self.objective.linearize(self.point)
-        return "max_iterations", f"not converged within {len(self.history)} trial steps"
+        return "max_iterations", f"not converged within {count(len(self.history), 'trial step')}"
 
     def _try(self, step: Step | None) -> Point | None:
         if step is None:
