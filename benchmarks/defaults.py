@@ -125,7 +125,7 @@ def judge(result: hl.Calibration, true: FloatArray, seconds: float = 0.0) -> Jud
     beams = list(result.beams.values())
     found = np.array([np.concatenate((b.location, b.direction, b.range_error)) for b in beams])
     e = found - true
-    own = [joint.beam_lift(i).T @ e[i] for i in range(len(beams))]
+    own = [lift.T @ row for lift, row in zip(joint.beam_lifts(), e, strict=True)]
     mounts = np.concatenate([np.arange(len(one)) < 5 for one in own])
     tangent = np.concatenate(own)
     sigma = np.sqrt(np.stack([np.diagonal(S) for S in joint.all_beams()]))

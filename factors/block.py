@@ -137,10 +137,8 @@ class RangeBlock:
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
-        keys: list[int | None] = []
-        for beam in self.beams:
-            keys += [beam.location, beam.direction, beam.range_error]
-        return [key for key in (*keys, self.plane, self.pose) if key is not None]
+        of_beams = [key for beam in self.beams for key in beam.variables]
+        return [*of_beams, self.plane, *([] if self.pose is None else [self.pose])]
 
     def __call__(
         self,

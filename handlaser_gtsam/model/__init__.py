@@ -16,6 +16,7 @@ from .equation import (
     residuals,
     residuals_or_infinite,
     scene,
+    tangent_columns,
 )
 from .geometry import means_and_scatter, normalized, plane_through, spots, tangent_basis
 
@@ -40,4 +41,5 @@ __all__ = [
     "scene",
     "spots",
     "tangent_basis",
+    "tangent_columns",
 ]

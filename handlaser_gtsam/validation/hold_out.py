@@ -15,7 +15,6 @@ part of P infinite.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
@@ -26,7 +25,7 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
 from ..solvers.normal_equations import normal_equations
@@ -218,7 +217,7 @@ class _Quadratic:
             keep = values / scale > MOST_SIGMA**-2
         axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
         bases = model.tangent_basis(mounts.directions)
-        lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]
+        lift = beams_lift(bases, mounts.terms)
         P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
         return cls(
             cost / scale,

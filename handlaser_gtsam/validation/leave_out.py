@@ -288,11 +288,10 @@ def reconstruction(calibration: Calibration, recording: Recording) -> Prediction
 def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Iterator[FloatArray]:
     """Yield the errors of the other stations, from each station where three beams span the plane."""
     rows = np.flatnonzero(recording.plane_of_station == plane)
-    beams = [calibration.beams[name] for name in recording.beam_names]
-    r, v = (np.array([getattr(b, name) for b in beams]) for name in ("location", "direction"))
-    k = np.array([b.range_error for b in beams])
+    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+    r, v, k = (array[beams] for array in calibration.parameters().beams)
     d = recording.ranges[rows]
-    g = d * (1.0 + k[:, 0] + k[:, 1] * d)
+    g = model.corrected(d, k)
     R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
     spots = np.einsum("mij,mbj->mbi", R, r + g[:, :, None] * v) + t[:, None, :]
     read = ~np.isnan(d)
@@ -301,7 +300,7 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
         found = plane_of(X) if len(X) >= 3 else None
         if found is None:
             continue
-        (_, _, n), middle = found
+        n, middle = found
         others = read & (np.arange(len(rows)) != station)[:, None]
         m, b = np.nonzero(others)
         n_hand = np.einsum("mji,j->mi", R[m], n)
