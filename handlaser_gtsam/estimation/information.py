@@ -48,6 +48,8 @@ class NoiseSet(Value):
 class Information:
     """What the readings say of the beams for J sets of noise scales; sums over planes.
 
+    Without the axis of the sets where the noise is known.
+
     Attributes
     ----------
     matrix : (J, n, n)
@@ -63,18 +65,16 @@ class Information:
     constant: FloatArray
 
     def __add__(self, other: "Information") -> "Information":
-        return Information(
-            self.matrix + other.matrix,
-            self.vector + other.vector,
-            self.constant + other.constant,
-        )
+        matrix, vector = self.matrix + other.matrix, self.vector + other.vector
+        return Information(matrix, vector, self.constant + other.constant)
 
     def __sub__(self, other: "Information") -> "Information":
-        return Information(
-            self.matrix - other.matrix,
-            self.vector - other.vector,
-            self.constant - other.constant,
-        )
+        matrix, vector = self.matrix - other.matrix, self.vector - other.vector
+        return Information(matrix, vector, self.constant - other.constant)
+
+    def __getitem__(self, sets: slice | None) -> "Information":
+        """Return those of some sets; with None one set more, of which this is all."""
+        return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,8 +76,7 @@ def blind_motion(
     require_count("planes", planes, 1, MOST_PLANES)
     require_range(sensor)
     rng = np.random.default_rng(0) if rng is None else rng
-    noise, beams = Noise() if noise is None else noise, len(bounds.locations)
-    variances = moves.expected_noise(noise, sensor, beams)
+    variances = moves.expected_noise(noise or Noise(), sensor, len(bounds.locations))
     cell = Cell(bounds, sensor, workspace, variances)
     return _plan(cell, _motion(cell, stations, rng), planes, Goal() if goal is None else goal, rng)
 

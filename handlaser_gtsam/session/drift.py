@@ -24,6 +24,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..data.value import Value
+from ..estimation.information import Information
 from ..solvers.normal_equations import NormalEquations
 
 MOST_SIGMA = 0.1
@@ -115,24 +116,10 @@ class Reference:
         return coordinates
 
 
-@dataclass(frozen=True, slots=True)
-class Information:
-    """What is known of the beams: cost x' matrix x - 2 vector' x + ..., natural units and sigmas."""
-
-    matrix: FloatArray
-    vector: FloatArray
-
-    def __add__(self, other: "Information") -> "Information":
-        return Information(self.matrix + other.matrix, self.vector + other.vector)
-
-    def __sub__(self, other: "Information") -> "Information":
-        return Information(self.matrix - other.matrix, self.vector - other.vector)
-
-
 def plane_information(
     normal: NormalEquations, sigma: float, beams: Beams, reference: Reference
 ) -> Information:
-    """Return what one plane knows of the beams.
+    """Return what one plane knows of the beams: matrix (n, n) and vector (n,), natural units.
 
     Parameters
     ----------
@@ -150,7 +137,7 @@ def plane_information(
     turn = turns(beams[1], reference)
     L = turn.T @ found.matrix @ turn / sigma**2
     gradient = turn.T @ found.gradient / sigma**2
-    return Information(L, L @ reference.coordinates(beams) - gradient)
+    return Information(L, L @ reference.coordinates(beams) - gradient, np.zeros(()))
 
 
 def turns(directions: FloatArray, reference: Reference) -> FloatArray:
@@ -218,7 +205,7 @@ class History:
             J = J * reference.unit / sigmas[: len(own), None]
             matrix += J.T @ J
             vector -= J.T @ (error / sigmas[: len(own)])
-        return cls(reference, Information(matrix, vector))
+        return cls(reference, Information(matrix, vector, np.zeros(())))
 
     def with_plane(self, name: str, found: Information) -> "History":
         """Return the history with one more plane, or with more known of one."""
