@@ -49,7 +49,7 @@ from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
 from handlaser_gtsam.validation.scenes import Layout, paper
 from handlaser_gtsam.validation.simulate import Errors, simulate

@@ -43,7 +43,7 @@ from ..errors import HandlaserError, InputError
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.normal_equations import normal_equations
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .reports import Beam
 
 LEVEL = 0.95

@@ -27,7 +27,7 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
-from .partial import PartialStart
+from .growing import PartialStart
 
 ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""

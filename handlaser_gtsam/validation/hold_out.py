@@ -31,7 +31,7 @@ from ..results.mounts import Mounts
 from ..solvers.normal_equations import normal_equations
 from ..solvers.progress import tell
 from ..solvers.steps import apply_step
-from ..starts.partial import PartialStart, grow
+from ..starts.growing import PartialStart, grow
 
 STEPS, SETTLED = 20, 1e-12
 RANK = 1e-12

@@ -22,8 +22,8 @@ from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
+from ..results.measuring import plane_of
 from ..results.mounts import Mounts
-from ..results.spots import plane_of
 from ..solvers.progress import Listener, tell, told_to
 from .hold_out import HoldOut, hold_out
 
