@@ -34,7 +34,8 @@ from benchmarks.studies import Studies, add_options
 import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import MOTION, Scene, Truth, cell, pose_covariance
+from benchmarks.robot_arm import pose_covariance
+from benchmarks.robot_cell import MOTION, Scene, Truth, cell
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.estimation.options import RangeError
 from handlaser_gtsam.validation.scenes import SCENES, SENSORS, Layout
