@@ -130,9 +130,9 @@ if TYPE_CHECKING:
     from .validation.hold_out import HoldOut as HoldOut
     from .validation.hold_out import hold_out as hold_out
     from .validation.leave_out import PlaneLeftOut as PlaneLeftOut
-    from .validation.leave_out import Prediction as Prediction
     from .validation.leave_out import Validation as Validation
     from .validation.leave_out import validate as validate
+    from .validation.prediction import Prediction as Prediction
     from .validation.scenes import Layout as Layout
     from .validation.simulate import Errors as Errors
     from .validation.study import Study as Study
@@ -214,7 +214,8 @@ _NAMES = {
     "validation.bootstrap": "Bootstrap bootstrap",
     "validation.cross_check": "CrossCheck cross_check",
     "validation.hold_out": "BeamDrift HoldOut hold_out",
-    "validation.leave_out": "PlaneLeftOut Prediction Validation validate",
+    "validation.leave_out": "PlaneLeftOut Validation validate",
+    "validation.prediction": "Prediction",
     "validation.study": "Study study",
     "validation.study_cases": "Calibrated Case Drawn Reduced Simulated Treatment",
     "validation.study_rows": "Estimated",

@@ -24,7 +24,7 @@ from ..solvers.graph import station_blocks
 from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 from ..solvers.poses import pose_priors
 from .config import SessionConfig
-from .drift import Reference, plane_information
+from .reference import Reference, plane_information
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""

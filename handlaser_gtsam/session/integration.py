@@ -21,8 +21,8 @@ from ..estimation.mixture import BeamPosterior
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
-from .drift import Reference, turns
 from .fitted import FittedPlane
+from .reference import Reference, turns
 
 
 @dataclass(frozen=True, slots=True)
