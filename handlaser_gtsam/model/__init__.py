@@ -18,7 +18,14 @@ from .equation import (
     scene,
     tangent_columns,
 )
-from .geometry import means_and_scatter, normalized, plane_through, spots, tangent_basis
+from .geometry import (
+    means_and_scatter,
+    normalized,
+    plane_through,
+    rotation_cells,
+    spots,
+    tangent_basis,
+)
 
 __all__ = [
     "GRAZING_LIMIT",
@@ -38,6 +45,7 @@ __all__ = [
     "range_error_derivatives",
     "residuals",
     "residuals_or_infinite",
+    "rotation_cells",
     "scene",
     "spots",
     "tangent_basis",

@@ -37,8 +37,6 @@ def completing_motion(
     workspace: Workspace | None = None,
     noise: Noise | None = None,
     goal: Goal | None = None,
-    *,
-    rng: np.random.Generator | None = None,
 ) -> Plan:
     """Return the best stations before the last plane of a recording that leaves something open.
 
@@ -51,7 +49,7 @@ def completing_motion(
         station is safe for all mounts within them.
     """
     require_range(sensor)
-    beams, rng = len(bounds.locations), np.random.default_rng(0) if rng is None else rng
+    beams, rng = len(bounds.locations), np.random.default_rng(0)
     if beams != len(recording.beam_names):
         found = f"bounds of {beams} beams for {len(recording.beam_names)} in the recording"
         raise InputError(found, "the bounds of all beams, in the order of the columns")
