@@ -34,7 +34,8 @@ from benchmarks.studies import Studies, add_options
 import numpy as np  # isort: skip
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import MOTION, Scene, Truth, cell, pose_covariance
+from benchmarks.robot_arm import pose_covariance
+from benchmarks.robot_cell import MOTION, Scene, Truth, cell
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.estimation.options import RangeError
 from handlaser_gtsam.validation.scenes import SCENES, SENSORS, Layout
@@ -125,7 +126,7 @@ def judge(result: hl.Calibration, true: FloatArray, seconds: float = 0.0) -> Jud
     beams = list(result.beams.values())
     found = np.array([np.concatenate((b.location, b.direction, b.range_error)) for b in beams])
     e = found - true
-    own = [joint.beam_lift(i).T @ e[i] for i in range(len(beams))]
+    own = [lift.T @ row for lift, row in zip(joint.beam_lifts(), e, strict=True)]
     mounts = np.concatenate([np.arange(len(one)) < 5 for one in own])
     tangent = np.concatenate(own)
     sigma = np.sqrt(np.stack([np.diagonal(S) for S in joint.all_beams()]))

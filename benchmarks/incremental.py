@@ -37,6 +37,22 @@ def batch_seconds(session: hl.Session, noise: hl.Noise, options: hl.CalibrationO
     return time.perf_counter() - begin
 
 
+def made(
+    arguments: argparse.Namespace,
+) -> tuple[hl.Recording, hl.Noise, hl.CalibrationOptions]:
+    """Return the recording that is asked for, and how it is calibrated."""
+    rng = np.random.default_rng(1)
+    k = (0.01, 0.2) if arguments.defaults else (0.0, 0.0)
+    truth, stations = SCENES["unplanned"](Layout(4, arguments.planes, 11, *k), rng)
+    errs = arguments.robot or arguments.poses or arguments.defaults
+    pose = (TRANSLATION, ROTATION) if errs else (0.0, 0.0)
+    recording = simulate(truth, stations, Errors(SIGMA, *pose), rng)
+    if arguments.defaults:
+        return recording, hl.Noise(), hl.CalibrationOptions()
+    options = hl.CalibrationOptions("none", poses="estimated" if arguments.poses else "auto")
+    return recording, hl.Noise(SIGMA, *pose), options
+
+
 def main() -> None:
     """Print agreement and times as planes come in."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -46,21 +62,12 @@ def main() -> None:
     parser.add_argument("--poses", action="store_true", help="poses estimated")
     parser.add_argument("--defaults", action="store_true", help="give nothing")
     arguments = parser.parse_args()
-    rng = np.random.default_rng(1)
-    k = (0.01, 0.2) if arguments.defaults else (0.0, 0.0)
-    truth, stations = SCENES["unplanned"](Layout(4, arguments.planes, 11, *k), rng)
-    errs = arguments.robot or arguments.poses or arguments.defaults
-    pose = (TRANSLATION, ROTATION) if errs else (0.0, 0.0)
-    recording = simulate(truth, stations, Errors(SIGMA, *pose), rng)
-    noise = hl.Noise(SIGMA, *pose)
-    options = hl.CalibrationOptions("none", poses="estimated" if arguments.poses else "auto")
-    if arguments.defaults:
-        noise, options = hl.Noise(), hl.CalibrationOptions()
+    recording, noise, options = made(arguments)
     session = hl.Session(noise, options)
     shown = sorted({*SHOWN, arguments.planes})
     seconds, batches, largest, largest_sigma, rows = [], [], 0.0, 0.0, []
     for plane in track(range(arguments.planes), description="planes"):
-        part = recording.part(np.flatnonzero(recording.plane_of_station == plane))
+        part = recording.part(recording.plane_of_station == plane)
         begin = time.perf_counter()
         session.add(part)
         seconds.append(time.perf_counter() - begin)

@@ -9,8 +9,7 @@ import numpy as np
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.information import told
-from handlaser_gtsam.planning.route import forecast_of, planned
+from handlaser_gtsam.planning.route import Task, planned
 from handlaser_gtsam.planning.workspace import candidates, joined, picked
 from handlaser_gtsam.validation.simulate import Errors
 
@@ -81,7 +80,7 @@ def random_plan(
     belief = belief_of(calibration).before(plates)
     planes = range(len(belief.plane_names))
     pool = joined([candidates(belief, p, workspace, SENSOR, 40, rng) for p in planes])
-    rows = told(belief, pool)
-    chosen = rng.choice(len(rows), count, replace=False)
-    forecast = forecast_of(belief, rows, chosen, GOAL.distance(SENSOR))
-    return planned(belief, picked(pool, chosen), GOAL, workspace, forecast, plates=plates)
+    every = len(pool.plane)
+    chosen = rng.choice(every, count, replace=False)
+    task = Task(belief, workspace, SENSOR, GOAL)
+    return planned(task, picked(pool, chosen), plates=plates)[0]

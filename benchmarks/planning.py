@@ -148,7 +148,7 @@ def _tangent(result: hl.Calibration, truth: hl.Parameters) -> np.ndarray:
     assert joint is not None
     found = np.hstack((at.locations, at.directions, at.range_errors))
     true = np.hstack((truth.locations, truth.directions, truth.range_errors))
-    parts = [joint.beam_lift(i).T @ row for i, row in enumerate(found - true)]
+    parts = [lift.T @ row for lift, row in zip(joint.beam_lifts(), found - true, strict=True)]
     return np.concatenate(parts)
 
 

@@ -1,4 +1,4 @@
-"""Recordings of plates at right angles with gross errors, by the arm of `benchmarks.robot_cell`.
+"""Recordings of plates at right angles with gross errors, by the arm of `benchmarks.robot_arm`.
 
 The first plate is a table (its normal is vertical), the second a wall (its normal is horizontal), the
 third a wall at right angles to both, and further ones stand in general position; with `general` all
@@ -19,7 +19,8 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks.robot_cell import POSTURE, STATION_SPREAD, cast, forward, readings_of
+from benchmarks.robot_arm import POSTURE, STATION_SPREAD, cast, forward
+from benchmarks.robot_cell import readings_of
 from handlaser_gtsam.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("table", "wall", "front", "D", "E", "F")
@@ -42,7 +43,7 @@ class Scene:
     general : bool
         Whether no plates stand at right angles.
     motion : (float, float)
-        Least and most motion before the plates, as a part of `robot_cell.STATION_SPREAD`.
+        Least and most motion before the plates, as a part of `robot_arm.STATION_SPREAD`.
     joint_sigma_deg, range_sigma : float
         Standard deviations of a joint angle [deg] and of a reading [m].
     k1, k2 : float

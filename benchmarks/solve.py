@@ -49,7 +49,7 @@ from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
 from handlaser_gtsam.validation.scenes import Layout, paper
 from handlaser_gtsam.validation.simulate import Errors, simulate
@@ -129,7 +129,7 @@ def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
 
 def solve_reference(recording: Recording, start: Parameters) -> tuple[float, int]:
     """Solve with SciPy; return cost and iterations."""
-    solution = minimize(ReferenceProblem(recording, start, TERMS))
+    solution = minimize(ReferenceProblem(recording, start, TERMS), "2-point")
     return float(solution.cost) / SIGMA**2, int(solution.njev)
 
 

@@ -88,7 +88,7 @@ def judge(result: hl.Calibration, truth: Parameters) -> Run:
     lift = np.zeros((e.size, len(joint.beams)))
     first = 0
     for i in range(len(beams)):
-        own = joint.beam_lift(i)
+        own = joint.beam_lifts()[i]
         lift[8 * i : 8 * i + 8, first : first + own.shape[1]] = own
         first += own.shape[1]
     tangent = lift.T @ e

@@ -23,7 +23,7 @@ from benchmarks.planning import TOTALS, WAYS, Judged, run_once  # noqa: E402
 from benchmarks.reduction import steps_line, steps_once, times  # noqa: E402
 from benchmarks.uncertainty import Summary, study  # noqa: E402
 from handlaser_gtsam.estimation.options import Poses  # noqa: E402
-from handlaser_gtsam.validation.leave_out import Prediction, reconstruction  # noqa: E402
+from handlaser_gtsam.validation.prediction import Prediction, reconstruction  # noqa: E402
 from handlaser_gtsam.validation.scenes import SCENES, Layout  # noqa: E402
 from handlaser_gtsam.validation.simulate import Errors, Stations, simulate  # noqa: E402
 

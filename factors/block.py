@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handlaser_gtsam import model
-from handlaser_gtsam.arrays import FloatArray, IntArray, frozen, frozen_indices
-from handlaser_gtsam.checks import require_number
+from handlaser_gtsam.arrays import FloatArray, IntArray, frozen_indices
+from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.data.recording import LARGEST
@@ -103,9 +103,9 @@ class RangeBlock:
         self.plane = integer_key(plane, "plane")
         self.pose = None if pose is None else integer_key(pose, "hand pose")
         self.whitening = whitening
-        self.distance = numbers(distance, "readings")
-        self.world_R_hand = numbers(world_R_hand, "rotations of the hand")
-        self.world_t_hand = numbers(world_t_hand, "positions of the hand")
+        self.distance = number_array("readings", distance)
+        self.world_R_hand = number_array("rotations of the hand", world_R_hand)
+        self.world_t_hand = number_array("positions of the hand", world_t_hand)
         self.measured: FloatArray | Regressors
         self.prepared: Share | None = None
         self.gathering: Shares | None = None
@@ -137,10 +137,8 @@ class RangeBlock:
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
-        keys: list[int | None] = []
-        for beam in self.beams:
-            keys += [beam.location, beam.direction, beam.range_error]
-        return [key for key in (*keys, self.plane, self.pose) if key is not None]
+        of_beams = [key for beam in self.beams for key in beam.variables]
+        return [*of_beams, self.plane, *([] if self.pose is None else [self.pose])]
 
     def __call__(
         self,
@@ -205,14 +203,6 @@ class RangeBlock:
         return R, np.broadcast_to(pose.translation(), (rows, 3))
 
 
-def numbers(values: ArrayLike, what: str) -> FloatArray:
-    """Return numbers as an array; raises InputError for what is none."""
-    try:
-        return frozen(values)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{what} that are no array of numbers ({error})", "numbers") from error
-
-
 def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
     """Refuse readings (N,) that are no ranges [m], and hand poses (N, 3, 3), (N, 3) that are none.
 
@@ -245,19 +235,20 @@ def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]
     return vector.size, k
 
 
-def require_positive(ranges: ArrayLike) -> None:
-    """Refuse readings of a user's factor that are not positive.
+def positive_ranges(ranges: ArrayLike) -> FloatArray:
+    """Return the readings (N,) [m] of a user's factor, which are positive.
 
     Raises
     ------
     InputError
     """
-    d = np.atleast_1d(numbers(ranges, "readings"))
+    d = np.atleast_1d(number_array("readings", ranges))
     if d.size == 0 or not ((d > 0.0) & (d <= LARGEST)).all():
         raise InputError(
             f"readings {np.array2string(d, threshold=5)}",
             f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
         )
+    return d
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:

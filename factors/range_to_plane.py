@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.keys import BeamKeys
 
-from .block import Noise, RangeBlock, range_factor, require_positive
+from .block import Noise, RangeBlock, positive_ranges, range_factor
 
 
 def range_to_plane(
@@ -53,5 +53,4 @@ def range_to_plane(
         raise InputError("one Pose3", "a sequence of hand poses, one a reading")
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
     t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
-    require_positive(ranges)
-    return range_factor(RangeBlock(beam, plane, ranges, R, t), noise)
+    return range_factor(RangeBlock(beam, plane, positive_ranges(ranges), R, t), noise)

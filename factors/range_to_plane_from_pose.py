@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.keys import BeamKeys
 
-from .block import Noise, RangeBlock, numbers, range_factor, require_positive
+from .block import Noise, RangeBlock, positive_ranges, range_factor
 
 
 def range_to_plane_from_pose(
@@ -40,7 +40,6 @@ def range_to_plane_from_pose(
     InputError
         Readings that are not positive, or noise of the wrong dimension.
     """
-    d = np.atleast_1d(numbers(ranges, "readings"))
+    d = positive_ranges(ranges)
     R = np.broadcast_to(np.eye(3), (len(d), 3, 3))
-    require_positive(d)
     return range_factor(RangeBlock(beam, plane, d, R, np.zeros((len(d), 3)), pose), noise)

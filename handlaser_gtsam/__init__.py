@@ -85,10 +85,14 @@ if TYPE_CHECKING:
     from .planning.route import Plan as Plan
     from .planning.workspace import Workspace as Workspace
     from .results.calibration import Calibration as Calibration
-    from .results.calibration_data import Coordinate as Coordinate
-    from .results.calibration_data import Correlation as Correlation
-    from .results.from_graph import read_graph as read_graph
+    from .results.calibration_fields import Coordinate as Coordinate
+    from .results.calibration_fields import Correlation as Correlation
+    from .results.graph_reading import read_graph as read_graph
     from .results.limits import Limits as Limits
+    from .results.measuring import MeasuredPlane as MeasuredPlane
+    from .results.measuring import Spot as Spot
+    from .results.measuring import measured_plane as measured_plane
+    from .results.measuring import spot as spot
     from .results.mounts import Mounts as Mounts
     from .results.reports import Beam as Beam
     from .results.reports import BeamMixture as BeamMixture
@@ -99,10 +103,6 @@ if TYPE_CHECKING:
     from .results.reports import RangeErrorScales as RangeErrorScales
     from .results.reports import ScaledSolution as ScaledSolution
     from .results.reports import StartReport as StartReport
-    from .results.spots import MeasuredPlane as MeasuredPlane
-    from .results.spots import Spot as Spot
-    from .results.spots import measured_plane as measured_plane
-    from .results.spots import spot as spot
     from .results.systematic import SystematicError as SystematicError
     from .session.drift import Moved as Moved
     from .session.reports import Change as Change
@@ -130,9 +130,9 @@ if TYPE_CHECKING:
     from .validation.hold_out import HoldOut as HoldOut
     from .validation.hold_out import hold_out as hold_out
     from .validation.leave_out import PlaneLeftOut as PlaneLeftOut
-    from .validation.leave_out import Prediction as Prediction
     from .validation.leave_out import Validation as Validation
     from .validation.leave_out import validate as validate
+    from .validation.prediction import Prediction as Prediction
     from .validation.scenes import Layout as Layout
     from .validation.simulate import Errors as Errors
     from .validation.study import Study as Study
@@ -193,13 +193,13 @@ _NAMES = {
     "planning.route": "Plan",
     "planning.workspace": "Workspace",
     "results.calibration": "Calibration",
-    "results.calibration_data": "Coordinate Correlation",
-    "results.from_graph": "read_graph",
+    "results.calibration_fields": "Coordinate Correlation",
+    "results.graph_reading": "read_graph",
     "results.limits": "Limits",
+    "results.measuring": "MeasuredPlane Spot measured_plane spot",
     "results.mounts": "Mounts",
     "results.reports": "Beam BeamMixture Determined Fit NoiseComponent Plane RangeErrorScales"
     " ScaledSolution StartReport",
-    "results.spots": "MeasuredPlane Spot measured_plane spot",
     "results.systematic": "SystematicError",
     "session.drift": "Moved",
     "session.reports": "Change Comparison Update",
@@ -214,7 +214,8 @@ _NAMES = {
     "validation.bootstrap": "Bootstrap bootstrap",
     "validation.cross_check": "CrossCheck cross_check",
     "validation.hold_out": "BeamDrift HoldOut hold_out",
-    "validation.leave_out": "PlaneLeftOut Prediction Validation validate",
+    "validation.leave_out": "PlaneLeftOut Validation validate",
+    "validation.prediction": "Prediction",
     "validation.study": "Study study",
     "validation.study_cases": "Calibrated Case Drawn Reduced Simulated Treatment",
     "validation.study_rows": "Estimated",

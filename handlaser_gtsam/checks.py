@@ -97,7 +97,7 @@ def number_array(name: str, values: ArrayLike, expected: str = "numbers") -> Flo
             raise TypeError(f"its entries are of type {kind}")
         return frozen(values)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} that is no array of numbers ({error})", expected) from error
+        raise InputError(f"{name}: no array of numbers ({error})", expected) from error
 
 
 def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: float) -> None:

@@ -14,6 +14,18 @@ from .text import printable
 class HandlaserError(Exception):
     """Root of all errors raised on purpose by this package."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let the error come back from another process, with its message and its attributes."""
+        return _raised, (type(self), self.args, self.__dict__)
+
+
+def _raised(
+    kind: type[HandlaserError], args: tuple[object, ...], attributes: Mapping[str, object]
+) -> HandlaserError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(attributes)
+    return error
+
 
 class InputError(HandlaserError):
     """A file or an argument cannot be used; the command line exits with 2.
@@ -51,10 +63,6 @@ class InputError(HandlaserError):
         message = f"{where}: found {found}; expected {expected}".removeprefix(": ")
         super().__init__(printable(message))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Let the error come back from another process."""
-        return InputError, (self.found, self.expected, self.path, self.line, self.column)
-
 
 class GrazingBeamError(HandlaserError):
     """A beam runs parallel to its plane, so no range can be predicted."""
@@ -65,10 +73,6 @@ class GrazingBeamError(HandlaserError):
             f"beam is parallel to the plane: |cos(incidence)| = {abs(cosine):.2e}, "
             f"expected at least {limit:.0e}; drop the reading or start closer to the solution"
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Let the error come back from another process."""
-        return GrazingBeamError, (self.cosine, self.limit)
 
 
 class SolverError(HandlaserError):
@@ -86,10 +90,6 @@ class NotConvergedError(HandlaserError):
             )
             + "record what is missing and calibrate again"
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Let the error come back from another process."""
-        return NotConvergedError, (self.status, self.message)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,9 +42,15 @@ class BeamKeys:
             key = getattr(self, name)
             if name != "range_error" or key is not None:
                 object.__setattr__(self, name, integer_key(key, name.replace("_", " ")))
-        keys = [key for key in (self.location, self.direction, self.range_error) if key is not None]
-        if len(set(keys)) < len(keys):
-            raise InputError(f"keys {keys} of one beam", f"different integers: {EXAMPLE}")
+        if len(set(self.variables)) < len(self.variables):
+            found = f"keys {list(self.variables)} of one beam"
+            raise InputError(found, f"different integers: {EXAMPLE}")
+
+    @property
+    def variables(self) -> tuple[int, ...]:
+        """Keys of location, direction and, if it is estimated, range error."""
+        keys = (self.location, self.direction, self.range_error)
+        return tuple(key for key in keys if key is not None)
 
 
 def integer_key(key: object, of: str) -> int:

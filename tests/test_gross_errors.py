@@ -12,7 +12,7 @@ from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.outliers.snooping import beyond_chance
 from handlaser_gtsam.solvers.refine import Scale, refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
-from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)

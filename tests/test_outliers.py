@@ -13,7 +13,7 @@ from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers.leverage import leverages, standardized
 from handlaser_gtsam.outliers.snooping import screen
 from handlaser_gtsam.starts.directions import direction_starts
-from handlaser_gtsam.starts.partial import grow
+from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import robust_search
 from handlaser_gtsam.validation.scenes import Layout
 

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import handlaser_gtsam as hl
 from benchmarks import defaults, robot_cell, systematic_errors
-from benchmarks.robot_cell import CODES, Scene, cell, forward, pose_covariance
+from benchmarks.robot_arm import forward, pose_covariance
+from benchmarks.robot_cell import CODES, Scene, cell
 
 QUIET = Scene(joint_sigma_deg=0.0, range_sigma=0.0, a=0.3)
 SIZES = {"lag": 0.03, "turn-scale": 0.002, "translation-scale": 0.003}

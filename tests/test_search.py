@@ -17,7 +17,7 @@ from handlaser_gtsam.results import file_mistakes
 from handlaser_gtsam.solvers import refine
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
-from handlaser_gtsam.starts.part import part_of
+from handlaser_gtsam.starts.excerpt import excerpt_of
 from handlaser_gtsam.starts.search import Candidate, Round, search
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -204,7 +204,7 @@ def test_a_plane_through_spots_is_that_of_its_scatter():
 def test_a_part_of_very_many_beams_or_stations_stands_for_the_whole(layout):
     recording, truth = simulated("arm", layout, 0.0)
     readings = recording.readings()
-    part = part_of(readings)
+    part = excerpt_of(readings)
     assert not part.is_whole
     assert part.readings.beams == min(layout.beams, 32)
     assert len(part.readings) <= 6000

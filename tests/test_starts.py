@@ -17,9 +17,9 @@ from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
+from handlaser_gtsam.starts.excerpt import excerpt_of
+from handlaser_gtsam.starts.growing import PartialStart, grow
 from handlaser_gtsam.starts.lifted import lifted_starts
-from handlaser_gtsam.starts.part import part_of
-from handlaser_gtsam.starts.partial import PartialStart, grow
 from handlaser_gtsam.starts.sweep import sweep_starts
 from handlaser_gtsam.starts.translations import (
     translation_start,
@@ -281,7 +281,7 @@ def test_half_the_planes_satisfying_no_lemma_spoil_nothing():
 def test_a_long_recording_is_searched_in_part():
     recording, _ = simulated("arm", Layout(2, 120, 12), 1e-3)
     readings = recording.readings()
-    part = part_of(readings)
+    part = excerpt_of(readings)
     assert len(part.readings) < 0.8 * len(readings)
     assert set(part.readings.beam) == {0, 1}
     start = find_start(readings, 1e-3, 0)

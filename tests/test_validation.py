@@ -7,7 +7,7 @@ import pytest
 from helpers import GRIPPER, draws, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.validation.leave_out import predict, reconstruction
+from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5)

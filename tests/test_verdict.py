@@ -11,9 +11,9 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
+from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
-from handlaser_gtsam.results.spots import spot
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation

@@ -97,19 +97,9 @@ class Output:
 
     def check(self, sources: tuple[Path | None, ...]) -> None:
         """Refuse files that cannot be written, or are one of the `sources` or each other."""
-        from ..errors import InputError
-        from ..files.writing import require_writable, same_file
+        from ..files.writing import require_outputs
 
-        for option, path in (("--out", self.out), ("--report", self.report)):
-            if path is None:
-                continue
-            if any(source is not None and same_file(path, source) for source in sources):
-                raise InputError(f"the input itself as {option}", "another file to write to", path)
-            require_writable(path)
-        if self.out is not None and self.report is not None:
-            same = self.out.resolve() == self.report.resolve()
-            if same or same_file(self.out, self.report):
-                raise InputError("one file as --out and --report", "two files", self.out)
+        require_outputs({"--out": self.out, "--report": self.report}, sources)
         if self.report_date is not None:
             from ..files.report.options import iso_day
 

@@ -20,21 +20,7 @@ if TYPE_CHECKING:
 MM = 1e-3
 FormatChoice = StrEnum(
     "FormatChoice",
-    {
-        "urdf": "urdf",
-        "xacro": "xacro",
-        "ros2_static": "ros2-static",
-        "ros2_yaml": "ros2-yaml",
-        "kuka": "kuka",
-        "abb": "abb",
-        "fanuc": "fanuc",
-        "ur": "ur",
-        "matlab": "matlab",
-        "numpy": "numpy",
-        "c": "c",
-        "python": "python",
-        "st": "st",
-    },
+    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur matlab numpy c python st",
 )
 AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 
@@ -102,16 +88,12 @@ class Wanted:
     def check(self, calibration: Path) -> None:
         """Refuse an output that is missing, cannot be written, or is an input."""
         from ..errors import InputError
-        from ..files.writing import require_writable, same_file
+        from ..files.writing import require_outputs
 
-        if self.out is None:
-            if self.to.value in BINARY or self.into is not None:
-                what = "--into" if self.into is not None else f"the binary format {self.to.value}"
-                raise InputError(f"{what} without --out", "--out FILE")
-            return
-        if any(one is not None and same_file(self.out, one) for one in (calibration, self.into)):
-            raise InputError("the input itself as output", "another file to write to", self.out)
-        require_writable(self.out)
+        if self.out is None and (self.to.value in BINARY or self.into is not None):
+            what = "--into" if self.into is not None else f"the binary format {self.to.value}"
+            raise InputError(f"{what} without --out", "--out FILE")
+        require_outputs({"--out": self.out}, (calibration, self.into))
 
 
 def export(

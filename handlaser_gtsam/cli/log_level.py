@@ -13,9 +13,7 @@ import typer
 from ..solvers.progress import LOGGER
 from .stopping import CLEAR
 
-LogLevel = StrEnum(
-    "LogLevel", {"debug": "debug", "info": "info", "warning": "warning", "error": "error"}
-)
+LogLevel = StrEnum("LogLevel", "debug info warning error")
 LogLevelOption = Annotated[
     LogLevel | None,
     typer.Option(help="Log to stderr: info, the stages; debug, every step of the solver, too."),

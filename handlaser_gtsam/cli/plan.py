@@ -59,20 +59,6 @@ class Wanted:
         typer.Option(readable=False, help="Write the forecast to this picture, SVG."),
     ] = None
 
-    def check(self, sources: tuple[Path | None, ...]) -> None:
-        """Refuse files that cannot be written, or are one of the `sources` or each other."""
-        from ..errors import InputError
-        from ..files.writing import require_writable, same_file
-
-        for path in (self.out, self.picture):
-            if path is None:
-                continue
-            if any(source is not None and same_file(path, source) for source in sources):
-                raise InputError("the input itself as output", "another file to write to", path)
-            require_writable(path)
-        if self.out is not None and self.out == self.picture:
-            raise InputError("one file as --out and --picture", "two files", self.out)
-
 
 def plan(
     given: Given,
@@ -92,8 +78,11 @@ def plan(
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan.
     """
+    from ..files.writing import require_outputs
+
     with Working():
-        wanted.check((recording, wanted.calibration, given.rig))
+        outputs = {"--out": wanted.out, "--picture": wanted.picture}
+        require_outputs(outputs, (recording, wanted.calibration, given.rig))
         rig = given.read()
         found = _planned(recording, rig, model, wanted)
         answer = _answer(found, rig, wanted)
@@ -152,26 +141,15 @@ def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "
     if wanted.planes is not None:
         placement = replace(rig.placement, count=wanted.planes)
     rng = np.random.default_rng(wanted.seed)
+    given = count, rig.sensor, rig.workspace, rig.goal
     if wanted.calibration is not None:
-        mounts = read_mounts(wanted.calibration)
-        plates = _plates(wanted.calibration, rig)
-        return planning.plan(
-            mounts,
-            count,
-            rig.sensor,
-            rig.workspace,
-            rig.goal,
-            plates=plates,
-            placement=placement,
-            rng=rng,
-        )
+        mounts, plates = read_mounts(wanted.calibration), _plates(wanted.calibration, rig)
+        return planning.plan(mounts, *given, plates=plates, placement=placement, rng=rng)
     read = read_recording(recording or Path(), rig.sensor)
     found = calibrate(read, rig.noise, model.options(rig))
     if found.status != "converged":
         raise SolverError(found.message)
-    return planning.plan(
-        found, count, rig.sensor, rig.workspace, rig.goal, placement=placement, rng=rng
-    )
+    return planning.plan(found, *given, placement=placement, rng=rng)
 
 
 def _plates(path: Path, rig: "Rig") -> "Mapping[str, Plate]":

@@ -13,9 +13,9 @@ from rich.table import Table
 from ..data.recording import Recording
 from ..results.calibration import Calibration
 from ..results.lines import MM, UNDETERMINED, wrapped
+from ..results.measuring import spot, typical_plane
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.reports import Beam, Plane
-from ..results.spots import spot, typical_plane
 from ..results.summary import sizes
 from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck

@@ -8,7 +8,8 @@ from ..results.reports import Fit
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
-from ..validation.leave_out import Prediction, Validation
+from ..validation.leave_out import Validation
+from ..validation.prediction import Prediction
 from .tables import systematic_lines
 
 

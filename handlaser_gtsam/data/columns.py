@@ -62,10 +62,6 @@ class RepeatedColumnError(InputError):
             "every beam once; find out whose readings they are, and leave the other out",
         )
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Let the error come back from another process."""
-        return RepeatedColumnError, (self.beams, self.stations, self.common, self.factor)
-
 
 def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
     """Refuse a recording with a channel that was logged twice.

@@ -138,6 +138,21 @@ def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
         )
 
 
+def rotation_matrix(name: str, values: ArrayLike) -> FloatArray:
+    """Return one rotation (3, 3).
+
+    Raises
+    ------
+    InputError
+        What is none.
+    """
+    R = number_array(name, values)
+    if R.shape != (3, 3):
+        raise InputError(f"{name} of shape {R.shape}", "a rotation matrix (3, 3)")
+    check_poses(R[None], np.zeros((1, 3)), [name])
+    return R
+
+
 def _check_readings(recording: "Recording") -> None:
     d, samples, name = recording.ranges, recording.samples, recording.station_names
     require_number("range_min", recording.range_min, -LARGEST, 0.0, unit="m")
@@ -160,9 +175,7 @@ def _check_readings(recording: "Recording") -> None:
 
 def _check_names(recording: "Recording") -> None:
     for kind, names in (("station", recording.station_names), ("beam", recording.beam_names)):
-        twice = first_repeated(names)
-        if twice is not None:
-            raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
+        require_once(kind, names)
     seen = ~np.isnan(recording.ranges)
     planes = set(recording.plane_of_station[seen.any(axis=1)].tolist())
     for kind, names, read, rest in (
@@ -173,6 +186,18 @@ def _check_names(recording: "Recording") -> None:
             if index not in read:
                 expected = f"at least one reading of every {kind}; leave {rest} out"
                 raise InputError(f"{kind} {name} without any reading", expected)
+
+
+def require_once(kind: str, names: Sequence[str]) -> None:
+    """Refuse names of which one stands twice.
+
+    Raises
+    ------
+    InputError
+    """
+    twice = first_repeated(names)
+    if twice is not None:
+        raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
 
 
 def first_repeated(names: Sequence[str]) -> int | None:

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray
 from ..checks import number_array
 from ..errors import InputError
-from .recording import Recording, first_repeated
-from .recording_checks import check_poses, names_of, numbered
+from .recording import Recording
+from .recording_checks import check_poses, names_of, numbered, require_once
 from .value import Value
 
 
@@ -61,17 +61,13 @@ class StationList(Value):
         if not count or shapes != [(count, 3, 3), (count, 3), (count,)]:
             expected = f"{[(count, 3, 3), (count, 3), (count,)]}, and at least one station"
             raise InputError(f"arrays of shapes {shapes}", expected)
-        twice = first_repeated(self.station_names)
-        if twice is not None:
-            raise InputError(f"station {self.station_names[twice]!r} again", "every label once")
+        require_once("station", self.station_names)
         check_poses(self.world_R_hand, self.world_t_hand, self.station_names)
         self._check_joints()
 
     def _check_joints(self) -> None:
         object.__setattr__(self, "joint_names", names_of("a joint", self.joint_names))
-        twice = first_repeated(self.joint_names)
-        if twice is not None:
-            raise InputError(f"joint {self.joint_names[twice]!r} again", "every name once")
+        require_once("joint", self.joint_names)
         if self.joints is None and not self.joint_names:
             return
         joints = number_array("joints", () if self.joints is None else self.joints)
@@ -86,12 +82,8 @@ class StationList(Value):
 
     def matrices(self) -> FloatArray:
         """Return the poses world_T_hand (M, 4, 4)."""
-        poses = np.zeros((len(self), 4, 4))
-        poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = (
-            self.world_R_hand,
-            self.world_t_hand,
-            1.0,
-        )
+        poses = np.tile(np.eye(4), (len(self), 1, 1))
+        poses[:, :3, :3], poses[:, :3, 3] = self.world_R_hand, self.world_t_hand
         return poses
 
     def recording(self, ranges: ArrayLike, beam_names: tuple[str, ...] = ()) -> Recording:

@@ -38,10 +38,10 @@ def covariance(
     RuntimeError, numpy.linalg.LinAlgError
         The system is indeterminate; the variable that GTSAM names is a bystander.
     """
-    first = _ordering([*problem.poses, *problem.planes])
+    first = gtsam.Ordering([*problem.poses, *problem.planes])
     net, rest = linearize(problem, values).eliminatePartialSequential(first)
     columns = _columns(problem)
-    S = inverse_of(rest.hessian(_ordering(list(columns)))[0])
+    S = inverse_of(rest.hessian(gtsam.Ordering(list(columns)))[0])
     count = len(problem.planes)
     own, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
     number = {key: p for p, key in enumerate(problem.planes)}
@@ -102,16 +102,7 @@ def _columns(problem: CalibrationGraph) -> dict[int, IntArray]:
     found: dict[int, IntArray] = {}
     first = 0
     for beam, terms in zip(problem.beams, problem.terms, strict=True):
-        sizes = ((beam.location, 3), (beam.direction, 2), (beam.range_error, terms))
-        for key, size in sizes:
-            if key is not None:
-                found[key] = np.arange(first, first + size)
-                first += size
+        for key, size in zip(beam.variables, (3, 2, terms), strict=False):
+            found[key] = np.arange(first, first + size)
+            first += size
     return found
-
-
-def _ordering(keys: list[int]) -> gtsam.Ordering:
-    ordering = gtsam.Ordering()
-    for key in keys:
-        ordering.push_back(key)
-    return ordering

@@ -48,6 +48,8 @@ class NoiseSet(Value):
 class Information:
     """What the readings say of the beams for J sets of noise scales; sums over planes.
 
+    Without the axis of the sets where the noise is known.
+
     Attributes
     ----------
     matrix : (J, n, n)
@@ -63,18 +65,16 @@ class Information:
     constant: FloatArray
 
     def __add__(self, other: "Information") -> "Information":
-        return Information(
-            self.matrix + other.matrix,
-            self.vector + other.vector,
-            self.constant + other.constant,
-        )
+        matrix, vector = self.matrix + other.matrix, self.vector + other.vector
+        return Information(matrix, vector, self.constant + other.constant)
 
     def __sub__(self, other: "Information") -> "Information":
-        return Information(
-            self.matrix - other.matrix,
-            self.vector - other.vector,
-            self.constant - other.constant,
-        )
+        matrix, vector = self.matrix - other.matrix, self.vector - other.vector
+        return Information(matrix, vector, self.constant - other.constant)
+
+    def __getitem__(self, sets: slice | None) -> "Information":
+        """Return those of some sets; with None one set more, of which this is all."""
+        return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,24 +129,13 @@ class LinearReadings:
         readings = readings.subset(order)
         lin = model.linearize(model.scene(at, readings), readings.measured, with_pose=True)
         self.centres = readings.plane_means(lin.normal / lin.offset[:, None])
-        local = lin.normal - lin.offset[:, None] * self.centres[readings.plane]
+        middle = self.centres[readings.plane]
         v_basis = model.tangent_basis(at.directions)[readings.beam]
         n_basis = model.tangent_basis(at.normals)[readings.plane]
         unit = np.array([length] * 3 + [1.0] * 3 + [1.0 / length])[: 5 + terms]
-        self.beam_rows = unit * np.hstack(
-            (
-                lin.location,
-                np.einsum("ni,nij->nj", lin.direction, v_basis),
-                lin.range_error[:, :terms],
-            )
-        )
-        self.plane_rows = np.hstack(
-            (
-                np.einsum("ni,nij->nj", local, n_basis),
-                length * lin.offset[:, None],
-                lin.residual[:, None],
-            )
-        )
+        rows = model.tangent_columns(lin, v_basis, n_basis, middle, terms).T.copy()
+        self.beam_rows = unit * rows[:, :-4]
+        self.plane_rows = np.array([1.0, 1.0, length, 1.0]) * rows[:, -4:]
         self.beam, self.beams = readings.beam, readings.beams
         self.squared_slope = slopes(at, readings) ** 2
         bare = Variances(np.zeros(readings.beams), variances.incidence_sigma)

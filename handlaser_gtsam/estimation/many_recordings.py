@@ -19,6 +19,7 @@ from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
 from ..model.errors_in_variables import weighed
+from ..model.joint import beam_lifts
 from ..model.weighting import Variances, unequal
 from ..solvers.elimination import eliminated
 from ..solvers.levenberg import LevenbergOptions
@@ -143,10 +144,7 @@ def beam_covariances(found: SolvedTogether) -> FloatArray:
     each = np.arange(beams)
     own = inverse.reshape(copies, beams, width, beams, width)[:, each, :, each]
     bases = model.tangent_basis(np.concatenate([p.directions for p in found.parameters]))
-    lifts = np.zeros((copies * beams, 8, width))
-    lifts[:, :3, :3] = np.eye(3)
-    lifts[:, 3:6, 3:5] = bases
-    lifts[:, 6 : width + 1, 5:] = np.eye(width - 5)
+    lifts = beam_lifts(bases)[:, :, :width]
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
     covariances: FloatArray = (lifts @ own @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
     return covariances

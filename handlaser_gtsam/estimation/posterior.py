@@ -7,12 +7,11 @@ The solution stands at the most probable scales; here the scales are integrated 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
-from ..model.joint import JointCovariance, beam_lift
+from ..model.joint import JointCovariance, beams_lift
 from ..solvers.steps import apply_step
 from .information import PlaneResponse
 from .learned import LearnedScales, ScaleProblem
@@ -85,7 +84,7 @@ def posterior(
     beams, planes = problem.beams(learned.points)
     unit = _unit(learned, problem.readings.beams)
     bases = model.tangent_basis(problem.at.directions)
-    lift = block_diag(*(beam_lift(basis, learned.terms) for basis in bases)) * unit
+    lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
     return Posterior(
         _moved(problem, mixture, planes, unit, problem.step(*known)),

@@ -9,8 +9,8 @@ from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
 from ..results.calibration import Calibration
+from ..results.measuring import spot
 from ..results.reports import Beam, Fit, NoiseComponent, Plane
-from ..results.spots import spot
 from . import calibration_reading as schema
 from .json_text import Record, json_text, record
 from .writing import path_of, write_text

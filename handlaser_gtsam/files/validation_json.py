@@ -1,7 +1,8 @@
 """Validations and hold-out tests as JSON; SI units, finite numbers only."""
 
 from ..validation.hold_out import HoldOut
-from ..validation.leave_out import PlaneLeftOut, Prediction, Validation
+from ..validation.leave_out import PlaneLeftOut, Validation
+from ..validation.prediction import Prediction
 from .json_text import Record, json_text, record
 
 

@@ -7,6 +7,8 @@ to another place wants it there. A file that is replaced hands its mode on to th
 import os
 import stat
 import tempfile
+from collections.abc import Collection, Mapping
+from itertools import combinations
 from pathlib import Path
 
 from ..errors import InputError
@@ -69,6 +71,23 @@ def require_writable(path: Path) -> None:
         Path(name).unlink()
     except OSError as error:
         raise _refusal(path, error) from error
+
+
+def require_outputs(outputs: Mapping[str, Path | None], inputs: Collection[Path | None]) -> None:
+    """Refuse files to write, by their options, that cannot be, are an input, or are one file.
+
+    Raises
+    ------
+    InputError
+    """
+    given = {option: path for option, path in outputs.items() if path is not None}
+    for option, path in given.items():
+        if any(one is not None and same_file(path, one) for one in inputs):
+            raise InputError(f"the input itself as {option}", "another file to write to", path)
+        require_writable(path)
+    for (option, path), (other, again) in combinations(given.items(), 2):
+        if path.resolve() == again.resolve() or same_file(path, again):
+            raise InputError(f"one file as {option} and {other}", "two files", path)
 
 
 def same_file(first: Path, second: Path) -> bool:

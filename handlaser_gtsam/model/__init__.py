@@ -16,8 +16,16 @@ from .equation import (
     residuals,
     residuals_or_infinite,
     scene,
+    tangent_columns,
 )
-from .geometry import means_and_scatter, normalized, plane_through, spots, tangent_basis
+from .geometry import (
+    means_and_scatter,
+    normalized,
+    plane_through,
+    rotation_cells,
+    spots,
+    tangent_basis,
+)
 
 __all__ = [
     "GRAZING_LIMIT",
@@ -37,7 +45,9 @@ __all__ = [
     "range_error_derivatives",
     "residuals",
     "residuals_or_infinite",
+    "rotation_cells",
     "scene",
     "spots",
     "tangent_basis",
+    "tangent_columns",
 ]

@@ -169,6 +169,31 @@ def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) 
     )
 
 
+def tangent_columns(
+    at: Linearization, v_basis: FloatArray, n_basis: FloatArray, centres: FloatArray, terms: int
+) -> FloatArray:
+    """Return derivatives by the unknowns of the own beam and plane, then e: (5 + terms + 4, N).
+
+    Parameters
+    ----------
+    at : Linearization
+    v_basis, n_basis : (N, 3, 2)
+        Tangent bases of each reading's direction and normal.
+    centres : (N, 3)
+        Where the offset of each reading's plane is taken [m].
+    terms : int
+        Range-error terms.
+    """
+    columns = np.empty((5 + terms + 4, len(at.residual)))
+    columns[:3] = at.location.T
+    np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])
+    columns[5:-4] = at.range_error[:, :terms].T
+    local = at.normal - at.offset[:, None] * centres
+    np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
+    columns[-2], columns[-1] = at.offset, at.residual
+    return columns
+
+
 def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
     n_hand: FloatArray = np.einsum("ni,nij->nj", x.n, x.R)
     cosine = _dot(n_hand, x.v)

@@ -4,6 +4,9 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 
+ROTATION_CELL = 2e-3
+"""Rotations whose matrices agree to about this many radians count as equal."""
+
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
     """Return an orthonormal basis (N, 3, 2) of the tangent planes at unit vectors (N, 3).
@@ -19,6 +22,11 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     basis[:, 1, 0], basis[:, 1, 1] = sign * xy, sign + y * y * a
     basis[:, 2, 0], basis[:, 2, 1] = -sign * x, -y
     return basis
+
+
+def rotation_cells(R: FloatArray) -> IntArray:
+    """Return whole numbers (N, 9) for rotations (N, 3, 3), the same where they count as equal."""
+    return np.floor(R.reshape(-1, 9) / ROTATION_CELL + 0.377).astype(np.int64)
 
 
 def normalized(vectors: FloatArray) -> FloatArray:

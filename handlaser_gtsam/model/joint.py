@@ -126,7 +126,8 @@ class JointCovariance(Value):
             joint[first:, first:] += self.coupling[p][:, :, p].reshape(3 * len(p), -1)
         if not ambient:
             return joint
-        lifts = [self.beam_lift(k) for k in i] + [self.plane_lift(k) for k in p]
+        of_beams, of_planes = self.beam_lifts(), self.plane_lifts()
+        lifts = [*(of_beams[k] for k in i), *(of_planes[k] for k in p)]
         return _lifted(_lifted(joint, lifts).T, lifts).T
 
     def labels(
@@ -139,27 +140,24 @@ class JointCovariance(Value):
         rows += [(f"plane {self.plane_names[k]}", name) for k in p for name in PLANE_COORDINATES]
         return tuple(rows)
 
-    def beam_lift(self, index: int) -> FloatArray:
-        """Return (8, 5 + terms) from tangent to ambient coordinates of a beam."""
-        return beam_lift(self.beam_bases[index], self.terms[index])
-
-    def plane_lift(self, index: int) -> FloatArray:
-        """Return (4, 3) from (tangent of n, offset at the origin of the plane) to (n, b)."""
-        return plane_lift(self.plane_bases[index], self.origins[index])
-
     def all_beams(self) -> list[FloatArray]:
         """Return the ambient covariance (8, 8) of every beam."""
-        found = []
-        for index in range(len(self.terms)):
-            at, lift = self._columns(index), self.beam_lift(index)
-            found.append(lift @ self.beams[np.ix_(at, at)] @ lift.T)
-        return found
+        own = [self.beams[np.ix_(at, at)] for at in map(self._columns, range(len(self.terms)))]
+        return [lift @ S @ lift.T for lift, S in zip(self.beam_lifts(), own, strict=True)]
 
     def all_planes(self) -> list[FloatArray]:
         """Return the ambient covariance (4, 4) of every plane."""
         tangent = self.planes + self.response @ self.beams @ np.swapaxes(self.response, 1, 2)
-        lifts = [self.plane_lift(index) for index in range(len(tangent))]
-        return [lift @ S @ lift.T for lift, S in zip(lifts, tangent, strict=True)]
+        return [lift @ S @ lift.T for lift, S in zip(self.plane_lifts(), tangent, strict=True)]
+
+    def beam_lifts(self) -> list[FloatArray]:
+        """Return (8, 5 + terms) from tangent to ambient coordinates of every beam."""
+        lifts = zip(beam_lifts(self.beam_bases), self.terms, strict=True)
+        return [lift[:, : 5 + terms] for lift, terms in lifts]
+
+    def plane_lifts(self) -> list[FloatArray]:
+        """Return (4, 3) from (tangent of n, offset at its origin) to (n, b) of every plane."""
+        return list(map(plane_lift, self.plane_bases, self.origins))
 
     def _columns(self, index: int) -> IntArray:
         first = sum(5 + terms for terms in self.terms[:index])
@@ -173,22 +171,18 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([lift @ part for lift, part in parts])
 
 
-def beam_lift(basis: FloatArray, terms: int) -> FloatArray:
-    """Return (8, 5 + terms) from tangent to ambient coordinates of a beam with direction `basis`."""
-    lift = np.zeros((8, 5 + terms))
-    lift[:3, :3] = np.eye(3)
-    lift[3:6, 3:5] = basis
-    lift[6 : 6 + terms, 5:] = np.eye(terms)
-    return lift
+def beam_lifts(bases: FloatArray) -> FloatArray:
+    """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
+    lifts = np.zeros((len(bases), 8, 7))
+    lifts[:, :3, :3], lifts[:, 3:6, 3:5], lifts[:, 6:, 5:] = np.eye(3), bases, np.eye(2)
+    return lifts
 
 
 def beams_lift(bases: FloatArray, terms: Sequence[int]) -> FloatArray:
-    """Return (8 B, nb) from tangent to ambient coordinates of beams, bases (B, 3, 2)."""
+    """Return (8 B, nb) from the tangent coordinates of all beams, 5 + terms each, to ambient ones."""
     count = len(bases)
     each, lift = np.arange(count), np.zeros((count, 8, count, 7))
-    lift[each, :3, each, :3] = np.eye(3)
-    lift[each, 3:6, each, 3:5] = bases
-    lift[each, 6:, each, 5:] = np.eye(2)
+    lift[each, :, each] = beam_lifts(bases)
     active = np.arange(7) < 5 + np.array(terms)[:, None]
     return lift.reshape(8 * count, 7 * count)[:, active.ravel()]
 

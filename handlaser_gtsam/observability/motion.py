@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray, IntArray
 from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
@@ -22,8 +21,6 @@ from ..text import some
 from .rank import observability
 from .wording import MIRROR, MIRROR_ADVICE, Names, OpenPart, advice, open_parts, undetermined
 
-SAME_ROTATION = 2e-3
-"""Orientations within this angle [rad] count as one."""
 LEAST_MOVE = 1e-3
 """Hands that move less than this part of the typical range before a plane stand still."""
 LEAST_TURN = np.radians(1.0)
@@ -105,7 +102,7 @@ def check_motion(recording: Recording) -> MotionCheck:
 def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
     rows = np.flatnonzero(recording.plane_of_station == plane)
     R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
-    group = _groups(R)
+    group = np.unique(model.rotation_cells(R), axis=0, return_inverse=True)[1].ravel()
     local = [t[group == g] - t[group == g].mean(axis=0) for g in range(int(group.max()) + 1)]
     spread = np.linalg.svd(np.concatenate(local), compute_uv=False)
     rank = int((spread > LEAST_SPREAD * max(spread[0], 1e-12)).sum()) if spread[0] > 0.0 else 0
@@ -122,13 +119,6 @@ def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
         int((turned > LEAST_TURN).sum()),
         tuple(int(count) for count in read.sum(axis=0)),
     )
-
-
-def _groups(R: FloatArray) -> IntArray:
-    """Return a number for every orientation (M, 3, 3), the same for equal ones."""
-    cells = np.floor(R.reshape(-1, 9) / SAME_ROTATION + 0.377).astype(np.int64)
-    group = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    return group.astype(np.intp)
 
 
 def _open_in_general(readings: Readings, names: Names) -> tuple[OpenPart, ...]:

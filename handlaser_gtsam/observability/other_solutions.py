@@ -24,9 +24,9 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..solvers.normal_equations import normal_equations
 from ..solvers.refine import refine, refine_many
-from ..starts import part
+from ..starts import excerpt
 from ..starts.directions import direction_starts, random_starts
-from ..starts.partial import grow
+from ..starts.growing import grow
 from .rank import Observability, ObservabilityOptions, observability
 
 CHI2_MARGIN = 25.0
@@ -111,7 +111,7 @@ def least_observed(
     prior : RangeErrorPrior, optional
         Other solutions are sought without range errors where these have a prior.
     """
-    if len(readings) > part.ENOUGH:
+    if len(readings) > excerpt.ENOUGH:
         return parameters, found
     partial = random_starts(readings, RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, SWEPT)

@@ -10,6 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.value import Value
+from ..model.joint import beam_lifts
 from ..text import some
 from .rank import NullSpace, Observability
 
@@ -125,12 +126,8 @@ def open_coordinates(found: Observability, parameters: Parameters) -> tuple[Floa
     if found.full:
         return np.zeros((len(parameters.locations), 8)), np.zeros((len(parameters.offsets), 4))
     beams, planes = _normalized(found.null_space)
-    count, width, columns = beams.shape
-    lifted = np.zeros((count, 8, columns))
-    lifted[:, :3] = beams[:, :3]
-    lifted[:, 3:6] = model.tangent_basis(parameters.directions) @ beams[:, 3:5]
-    lifted[:, 6 : 1 + width] = beams[:, 5:]
-    flat = np.zeros((len(planes), 4, columns))
+    lifted = beam_lifts(model.tangent_basis(parameters.directions))[:, :, : beams.shape[1]] @ beams
+    flat = np.zeros((len(planes), 4, beams.shape[2]))
     flat[:, :3] = model.tangent_basis(parameters.normals) @ planes[:, :2]
     flat[:, 3] = np.linalg.norm(planes, axis=1)  # the offset at the origin follows the normal
     return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)

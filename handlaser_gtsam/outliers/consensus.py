@@ -17,7 +17,7 @@ from ..model.losses import Loss
 from ..solvers.refine import Refined, Scale, refine_many
 from ..starts import Start, find_start
 from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
-from ..starts.part import Part, part_of
+from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import Candidate, Round, agreeing
 from .snooping import Screening, beyond_chance, quick_evidence, screen
@@ -155,7 +155,7 @@ def find_consensus(
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     """
     sigma, usable = range_sigma if certain else None, usable_terms(readings, terms)
-    part, judge = part_of(readings), PlainJudge(readings, usable, sigma)
+    part, judge = excerpt_of(readings), PlainJudge(readings, usable, sigma)
     early = judge if part.is_whole else PlainJudge(part.readings, usable, sigma)
     start = find_start(
         readings, range_sigma, terms, effort="quick", certain=certain, accepts=early.accepts
@@ -186,7 +186,7 @@ def _evidence(found: tuple[str, Screening]) -> float:
 
 
 def _robust(
-    judge: PlainJudge, part: Part, start: Start, plain: Screening | None
+    judge: PlainJudge, part: Excerpt, start: Start, plain: Screening | None
 ) -> list[Candidate]:
     """Return candidates among outliers for the whole recording, the best first."""
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma

@@ -11,12 +11,11 @@ from ..results.calibration import Calibration
 from ..results.lines import MM, wrapped
 from .belief import belief_of
 from .bounds import Bounds
-from .choice import choose
 from .completing import completing_motion
 from .goal import Goal
 from .information import told
 from .replacing import planned_with_spare
-from .route import Plan, goal_rows
+from .route import Plan, Task
 from .workspace import Workspace, picked, reachable, workspace_of
 
 FEW = 3
@@ -46,19 +45,11 @@ def next_stations(
     workspace = workspace_of(recording) if workspace is None else workspace
     try:
         belief = belief_of(calibration)
+        task = Task(belief, workspace, sensor, goal, recording.station_names)
         pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
-        rows = told(belief, pool)
-        distance = goal.distance(sensor)
-        weight = goal_rows(belief, goal, distance)
-        criterion = goal.criterion
-        chosen = choose(
-            rows[None], belief.covariance, weight, FEW, criterion, exchange=False
-        ).candidates
+        chosen = task.chosen(told(belief, pool)[None], FEW).candidates
         spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
-        taken = recording.station_names
-        return planned_with_spare(
-            belief, picked(pool, chosen), spare, weight, goal, workspace, distance, taken
-        )
+        return planned_with_spare(task, picked(pool, chosen), spare)
     except HandlaserError:
         return None
 

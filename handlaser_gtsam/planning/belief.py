@@ -10,6 +10,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..errors import InputError
+from ..model.joint import beams_lift
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
@@ -186,13 +187,8 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
 def _of_mounts(mounts: Mounts) -> Belief:
     bases = model.tangent_basis(mounts.directions)
     count = len(mounts.names)
-    lower = np.zeros((BEAM * count, 8 * count))
-    for i, basis in enumerate(bases):
-        row, column = BEAM * i, 8 * i
-        lower[row : row + 3, column : column + 3] = np.eye(3)
-        lower[row + 3 : row + 5, column + 3 : column + 6] = basis.T
-        lower[row + 5 : row + 7, column + 6 : column + 8] = np.eye(2)
-    covariance = lower @ mounts.covariance @ lower.T
+    lift = beams_lift(bases, [2] * count)
+    covariance = lift.T @ mounts.covariance @ lift
     pose = None if mounts.pose_covariance is None else mounts.pose_covariance[None]
     nothing = np.empty((0, 3))
     return Belief(

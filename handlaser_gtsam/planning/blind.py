@@ -16,37 +16,22 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..validation.simulate import Stations, plane_name
+from . import moves
 from .belief import belief_about
 from .bounds import Bounds
 from .goal import Goal
 from .information import after, told
-from .moves import (
-    FEW,
-    JUDGED,
-    MOUNTS,
-    Cell,
-    best_beside,
-    drawn_turns,
-    expected_noise,
-    facing_plate,
-    middle_of,
-    safe_for_all,
-    safe_stations,
-    spread_translations,
-)
+from .moves import KNOWN, Cell
 from .plate import MOST_PLANES
-from .route import Plan, forecast_of, planned
+from .route import Plan, Task, planned
 from .workspace import Workspace, joined, picked, require_facing, require_range
 
 LEAST_STATIONS, MOST_BLIND = 11, 60
 """Before a plane: four positions and seven turns; beyond the most, the bounds are too wide."""
 MORE = 4
 """Stations that are added at a time, where those before do not determine the mounts."""
-KNOWN = 0.05
-"""Largest standard deviation after a first motion: of a direction [rad], and of a location as a part
-of the middle of the sensor's range. A calibration calls undetermined what is known half as well."""
 BARELY_KNOWN = 0.08
-"""The same where the number of stations is given."""
+"""What stands for `KNOWN` where the number of stations is given."""
 
 
 def blind_motion(
@@ -91,7 +76,7 @@ def blind_motion(
     require_count("planes", planes, 1, MOST_PLANES)
     require_range(sensor)
     rng = np.random.default_rng(0) if rng is None else rng
-    variances = expected_noise(Noise() if noise is None else noise, sensor, len(bounds.locations))
+    variances = moves.expected_noise(noise or Noise(), sensor, len(bounds.locations))
     cell = Cell(bounds, sensor, workspace, variances)
     return _plan(cell, _motion(cell, stations, rng), planes, Goal() if goal is None else goal, rng)
 
@@ -100,34 +85,31 @@ def _plan(cell: Cell, motion: Stations, planes: int, goal: Goal, rng: np.random.
     """Return a plan of the same motion before each plane."""
     bounds = cell.bounds
     plates = {plane_name(p): bounds.plate for p in range(planes)}
-    belief = middle_of(cell).before(plates, only=True)
+    belief = moves.middle_of(cell).before(plates, only=True)
     each = np.zeros(len(motion.plane), dtype=np.intp)
     every = joined([replace(motion, plane=each + p) for p in range(planes)])
-    order = np.arange(len(every.plane))
-    distance = goal.distance(cell.sensor)
-    forecast = forecast_of(belief, told(belief, every), order, distance)
-    others = bounds.draw(rng, MOUNTS)
-    safe = float(safe_stations(others, motion, cell.sensor).all(axis=1).mean())
-    return planned(
-        belief, every, goal, cell.workspace, forecast, ordered=True, plates=plates, safe=safe
-    )
+    others = bounds.draw(rng, moves.MOUNTS)
+    safe = float(moves.safe_stations(others, motion, cell.sensor).all(axis=1).mean())
+    task = Task(belief, cell.workspace, cell.sensor, goal)
+    return planned(task, every, ordered=True, plates=plates, safe=safe)[0]
 
 
 def _motion(cell: Cell, count: int | None, rng: np.random.Generator) -> Stations:
     """Return translations and turns that are safe for all mounts drawn, and determine them."""
     plate = cell.bounds.plate
     require_facing("the plate", cell.workspace, cell.bounds.directions, plate.normal)
-    mounts = cell.bounds.draw(rng, MOUNTS)
-    base = facing_plate(cell)
-    first = spread_translations(cell, base, mounts)
-    turns = drawn_turns(cell, base, rng)
-    turns = safe_for_all(cell, turns, (cell.bounds.draw(rng, FEW), mounts))
+    mounts = cell.bounds.draw(rng, moves.MOUNTS)
+    base = moves.facing_plate(cell)
+    first = moves.spread_translations(cell, base, mounts)
+    turns = moves.drawn_turns(cell, base, rng)
+    turns = moves.safe_for_all(cell, turns, (cell.bounds.draw(rng, moves.FEW), mounts))
     number = LEAST_STATIONS if count is None else count
-    judged = [cell.bounds.draw(rng) for _ in range(JUDGED)]
+    judged = [cell.bounds.draw(rng) for _ in range(moves.JUDGED)]
     beliefs = [belief_about(cell.bounds, at, cell.variances, cell.sensor) for at in judged]
     known_before = [after(belief.covariance, told(belief, first)) for belief in beliefs]
     while len(turns.plane) >= number - len(first.plane):
-        chosen, known = best_beside(cell, beliefs, known_before, turns, number - len(first.plane))
+        more = number - len(first.plane)
+        chosen, known = moves.best_beside(cell, beliefs, known_before, turns, more)
         if known <= (KNOWN if count is None else BARELY_KNOWN):
             return joined([first, picked(turns, chosen)])
         if count is not None or number + MORE > MOST_BLIND:

@@ -15,30 +15,17 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..validation.simulate import Stations
+from . import moves
 from .belief import Belief, belief_about
 from .bounds import Bounds
 from .goal import Goal
 from .information import after, told
-from .moves import (
-    FEW,
-    JUDGED,
-    MOUNTS,
-    Cell,
-    best_beside,
-    drawn_turns,
-    expected_noise,
-    facing_plate,
-    middle_of,
-    safe_for_all,
-)
-from .route import Plan, forecast_of, planned
+from .moves import KNOWN, Cell
+from .route import Plan, Task, planned
 from .workspace import Workspace, joined, picked, require_facing, require_range, workspace_of
 
 COUNTS = (3, 4, 5, 6, 8, 10, 12)
 """So many stations are tried, until they determine the mounts."""
-ENOUGH = 0.05
-"""Largest standard deviation after them: of a direction [rad], and of a location as a part of the
-middle of the sensor's range. A calibration calls undetermined what is known half as well."""
 SHIFTS = 500
 """Moves without a turn from recorded stations that are tried beside turns."""
 
@@ -50,8 +37,6 @@ def completing_motion(
     workspace: Workspace | None = None,
     noise: Noise | None = None,
     goal: Goal | None = None,
-    *,
-    rng: np.random.Generator | None = None,
 ) -> Plan:
     """Return the best stations before the last plane of a recording that leaves something open.
 
@@ -64,16 +49,16 @@ def completing_motion(
         station is safe for all mounts within them.
     """
     require_range(sensor)
-    beams, rng = len(bounds.locations), np.random.default_rng(0) if rng is None else rng
+    beams, rng = len(bounds.locations), np.random.default_rng(0)
     if beams != len(recording.beam_names):
         found = f"bounds of {beams} beams for {len(recording.beam_names)} in the recording"
         raise InputError(found, "the bounds of all beams, in the order of the columns")
     workspace = workspace_of(recording) if workspace is None else workspace
-    variances = expected_noise(Noise() if noise is None else noise, sensor, beams)
+    variances = moves.expected_noise(Noise() if noise is None else noise, sensor, beams)
     cell = Cell(bounds, sensor, workspace, variances)
     require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
     taken = _taken(recording)
-    drawn = [bounds.draw(rng) for _ in range(JUDGED)]
+    drawn = [bounds.draw(rng) for _ in range(moves.JUDGED)]
     judged = [
         _before_planes(belief_about(bounds, at, variances, sensor), bounds, recording)
         for at in drawn
@@ -84,20 +69,18 @@ def completing_motion(
         expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
         raise InputError("no stations that are safe for all mounts within the bounds", expected)
     for count in COUNTS:
-        chosen, left = best_beside(cell, judged, known, pool, count)
-        if left <= ENOUGH:
+        chosen, left = moves.best_beside(cell, judged, known, pool, count)
+        if left <= KNOWN:
             break
     return _plan(cell, recording, taken, picked(pool, chosen), Goal() if goal is None else goal)
 
 
 def _plan(cell: Cell, recording: Recording, taken: Stations, chosen: Stations, goal: Goal) -> Plan:
     """Return the plan of chosen stations, with a forecast for the middle of the bounds."""
-    belief = _before_planes(middle_of(cell), cell.bounds, recording)
+    belief = _before_planes(moves.middle_of(cell), cell.bounds, recording)
     C = after(belief.covariance, _told(belief, taken, recording))
-    belief, distance = replace(belief, covariance=C), goal.distance(cell.sensor)
-    order = np.arange(len(chosen.plane))
-    forecast = forecast_of(belief, told(belief, chosen), order, distance)
-    return planned(belief, chosen, goal, cell.workspace, forecast, recording.station_names)
+    belief, names = replace(belief, covariance=C), recording.station_names
+    return planned(Task(belief, cell.workspace, cell.sensor, goal, names), chosen)[0]
 
 
 def _before_planes(belief: Belief, bounds: Bounds, recording: Recording) -> Belief:
@@ -134,6 +117,7 @@ def _pool(cell: Cell, taken: Stations, rng: np.random.Generator) -> Stations:
     moved = Stations(
         taken.world_R_hand[some], taken.world_t_hand[some] + shift, np.zeros_like(some)
     )
-    pool = joined([drawn_turns(cell, facing_plate(cell), rng), moved])
-    pool = safe_for_all(cell, pool, (cell.bounds.draw(rng, FEW), cell.bounds.draw(rng, MOUNTS)))
+    pool = joined([moves.drawn_turns(cell, moves.facing_plate(cell), rng), moved])
+    mounts = cell.bounds.draw(rng, moves.FEW), cell.bounds.draw(rng, moves.MOUNTS)
+    pool = moves.safe_for_all(cell, pool, mounts)
     return replace(pool, plane=np.full(len(pool.plane), taken.plane[-1]))

@@ -138,18 +138,9 @@ def _predicted(belief: Belief, stations: Stations) -> tuple[Readings, model.Scen
 
 def _derivatives(belief: Belief, readings: Readings, at: model.Linearization) -> FloatArray:
     """Return derivatives (N, 10) of the residuals by each reading's own beam and plane."""
-    local = at.normal - at.offset[:, None] * belief.origins[readings.plane]
-    v_basis = belief.beam_bases[readings.beam]
-    n_basis = belief.plane_bases[readings.plane]
-    return np.hstack(
-        (
-            at.location,
-            np.einsum("ni,nij->nj", at.direction, v_basis),
-            at.range_error,
-            np.einsum("ni,nij->nj", local, n_basis),
-            at.offset[:, None],
-        )
-    )
+    beam, plane = readings.beam, readings.plane
+    bases = belief.beam_bases[beam], belief.plane_bases[plane]
+    return model.tangent_columns(at, *bases, belief.origins[plane], 2)[:-1].T.copy()
 
 
 def _cosine_derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:

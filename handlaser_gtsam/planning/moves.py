@@ -32,6 +32,9 @@ AT_ONCE = 20_000
 """Readings predicted at a time: more would leave the processor's cache."""
 JUDGED = 4
 """Mounts at which stations are compared by what they tell."""
+KNOWN = 0.05
+"""Largest standard deviation after enough stations: of a direction [rad], and of a location as a part
+of the middle of the sensor's range. A calibration calls undetermined what is known half as well."""
 SHARES = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
 """Of the largest translations, which are tried."""
 TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])

@@ -1,7 +1,7 @@
 """Plan the next stations of a calibration."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,14 +12,13 @@ from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations
-from .belief import Belief, belief_of
-from .choice import choose
+from .belief import belief_of
 from .goal import Goal
 from .information import told
 from .plate import Placement, Plate, standing
 from .refine import refined
 from .replacing import planned_with_spare
-from .route import Plan, forecast_of, goal_rows
+from .route import Plan, Task, forecast_of
 from .turning import placed
 from .workspace import Workspace, picked, reachable, workspace_of
 
@@ -28,15 +27,6 @@ POOL = 1200
 MOST_STATIONS = 1000
 DRAWS = 4
 """Draws of the belief over which the gain is averaged beside its mean."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Task:
-    """What is known, where the hand may go, and the names of the stations so far."""
-
-    belief: Belief
-    workspace: Workspace
-    taken: tuple[str, ...]
 
 
 def plan(
@@ -79,49 +69,37 @@ def plan(
     rng = np.random.default_rng(0) if rng is None else rng
     require_kind("sensor", sensor, Sensor)
     require_count("stations to plan", stations, 1, MOST_STATIONS)
-    task = _task(calibration, workspace, plates)
-    put = _placements(task, placement, sensor, goal, stations, rng)
+    task = _task(calibration, workspace, plates, sensor, goal)
+    put = {} if placement is None else _placed(task, placement, stations, rng)
     if put:
         task = replace(task, belief=task.belief.before(put, only=True))
-    return _best(task, sensor, goal, stations, put, rng)
+    return _best(task, stations, put, rng)
 
 
-def _best(
-    task: _Task,
-    sensor: Sensor,
-    goal: Goal,
-    stations: int,
-    put: Mapping[str, Plate],
-    rng: np.random.Generator,
-) -> Plan:
+def _best(task: Task, stations: int, put: Mapping[str, Plate], rng: np.random.Generator) -> Plan:
     """Return the plan of the best stations before all planes of a belief."""
-    belief, distance = task.belief, goal.distance(sensor)
-    pool, rows = _pool(task, sensor, stations, rng)
-    weight = goal_rows(belief, goal, distance)
-    count = stations
+    pool, rows = _pool(task, stations, rng)
+    count, goal = stations, task.goal
     if goal.stated:  # how many are enough, before these are chosen with more care
-        quick = choose(
-            rows[:1], belief.covariance, weight, stations, goal.criterion, exchange=False
-        ).candidates
-        enough = forecast_of(belief, rows[0], quick, distance).reaches(goal)
+        quick = task.chosen(rows[:1], stations).candidates
+        enough = forecast_of(task.belief, rows[0], quick, task.distance).reaches(goal)
         count = stations if enough is None else max(enough, 1)
-    chosen = choose(rows, belief.covariance, weight, count, goal.criterion).candidates
-    found = refined(belief, picked(pool, chosen), weight, goal, task.workspace, sensor, rng)
+    chosen = task.chosen(rows, count, exchange=True).candidates
+    found = refined(task, picked(pool, chosen), rng)
     if goal.stated:
-        every = np.arange(count)
-        enough = forecast_of(belief, told(belief, found), every, distance).reaches(goal)
-        found = found if enough is None else picked(found, every[: max(enough, 1)])
+        enough = task.forecast(found).reaches(goal)
+        found = found if enough is None else picked(found, np.arange(max(enough, 1)))
     spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
-    return planned_with_spare(
-        belief, found, spare, weight, goal, task.workspace, distance, task.taken, plates=put
-    )
+    return planned_with_spare(task, found, spare, put)
 
 
 def _task(
     calibration: Calibration | Mounts,
     workspace: Workspace | None,
     plates: Mapping[str, Plate] | None,
-) -> _Task:
+    sensor: Sensor,
+    goal: Goal,
+) -> Task:
     if not isinstance(calibration, Mounts):
         require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
     if workspace is not None:
@@ -138,33 +116,24 @@ def _task(
         belief = belief.before(plates)
     if not belief.plane_names:
         raise InputError("no plane to plan stations before", "where a plate stands roughly")
-    return _Task(belief, workspace, () if recording is None else recording.station_names)
+    taken = () if recording is None else recording.station_names
+    return Task(belief, workspace, sensor, goal, taken)
 
 
-def _placements(
-    task: _Task,
-    placement: Placement | None,
-    sensor: Sensor,
-    goal: Goal,
-    stations: int,
-    rng: np.random.Generator,
+def _placed(
+    task: Task, placement: Placement, stations: int, rng: np.random.Generator
 ) -> Mapping[str, Plate]:
-    """Return where the last plate is to be put; nothing where it is not."""
-    if placement is None:
-        return {}
+    """Return where the last plate is to be put."""
     last = len(task.belief.plane_names) - 1
     plate = standing(task.belief.mean, last, task.belief.origins[last])
-    share = max(stations // placement.count, 1)
-    return placed(task.belief, plate, placement, task.workspace, sensor, goal, share, rng)
+    return placed(task, plate, placement, max(stations // placement.count, 1), rng)
 
 
-def _pool(
-    task: _Task, sensor: Sensor, count: int, rng: np.random.Generator
-) -> tuple[Stations, FloatArray]:
+def _pool(task: Task, count: int, rng: np.random.Generator) -> tuple[Stations, FloatArray]:
     """Return the candidates before all planes, and their rows at the mean and at draws."""
     belief = task.belief
     share = max(POOL // len(belief.plane_names), 2 * count)
-    pool = reachable(belief, task.workspace, sensor, share, rng)
+    pool = reachable(belief, task.workspace, task.sensor, share, rng)
     rows = [told(belief, pool)]
     for _ in range(DRAWS):
         try:

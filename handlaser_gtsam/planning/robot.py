@@ -11,7 +11,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import number_array, require_number
 from ..data.recording import LARGEST
-from ..data.recording_checks import check_poses, numbered
+from ..data.recording_checks import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from .arm import FAR_AWAY, Arm
@@ -71,11 +71,7 @@ class Robot(Value):
     plate_thickness: float = 0.01
 
     def __post_init__(self) -> None:
-        R = number_array("base_R", self.base_R)
-        if R.shape != (3, 3):
-            raise InputError(f"base_R of shape {R.shape}", "a rotation matrix (3, 3)")
-        check_poses(R[None], np.zeros((1, 3)), ["base_R"])
-        object.__setattr__(self, "base_R", R)
+        object.__setattr__(self, "base_R", rotation_matrix("base_R", self.base_R))
         object.__setattr__(self, "base_t", vectors("base_t", self.base_t, 1)[0])
         start = number_array("start joints", self.start)
         if start.ndim != 1 or not np.isfinite(start).all():

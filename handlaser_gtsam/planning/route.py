@@ -11,9 +11,11 @@ from ..arrays import FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
+from ..model.sensor import Sensor
 from ..results.spot_error import radius
 from ..validation.simulate import Stations
 from .belief import BEAM, Belief
+from .choice import Chosen, choose
 from .drive import driven
 from .goal import Forecast, Goal
 from .information import outlook, told, updated
@@ -65,64 +67,82 @@ class Plan(Value):
         return sum(not name.startswith(VIA) for name in self.stations.station_names)
 
 
-def planned(
-    belief: Belief,
-    stations: Stations,
-    goal: Goal,
-    workspace: Workspace,
-    forecast: Forecast,
-    taken: Sequence[str] = (),
-    *,
-    ordered: bool = False,
-    plates: Mapping[str, Plate] | None = None,
-    safe: float | None = None,
-) -> Plan:
-    """Return a plan of stations: ordered, unless they are, divided where steps are long, and named.
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is known, where the hand may go, what its beams can read, and what a plan is for.
 
-    Parameters
+    Attributes
     ----------
+    belief : Belief
+    workspace : Workspace
+    sensor : Sensor
+    goal : Goal
     taken : sequence of str
         Names of stations that there are already.
     """
-    return planned_and_kept(
-        belief,
-        stations,
-        goal,
-        workspace,
-        forecast,
-        taken,
-        ordered=ordered,
-        plates=plates,
-        safe=safe,
-    )[0]
+
+    belief: Belief
+    workspace: Workspace
+    sensor: Sensor
+    goal: Goal
+    taken: Sequence[str] = ()
+
+    @property
+    def distance(self) -> float:
+        """The working distance of forecasts [m]."""
+        return self.goal.distance(self.sensor)
+
+    @property
+    def weight(self) -> FloatArray:
+        """What is to become small (W, U)."""
+        return goal_rows(self.belief, self.goal, self.distance)
+
+    def chosen(
+        self,
+        rows: FloatArray,
+        count: int,
+        covariance: FloatArray | None = None,
+        *,
+        exchange: bool = False,
+        start: IntArray | None = None,
+    ) -> Chosen:
+        """Choose among stations given by rows (K, N, B, U) at the belief and draws; see `choose`.
+
+        Beside what the `covariance` (U, U) says, or the belief where it is not given.
+        """
+        known, weight = self.belief.covariance if covariance is None else covariance, self.weight
+        criterion = self.goal.criterion
+        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)
+
+    def forecast(self, stations: Stations) -> Forecast:
+        """Return what will be known after each of some stations, one after the other."""
+        rows, order = told(self.belief, stations), np.arange(len(stations.plane))
+        return forecast_of(self.belief, rows, order, self.distance)
 
 
-def planned_and_kept(
-    belief: Belief,
+def planned(
+    task: Task,
     stations: Stations,
-    goal: Goal,
-    workspace: Workspace,
-    forecast: Forecast,
-    taken: Sequence[str] = (),
     *,
     ordered: bool = False,
     plates: Mapping[str, Plate] | None = None,
     safe: float | None = None,
 ) -> tuple[Plan, IntArray]:
-    """Return a plan as `planned` does, and which of the stations are in it, ascending."""
-    count = len(stations.plane)
-    location, direction = goal.units
+    """Return a plan of stations, which matter in the order given, and which are in it, ascending.
+
+    They are visited in another order, unless this one is to stay (`ordered`), with others between them
+    where steps are long.
+    """
+    belief, count = task.belief, len(stations.plane)
+    location, direction = task.goal.units
     order = np.arange(count) if ordered else shortest(stations, location / direction)
     ahead = outlook(belief, stations)
-    listed, origin = _way(belief, picked(stations, order), workspace, taken)
+    listed, origin = _way(task, picked(stations, order))
     read = origin >= 0
     kept = order[origin[read]]
-    if len(kept) < count:
-        if ordered:
-            raise _no_way(count - len(kept), count)
-        forecast = forecast_of(
-            belief, told(belief, stations), np.sort(kept), forecast.working_distance
-        )
+    if len(kept) < count and ordered:
+        raise _no_way(count - len(kept), count)
+    forecast = task.forecast(picked(stations, np.sort(kept)))
     expected = np.full((2, len(origin), belief.beams), math.nan)
     expected[:, read] = ahead.reading[kept], ahead.reading_sigma[kept]
     plan = Plan(
@@ -130,7 +150,7 @@ def planned_and_kept(
         expected[0],
         expected[1],
         forecast,
-        forecast.reaches(goal) if goal.stated else None,
+        forecast.reaches(task.goal) if task.goal.stated else None,
         {} if plates is None else dict(plates),
         safe,
         count - len(kept),
@@ -143,10 +163,9 @@ def _no_way(missing: int, of: int) -> InputError:
     return InputError(found, "more room around the plate, or a smaller clearance")
 
 
-def _way(
-    belief: Belief, stations: Stations, workspace: Workspace, taken: Sequence[str]
-) -> tuple[StationList, IntArray]:
+def _way(task: Task, stations: Stations) -> tuple[StationList, IntArray]:
     """Return what is visited, and the index of each among the stations, -1 on the way."""
+    belief, workspace = task.belief, task.workspace
     joints: FloatArray | None = None
     joint_names: tuple[str, ...] = ()
     if workspace.robot is None:
@@ -154,7 +173,7 @@ def _way(
     else:
         joint_names = workspace.robot.joint_names
         way, origin, joints = driven(workspace.robot, stations, workspace, plates_of(belief))
-    labels, names = tuple(belief.plane_names[p] for p in way.plane), _names(origin, taken)
+    labels, names = tuple(belief.plane_names[p] for p in way.plane), _names(origin, task.taken)
     return StationList(
         way.world_R_hand, way.world_t_hand, labels, names, joints, joint_names
     ), origin

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import number_array, require_kind, require_number
+from ..checks import require_kind, require_number
 from ..data.recording import LARGEST, Recording
-from ..data.recording_checks import check_poses
+from ..data.recording_checks import rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
@@ -83,11 +83,7 @@ class Workspace(Value):
             object.__setattr__(self, name, vectors(name, getattr(self, name), 1)[0])
         if not (self.low < self.high).all():
             raise InputError(f"a workspace from {self.low} to {self.high} m", "low below high")
-        home = number_array("home", self.home)
-        if home.shape != (3, 3):
-            raise InputError(f"home of shape {home.shape}", "a rotation matrix (3, 3)")
-        check_poses(home[None], np.zeros((1, 3)), ["home"])
-        object.__setattr__(self, "home", home)
+        object.__setattr__(self, "home", rotation_matrix("home", self.home))
         require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
         if self.largest_step != math.inf:  # which says that there is no limit
             require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")

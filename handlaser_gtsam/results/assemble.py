@@ -28,7 +28,7 @@ from ..observability.wording import (
 from ..outliers.reasons import Reasons
 from ..solvers.progress import tell
 from .calibration import Calibration
-from .calibration_data import Status, strong_correlations
+from .calibration_fields import Status, strong_correlations
 from .dependence import INDEPENDENT, Dependence, dependence
 from .file_mistakes import better_ways
 from .fit import fit_of

@@ -36,67 +36,70 @@ def _two_rows(beams: list[Beam]) -> Iterator[str]:
     """Yield the mounts of few beams: two rows each, every number with its standard deviation."""
     yield "beam      hand frame: location r [mm], unit direction v           range error k1, k2 [1/m]"
     for beam in beams:
-        sigma = _sigma(beam)
-        for k, (symbol, rows, scale, most) in enumerate(
-            (("r", slice(3), MM, 4), ("v", slice(3, 6), 1.0, 6))
-        ):
-            values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
-            digits = _row_decimals(sigmas, most)
-            pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-            cells = "".join(f"{with_sigma(x, s, digits):>{PAIR}}" for x, s in pairs)
-            error, own = "0", _row_decimals(sigma[6 + k : 7 + k], MOST_OF_ERROR[k])
-            if k < beam.terms:
-                error = with_sigma(float(beam.range_error[k]), float(sigma[6 + k]), own)
-            yield f"{'' if k else _short(beam.name):<{NAME}} {symbol}{cells}  k{k + 1} {error}"
+        (location, direction), (k1, k2) = _each_with_sigma(beam)
+        yield f"{location}  k1 {k1}"
+        yield f"{direction}  k2 {k2}"
 
 
 def _three_rows(beams: list[Beam]) -> Iterator[str]:
     """Yield the mounts of few beams on a screen of 80 columns: three rows each."""
     yield "beam      hand frame: location r [mm], unit direction v, errors k1, k2 [1/m]"
     for beam in beams:
-        sigma = _sigma(beam)
-        for symbol, rows, scale, most in (("r", slice(3), MM, 4), ("v", slice(3, 6), 1.0, 6)):
-            values, sigmas = beam.coordinates[rows] * scale, sigma[rows] * scale
-            digits = _row_decimals(sigmas, most)
-            pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-            cells = "".join(f"{with_sigma(x, s, digits):>{PAIR}}" for x, s in pairs)
-            yield f"{_short(beam.name) if symbol == 'r' else '':<{NAME}} {symbol}{cells}"
-        errors = (
-            with_sigma(
-                float(beam.range_error[i]),
-                float(sigma[6 + i]),
-                _row_decimals(sigma[6 + i : 7 + i], MOST_OF_ERROR[i]),
-            )
-            if i < beam.terms
-            else "0"
-            for i in range(2)
+        mount, (k1, k2) = _each_with_sigma(beam)
+        yield from mount
+        yield f"{'':<{NAME}} k{k1:>{PAIR}}{k2:>{PAIR}}"
+
+
+def _each_with_sigma(beam: Beam) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Return rows of location and direction, and k1 and k2, every number with its sigma."""
+    sigma, rows = _sigma(beam), []
+    for name, symbol, at, scale, most in (
+        (_short(beam.name), "r", slice(3), MM, 4),
+        ("", "v", slice(3, 6), 1.0, 6),
+    ):
+        values, sigmas = beam.coordinates[at] * scale, sigma[at] * scale
+        digits = _row_decimals(sigmas, most)
+        pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+        cells = "".join(f"{with_sigma(x, s, digits):>{PAIR}}" for x, s in pairs)
+        rows.append(f"{name:<{NAME}} {symbol}{cells}")
+    k1, k2 = (
+        with_sigma(float(k), float(s), _row_decimals(np.array([s]), most)) if term else "0"
+        for k, s, most, term in zip(
+            beam.range_error, sigma[6:], MOST_OF_ERROR, _modelled(beam), strict=True
         )
-        yield f"{'':<{NAME}} k" + "".join(f"{one:>{PAIR}}" for one in errors)
+    )
+    return (rows[0], rows[1]), (k1, k2)
+
+
+def _modelled(beam: Beam) -> tuple[bool, bool]:
+    """Return which of k1 and k2 are in the model."""
+    return beam.terms > 0, beam.terms > 1
 
 
 def _compact_rows(beams: list[Beam]) -> Iterator[str]:
     """Yield the mounts of beams on a narrow screen: three rows each, with the largest sigmas."""
     yield "beam, hand frame: location, direction, k1, k2"
     for beam in beams[:SHOWN_BEAMS]:
-        sigma, most = _sigma(beam), float(_sigma(beam)[:3].max()) * MM
-        turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
-        location = _cells(beam.location * MM, sigma[:3] * MM, 3)
-        direction = _cells(beam.direction, sigma[3:6], 5)
-        yield f"{_short(beam.name):<{NAME}}{location} +- {_size(most)} mm"
-        yield f"{'':<{NAME}}{direction} +- {_size(turn)} deg"
-        k1, k2 = _range_errors(beam)
+        (location, most), (direction, turn), (k1, k2) = _largest_sigmas(beam)
+        yield f"{_short(beam.name):<{NAME}}{location} +- {most} mm"
+        yield f"{'':<{NAME}}{direction} +- {turn} deg"
         yield f"{'':<{NAME}} k1 {k1}, k2 {k2} 1/m"
     yield from _more(beams)
 
 
-def _range_errors(beam: Beam) -> tuple[str, str]:
-    """Return k1 and k2 [1/m], each with the standard deviation of its last digits."""
+def _largest_sigmas(beam: Beam) -> tuple[tuple[str, str], tuple[str, str], tuple[str, str]]:
+    """Return location [mm] and direction [deg], each with its largest sigma, and k1 and k2 [1/m]."""
     sigma = _sigma(beam)
+    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
+    location = _cells(beam.location * MM, sigma[:3] * MM, 3), _size(float(sigma[:3].max()) * MM)
+    direction = _cells(beam.direction, sigma[3:6], 5), _size(turn)
     k1, k2 = (
-        _concise(float(beam.range_error[i]), float(sigma[6 + i]), 4 - i) if i < beam.terms else "0"
-        for i in range(2)
+        _concise(float(k), float(s), most) if term else "0"
+        for k, s, most, term in zip(
+            beam.range_error, sigma[6:], (4, 3), _modelled(beam), strict=True
+        )
     )
-    return k1, k2
+    return location, direction, (k1, k2)
 
 
 def _more(beams: list[Beam]) -> Iterator[str]:
@@ -111,13 +114,9 @@ def _beam_table(beams: list[Beam]) -> Iterator[str]:
         f"{'+- deg':<6}  {'k1':>11} {'k2 [1/m]':>10}"
     )
     for beam in beams[:SHOWN_BEAMS]:
-        sigma, most = _sigma(beam), float(_sigma(beam)[:3].max()) * MM
-        location = _cells(beam.location * MM, sigma[:3] * MM, 3)
-        direction = _cells(beam.direction, sigma[3:6], 5)
-        turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
-        k1, k2 = _range_errors(beam)
+        (location, most), (direction, turn), (k1, k2) = _largest_sigmas(beam)
         yield (
-            f"{_short(beam.name):<{NAME}}{location} {_size(most):<6}{direction} {_size(turn):<6}  "
+            f"{_short(beam.name):<{NAME}}{location} {most:<6}{direction} {turn:<6}  "
             f"{k1:>11} {k2:>10}"
         )
     yield from _more(beams)

@@ -11,7 +11,7 @@ from ..model.errors_in_variables import weighed
 from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
 from ..model.losses import Loss
 from ..model.weighting import whitening
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .limits import Limits
 from .notebook import notebook_html
 from .reports import Beam, Plane

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .limits import LimitCheck
 from .significance import SINGLE_LEVEL
 from .spot_error import Quantity, VarianceShares, freedom

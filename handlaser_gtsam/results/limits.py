@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .lines import DEG, MM
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]

@@ -14,7 +14,8 @@ from ..checks import (
     require_number,
 )
 from ..data.noise import LEAST_SIGMA, MOST_SIGMA, Noise
-from ..data.recording import LARGEST, first_repeated
+from ..data.recording import LARGEST
+from ..data.recording_checks import require_once
 from ..data.value import Value
 from ..errors import InputError
 from ..text import shown
@@ -129,9 +130,7 @@ class Mounts(Value):
 
 def _check_names(mounts: Mounts) -> None:
     require_names("the name of a beam", mounts.names)
-    twice = first_repeated(mounts.names)
-    if twice is not None:
-        raise InputError(f"beam {mounts.names[twice]!r} twice", "every beam name once")
+    require_once("beam", mounts.names)
     for name, terms in zip(mounts.names, mounts.terms, strict=True):
         require_count(f"range-error terms of beam {name}", terms, 0, 2)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .lines import DEG, MM, some
 from .reports import NoiseComponent
 

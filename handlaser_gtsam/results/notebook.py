@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from html import escape
 
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .lines import DEG, MM, UNDETERMINED, decimals
 from .spot_error import spot_radii
 from .summary import sizes

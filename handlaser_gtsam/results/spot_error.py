@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import eigh
 
 from .. import model
 from ..arrays import FloatArray
@@ -39,10 +39,10 @@ from ..checks import require_number
 from ..data.recording import LARGEST, Readings, Recording
 from ..distributions import chi2_quantile, f_quantile
 from ..errors import HandlaserError, InputError
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.normal_equations import normal_equations
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .reports import Beam
 
 LEVEL = 0.95
@@ -205,10 +205,9 @@ def _spot_variance(
     if learned is not None:
         prior[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
     S = S / how.sigma**2 + np.diag(prior.ravel())
-    active = np.concatenate([np.arange(7) < 5 + b.terms for b in calibration.beams.values()])
-    length = calibration.fit.typical_range
+    terms, length = [b.terms for b in calibration.beams.values()], calibration.fit.typical_range
+    active = np.concatenate([np.arange(7) < 5 + count for count in terms])
     unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
     S = S[np.ix_(active, active)] * np.outer(unit, unit)
-    lift = block_diag(*(beam_lift(basis, 2) for basis in model.tangent_basis(at.directions)))
-    A = (J @ lift)[:, active] * unit
+    A = J @ beams_lift(model.tangent_basis(at.directions), terms) * unit
     return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))

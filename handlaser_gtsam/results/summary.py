@@ -4,7 +4,7 @@ import numpy as np
 
 from ..data.recording import Recording
 from .beam_rows import beam_rows
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .limits import worst_of_each
 from .lines import MM, UNDETERMINED, WIDTH, as_many, count, some, wrapped
 from .noise_lines import noise_words, range_error_words

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
-from .calibration_data import CalibrationData
+from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, worst_of_each
 from .lines import count

@@ -9,7 +9,6 @@ from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..estimation.covariance import covariance
-from ..estimation.information import Information
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
@@ -135,8 +134,7 @@ class BatchProblem:
         stations = int(readings.station.max()) + 1
         readings, _ = weighed(readings, at, config.variances(stations), max(config.terms))
         variances = learned.base.for_stations(stations)
-        found = config.history(at.beams).known
-        known = Information(found.matrix[None], found.vector[None], np.zeros(1))
+        known = config.history(at.beams).known[None]
         return ScaleProblem(
             at,
             readings,

@@ -19,7 +19,8 @@ from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
-from .drift import History, Reference
+from .drift import History
+from .reference import Reference
 from .reports import Change
 
 MOST_SIGMA = 0.1

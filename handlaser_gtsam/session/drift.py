@@ -20,16 +20,14 @@ import numpy as np
 from scipy.special import betaln, gammaln
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.parameters import Beams
+from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..distributions import chi2_sf, f_sf
-from ..solvers.normal_equations import NormalEquations
+from ..estimation.information import Information
+from .reference import MOVES, Reference
 
 MOST_SIGMA = 0.1
 """What is known worse than to this part of its natural unit, is not tested."""
-MOVES = 5
-"""Of the unknowns of a beam, those of a mount: its range error belongs to the sensor."""
 FALSE_ALARMS = 2e-5
 """How often a search may find something where nothing has moved."""
 
@@ -60,110 +58,6 @@ class Moved(Value):
     p_value: float
     shift: FloatArray
     turn: float
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """Beams that unknowns are counted from, in natural units: the typical range, 1 rad.
-
-    Attributes
-    ----------
-    names : tuple of str
-    beams : Beams
-    terms : tuple of int
-    length : float
-        [m]
-    """
-
-    names: tuple[str, ...]
-    beams: Beams
-    terms: tuple[int, ...]
-    length: float
-
-    @property
-    def mask(self) -> BoolArray:
-        """Whether each of 7 unknowns a beam is estimated."""
-        return np.concatenate([np.arange(7) < MOVES + terms for terms in self.terms])
-
-    @property
-    def active(self) -> IntArray:
-        """Which of 7 unknowns a beam are estimated."""
-        return np.flatnonzero(self.mask)
-
-    @property
-    def unit(self) -> FloatArray:
-        """Natural units of the active unknowns."""
-        one = [self.length] * 3 + [1.0] * 3 + [1.0 / self.length]
-        return np.tile(one, len(self.terms))[self.active]
-
-    def moves(self) -> IntArray:
-        """Return which of the active unknowns are those of each mount, (B, 5)."""
-        active = self.active
-        return np.flatnonzero(active % 7 < MOVES).reshape(-1, MOVES)
-
-    def coordinates(self, beams: Beams) -> FloatArray:
-        """Return the unknowns of other beams."""
-        basis = model.tangent_basis(self.beams[1])
-        x = np.hstack(
-            (
-                beams[0] - self.beams[0],
-                np.einsum("bij,bi->bj", basis, beams[1] - self.beams[1]),
-                beams[2] - self.beams[2],
-            )
-        )
-        coordinates: FloatArray = x.ravel()[self.active] / self.unit
-        return coordinates
-
-
-@dataclass(frozen=True, slots=True)
-class Information:
-    """What is known of the beams: cost x' matrix x - 2 vector' x + ..., natural units and sigmas."""
-
-    matrix: FloatArray
-    vector: FloatArray
-
-    def __add__(self, other: "Information") -> "Information":
-        return Information(self.matrix + other.matrix, self.vector + other.vector)
-
-    def __sub__(self, other: "Information") -> "Information":
-        return Information(self.matrix - other.matrix, self.vector - other.vector)
-
-
-def plane_information(
-    normal: NormalEquations, sigma: float, beams: Beams, reference: Reference
-) -> Information:
-    """Return what one plane knows of the beams.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-        Of that plane alone, fitted, with 2 range-error terms.
-    sigma : float
-        Of a whitened residual [m].
-    beams : Beams
-        Where they were taken.
-    reference : Reference
-    """
-    plane_unit, unit = np.array([1.0, 1.0, reference.length]), np.ones(len(reference.mask))
-    unit[reference.mask] = reference.unit
-    found = normal.reduced(unit, plane_unit, reference.mask)
-    turn = turns(beams[1], reference)
-    L = turn.T @ found.matrix @ turn / sigma**2
-    gradient = turn.T @ found.gradient / sigma**2
-    return Information(L, L @ reference.coordinates(beams) - gradient)
-
-
-def turns(directions: FloatArray, reference: Reference) -> FloatArray:
-    """Return the matrix from unknowns in the bases of the reference to those in the bases here."""
-    here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
-    turns = np.tile(np.eye(7), (len(directions), 1, 1))
-    turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
-    whole = np.zeros((len(directions), 7, len(directions), 7))
-    each = np.arange(len(directions))
-    whole[each, :, each, :] = turns
-    size, active = 7 * len(directions), reference.active
-    found: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +112,7 @@ class History:
             J = J * reference.unit / sigmas[: len(own), None]
             matrix += J.T @ J
             vector -= J.T @ (error / sigmas[: len(own)])
-        return cls(reference, Information(matrix, vector))
+        return cls(reference, Information(matrix, vector, np.zeros(())))
 
     def with_plane(self, name: str, found: Information) -> "History":
         """Return the history with one more plane, or with more known of one."""

@@ -12,6 +12,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..distributions import chi2_sf, gaussian_sf, student_quantile
 from ..errors import GrazingBeamError
+from ..estimation.information import Information
 from ..keys import plane_key, pose_key
 from ..model.errors_in_variables import weighed
 from ..model.joint import beams_lift
@@ -21,7 +22,7 @@ from ..solvers.graph import station_blocks
 from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 from ..solvers.poses import pose_priors
 from .config import SessionConfig
-from .drift import Information, Reference, plane_information
+from .reference import Reference, plane_information
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""

@@ -21,8 +21,8 @@ from ..estimation.mixture import BeamPosterior
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
-from .drift import Reference, turns
 from .fitted import FittedPlane
+from .reference import Reference, turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +55,9 @@ class ScaleSums:
         """Return the sums of planes, counted from `beams`; None where no scales are learned."""
         if config.learned is None:
             return None
-        history, sets = config.history(beams), len(config.learned.points) + 1
-        known = Information(
-            np.tile(history.known.matrix, (sets, 1, 1)),
-            np.tile(history.known.vector, (sets, 1)),
-            np.zeros(sets),
-        )
-        empty = cls(config.learned, history.reference, config.members, known, {})
+        history = config.history(beams)
+        known, members = history.known[None], config.members  # whatever the noise is
+        empty = cls(config.learned, history.reference, members, known, {})
         return empty.changed(fitted, fitted)
 
     def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
@@ -93,9 +89,9 @@ class ScaleSums:
             total = total + piece
         k = self.reference.beams[2][:, : learned.terms]
         k = k * np.array([1.0, learned.length])[: learned.terms]
-        both = BeamPosterior(_part(total, slice(1, None)), k, learned.widest, self.members)
+        both = BeamPosterior(total[1:], k, learned.widest, self.members)
         mixture = both.mixture(learned.grid, learned.log_weight)
-        here = BeamPosterior(_part(total, slice(0, 1)), k, learned.widest, self.members)
+        here = BeamPosterior(total[:1], k, learned.widest, self.members)
         mean, covariance = here.conditional(learned.range_error)
         unit = self.reference.unit
         step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
@@ -129,9 +125,3 @@ def _counted_from(found: Information, turn: FloatArray, shift: FloatArray) -> In
     vector = found.vector @ turn
     constant = found.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
     return Information(matrix, vector + matrix @ shift, constant)
-
-
-def _part(information: Information, sets: slice) -> Information:
-    return Information(
-        information.matrix[sets], information.vector[sets], information.constant[sets]
-    )

@@ -12,8 +12,9 @@ from ..outliers.snooping import price
 from ..solvers.beam_state import BeamState, PlaneFactors
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
-from .drift import MOVES, History
+from .drift import History
 from .fitted import FittedPlane, fit_plane, outliers
+from .reference import MOVES
 
 GROSS_ERROR, DISPLACED = 0.02, 1e-3
 """How often a reading is a gross error, and how often a beam is displaced between two planes."""

@@ -164,19 +164,10 @@ def range_error_priors(
 def _ordering(
     poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...], coupled: bool
 ) -> gtsam.Ordering:
-    of_beams = [
-        key
-        for beam in beams
-        for key in (beam.location, beam.direction, beam.range_error)
-        if key is not None
-    ]
-    keys = [*poses, *planes, *of_beams]
+    of_beams = [key for beam in beams for key in beam.variables]
     if not coupled and len(of_beams) > MANY_BEAMS * len(planes):
-        keys = [*poses, *of_beams, *planes]
-    ordering = gtsam.Ordering()
-    for key in keys:
-        ordering.push_back(key)
-    return ordering
+        return gtsam.Ordering([*poses, *of_beams, *planes])
+    return gtsam.Ordering([*poses, *planes, *of_beams])
 
 
 def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:

@@ -22,11 +22,12 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_count, require_number
-from ..data.parameters import Beams, Parameters
+from ..data.parameters import Parameters
 from ..factors import RangeBlock, gathered, range_factor
 from ..keys import BeamKeys, plane_key
 from ..model.joint import beams_lift
 from .beam_state import BeamStart, BeamState, PlaneFactors
+from .graph import parameters_of
 from .isam import WITH_THE_OTHERS, isam_parameters, letter, thresholds
 
 BEAMS_LAST = 1
@@ -81,12 +82,7 @@ class IncrementalGraph:
         options: IncrementalOptions | None = None,
     ) -> None:
         self.beams, self.terms = tuple(beams), terms
-        self._keys = [
-            key
-            for beam in beams
-            for key in (beam.location, beam.direction, beam.range_error)
-            if key is not None
-        ]
+        self._keys = [key for beam in beams for key in beam.variables]
         part = (options or IncrementalOptions()).relinearize
         self._thresholds = thresholds(part, length, self.beams, terms)
         self._unit = np.array([length] * 3 + [1.0] * 4 + [1.0 / length])
@@ -156,15 +152,7 @@ class IncrementalGraph:
         """Return beams, and planes in the order of `planes`, each in the frame of its blocks."""
         with self._lock:
             values = self._isam.calculateEstimate()
-        planes = [values.atOrientedPlane3(plane_key(number)) for number in self.planes]
-        r, v, k = self._read(values)
-        return Parameters(
-            r,
-            v,
-            k,
-            np.array([plane.normal().point3() for plane in planes]).reshape(-1, 3),
-            np.array([plane.distance() for plane in planes]),
-        )
+        return parameters_of(values, self.beams, [plane_key(number) for number in self.planes])
 
     def linearization_point(self) -> gtsam.Values:
         """Return where all variables are linearised."""
@@ -247,24 +235,13 @@ class IncrementalGraph:
     def _limits_of_all(self) -> FloatArray:
         """Return the thresholds of all variables in GTSAM's order: by letter, then by number."""
         count = {"p": len(self._blocks)}
-        for beam in self.beams:
-            for key in (beam.location, beam.direction, beam.range_error):
-                if key is not None:
-                    count[letter(key)] = count.get(letter(key), 0) + 1
+        for key in self._keys:
+            count[letter(key)] = count.get(letter(key), 0) + 1
         blocks = (block for own in self._blocks.values() for block in own)
         count["x"] = len({block.pose for block in blocks if block.pose is not None})
         return np.concatenate(
             [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
         )
-
-    def _read(self, values: gtsam.Values) -> Beams:
-        k = np.zeros((len(self.beams), 2))
-        for i, (beam, terms) in enumerate(zip(self.beams, self.terms, strict=True)):
-            if beam.range_error is not None:
-                k[i, :terms] = values.atVector(beam.range_error)
-        r = np.array([values.atPoint3(beam.location) for beam in self.beams])
-        v = np.array([values.atUnit3(beam.direction).point3() for beam in self.beams])
-        return r, v, k
 
     def _beam_values(self) -> gtsam.Values:
         """Return the beams alone: the estimate of all variables would cost time in their number."""
@@ -288,7 +265,7 @@ class IncrementalGraph:
         bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
         lift = beams_lift(bases, self.terms)
         return BeamState(
-            *self._read(self._beam_values()),
+            *parameters_of(self._beam_values(), self.beams, ()).beams,
             lift @ S @ lift.T,
             -float(size + 2.0 * np.log(scale).sum()),
         )

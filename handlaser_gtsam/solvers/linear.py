@@ -124,11 +124,10 @@ class Unknowns:
         coupled = how is not None and how.is_coupled
         if problem.poses or (coupled and problem.loss != GAUSSIAN):
             return None
-        place = {}
+        place: dict[int, tuple[int, slice]] = {}
         for i, (beam, count) in enumerate(zip(problem.beams, problem.terms, strict=True)):
-            place[beam.location], place[beam.direction] = (i, slice(0, 3)), (i, slice(3, 5))
-            if beam.range_error is not None:
-                place[beam.range_error] = (i, slice(5, 5 + count))
+            columns = slice(0, 3), slice(3, 5), slice(5, 5 + count)
+            place |= {key: (i, own) for key, own in zip(beam.variables, columns, strict=False)}
         for factor in (others.at(i) for i in range(others.size())):
             tied = {place[key][0] if key in place else -1 for key in factor.keys()}  # noqa: SIM118
             if len(tied) != 1 or -1 in tied:
@@ -136,9 +135,7 @@ class Unknowns:
         if coupled and how is not None:
             how = how.reordered(np.argsort(problem.rows))
         active = np.arange(5 + max(problem.terms)) < 5 + np.array(problem.terms)[:, None]
-        ordering = gtsam.Ordering()
-        for key in (*problem.planes, BEAMS):
-            ordering.push_back(key)
+        ordering = gtsam.Ordering([*problem.planes, BEAMS])
         grid = Grid([problem.readings])
         weighing = Weighing() if how is None else weighing_of(grid, [how])
         return cls(problem, grid, weighing, place, active, ordering)

@@ -83,7 +83,7 @@ def solve_together(
     """
     options = LevenbergOptions() if options is None else options
     share = max(ROWS // max(len(problems[0]), 1), 1)
-    ended: list[_Ended] = []
+    ended: list[tuple[IntArray, SolvedTogether]] = []
     for first in range(0, len(problems), share):
         some = slice(first, first + share)
         own = noise if isinstance(noise, float) else noise[some]
@@ -91,16 +91,16 @@ def solve_together(
         at = joined(starts[some])
         at = replace(at, range_errors=at.range_errors * (np.arange(2) < terms))
         ended += _Search(task, at, options, first).run()
-    order = np.argsort(np.concatenate([one.index for one in ended]))
-    parameters = [own for one in ended for own in one.parameters]
-    return SolvedTogether(
-        tuple(parameters[k] for k in order),
-        np.concatenate([one.cost for one in ended])[order],
-        np.concatenate([one.converged for one in ended])[order],
-        np.concatenate([one.iterations for one in ended])[order],
-        np.concatenate([one.sigma for one in ended])[order],
-        NormalEquations.joined([one.equations for one in ended]).picked(order),
+    order = np.argsort(np.concatenate([index for index, _ in ended]))
+    parts = [part for _, part in ended]
+    parameters = [own for part in parts for own in part.parameters]
+    cost, converged, iterations, sigma = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("cost", "converged", "iterations", "sigma")
     )
+    normal = NormalEquations.joined([part.normal for part in parts]).picked(order)
+    found = tuple(parameters[k] for k in order)
+    return SolvedTogether(found, cost, converged, iterations, sigma, normal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,29 +134,13 @@ class _Task:
         dof = max(len(one) - (5 + terms) * one.beams - 3 * one.planes, 1)
         return cls(grid, terms, weighing, sigma, prior, rounding, dof)
 
-    @property
-    def beams(self) -> int:
-        """Of a problem."""
-        return self.grid.beams
-
-    @property
-    def planes(self) -> int:
-        """Of a problem."""
-        return self.grid.planes
-
     def picked(self, rows: IntArray) -> "_Task":
         """Return some of the problems."""
         if len(rows) == len(self.sigma):
             return self
-        return _Task(
-            self.grid.picked(rows),
-            self.terms,
-            self.weighing.picked(rows),
-            self.sigma[rows],
-            self.prior,
-            self.rounding[rows],
-            self.dof,
-        )
+        grid, weighing = self.grid.picked(rows), self.weighing.picked(rows)
+        sigma, rounding = self.sigma[rows], self.rounding[rows]
+        return replace(self, grid=grid, weighing=weighing, sigma=sigma, rounding=rounding)
 
     def normal(self, at: Parameters) -> tuple[NormalEquations, FloatArray]:
         """Return normal equations, and costs (K,): infinite where a beam grazes its plane."""
@@ -167,19 +151,6 @@ class _Task:
         cost = 0.5 * found.squares / self.sigma**2
         usable = (cosine >= model.GRAZING_LIMIT) & np.isfinite(cost)
         return found, np.where(usable, cost, np.inf)
-
-
-@dataclass(frozen=True, slots=True)
-class _Ended:
-    """Some of the problems, at their ends."""
-
-    index: IntArray
-    parameters: tuple[Parameters, ...]
-    cost: FloatArray
-    converged: BoolArray
-    iterations: IntArray
-    sigma: FloatArray
-    equations: NormalEquations
 
 
 class _Search:
@@ -193,10 +164,10 @@ class _Search:
         self.damping = np.full(count, options.least_damping)
         self.before, self.damped = np.full(count, np.inf), np.full(count, np.nan)
         self.iterations = np.zeros(count, dtype=np.intp)
-        self.ended: list[_Ended] = []
+        self.ended: list[tuple[IntArray, SolvedTogether]] = []
 
-    def run(self) -> list[_Ended]:
-        """Take steps until all problems have arrived, or no step helps."""
+    def run(self) -> list[tuple[IntArray, SolvedTogether]]:
+        """Take steps until all problems have arrived, or no step helps; return which ended how."""
         self._leave(np.isinf(self.cost), np.zeros(len(self.cost), dtype=bool))
         for _ in range(self.options.max_iterations):
             if not self.index.size:
@@ -245,8 +216,7 @@ class _Search:
         rest = np.flatnonzero(~last)
         if not rest.size:
             return trial, decrement[rest], arrived[rest]
-        trial = picked(trial, self.task.beams, self.task.planes, rest)
-        return trial, decrement[rest], arrived[rest]
+        return picked(trial, self.task.grid, rest), decrement[rest], arrived[rest]
 
     def _resolution(self) -> FloatArray:
         """Return the smallest change that shows in each cost."""
@@ -285,20 +255,17 @@ class _Search:
         if not which.any():
             return
         rows, rest = np.flatnonzero(which), np.flatnonzero(~which)
-        ended = picked(self.at, self.task.beams, self.task.planes, rows)
-        self.ended.append(
-            _Ended(
-                self.index[rows],
-                tuple(parted(ended, self.task.beams, self.task.planes)),
-                self.cost[rows],
-                converged[rows],
-                self.iterations[rows],
-                self.task.sigma[rows],
-                self.equations.picked(rows),
-            )
+        ended = SolvedTogether(
+            tuple(parted(picked(self.at, self.task.grid, rows), self.task.grid)),
+            self.cost[rows],
+            converged[rows],
+            self.iterations[rows],
+            self.task.sigma[rows],
+            self.equations.picked(rows),
         )
+        self.ended.append((self.index[rows], ended))
         if rest.size:
-            self.at = picked(self.at, self.task.beams, self.task.planes, rest)
+            self.at = picked(self.at, self.task.grid, rest)
             self.task, self.equations = self.task.picked(rest), self.equations.picked(rest)
         for name in ("index", "cost", "damping", "before", "damped", "iterations"):
             setattr(self, name, getattr(self, name)[rest])

@@ -295,11 +295,5 @@ def jacobian_columns(
         centres = readings.plane_means(at.normal / at.offset[:, None])
     v_basis = gathered(model.tangent_basis(parameters.directions), readings.beam)
     n_basis = gathered(model.tangent_basis(parameters.normals), readings.plane)
-    local = at.normal - at.offset[:, None] * gathered(centres, readings.plane)
-    columns = np.empty((5 + terms + 4, len(readings)))
-    columns[:3] = at.location.T
-    np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])
-    columns[5:-4] = at.range_error[:, :terms].T
-    np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
-    columns[-2], columns[-1] = at.offset, at.residual
-    return columns, centres
+    middle = gathered(centres, readings.plane)
+    return model.tangent_columns(at, v_basis, n_basis, middle, terms), centres

@@ -38,8 +38,6 @@ POSE_STEP = 1e-6
 MOST_NOISE = 4.0
 """Standard deviations of a reading that count as noise."""
 
-Differences = Literal["2-point", "3-point"]
-
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSolution:
@@ -130,9 +128,9 @@ class ReferenceProblem:
         self.base = self.level = self.d
         # One more row for every range error of which something is known: k / its sigma.
         known = self.active[:, 5:] & (prior is not None)
-        number = np.full((self.beams, 7), -1)
-        number[self.active] = np.arange(self.split)
-        self.prior_at = number[:, 5:][known]
+        self.number = np.full((self.beams, 7), -1)
+        self.number[self.active] = np.arange(self.split)
+        self.prior_at = self.number[:, 5:][known]
         sigma = np.ones((self.beams, 2)) if prior is None else prior.sigma
         self.prior_sigma = sigma[known]
 
@@ -211,10 +209,8 @@ class ReferenceProblem:
 
     def sparsity(self) -> csr_array:
         """Return which unknowns each residual depends on."""
-        number = np.full((self.beams, 7), -1)
-        number[self.active] = np.arange(self.split)
-        own = number[self.beam]
-        columns = np.hstack((own, self.split + self.plane[:, None] * 3 + np.arange(3)))
+        of_plane = self.split + self.plane[:, None] * 3 + np.arange(3)
+        columns = np.hstack((self.number[self.beam], of_plane))
         rows = np.repeat(np.arange(len(self.d)), columns.shape[1])
         seen = columns.ravel() >= 0
         shape = (len(self.d), len(self.x0))
@@ -255,7 +251,9 @@ class ReferenceProblem:
         return beams, planes
 
 
-def minimize(problem: ReferenceProblem, differences: Differences = "2-point") -> OptimizeResult:
+def minimize(
+    problem: ReferenceProblem, differences: Literal["2-point", "3-point"]
+) -> OptimizeResult:
     """Return SciPy's least-squares solution of `problem`, derivatives by differences."""
     large = len(problem.x0) > DENSE_UNKNOWNS
     return least_squares(
@@ -276,7 +274,6 @@ def solve_reference(
     recording: Recording,
     start: Parameters,
     terms: int | tuple[int, ...],
-    differences: Differences = "3-point",
     noise: ReferenceNoise | None = None,
     prior: RangeErrorPrior | None = None,
 ) -> ReferenceSolution:
@@ -287,12 +284,12 @@ def solve_reference(
     units, without it for a range sigma of 1 m. A `prior` of the range errors needs `noise`.
     """
     problem = ReferenceProblem(recording, start, terms, prior)
-    solution = minimize(problem, differences)
-    for _ in range(ROUNDS if noise is not None else 0):
-        if noise is not None:
+    solution = minimize(problem, "3-point")
+    if noise is not None:
+        for _ in range(ROUNDS):
             problem.weigh(solution.x, noise)
-        problem.x0 = solution.x
-        solution = minimize(problem, differences)
+            problem.x0 = solution.x
+            solution = minimize(problem, "3-point")
     beams, planes = problem.covariances(solution)
     J = np.asarray(solution.jac @ np.eye(len(solution.x)))
     scale = np.linalg.norm(J, axis=0)

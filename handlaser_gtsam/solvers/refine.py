@@ -146,19 +146,15 @@ class _Search:
                 break
             self._advance(rows)
         self.at = self.grid.facing(self.at)  # a beam may have come from behind
+        ends = zip(parted(self.at, self.grid), self.cost, self.scale, strict=True)
         return [
             Refined(parameters, float(2.0 * cost), float(scale)) if np.isfinite(cost) else None
-            for parameters, cost, scale in zip(
-                parted(self.at, self.grid.beams, self.grid.planes),
-                self.cost,
-                self.scale,
-                strict=True,
-            )
+            for parameters, cost, scale in ends
         ]
 
     def _advance(self, rows: IntArray) -> None:
         """Try one step of candidates `rows`; those that fail raise their damping and try again."""
-        here = self._pick(self.at, rows)
+        here = picked(self.at, self.grid, rows)
         weights = None
         if self.loss.name != "gaussian":
             weights = self._tighten(rows)
@@ -169,7 +165,7 @@ class _Search:
             part = normal if len(waiting) == len(rows) else normal.picked(waiting)
             beam, plane = damped_step(part, self.damping[own])
             trial = apply_step(
-                self._pick(self.at, own),
+                picked(self.at, self.grid, own),
                 beam.reshape(-1, 5 + self.terms),
                 plane.reshape(-1, 3),
                 part.centres.reshape(-1, 3),
@@ -179,7 +175,7 @@ class _Search:
             cost = self._costs(residual, self.scale[own])
             better = cost < self.cost[own]
             gain = self.cost[own] - cost
-            self._take(own[better], self._pick(trial, np.flatnonzero(better)))
+            self._take(own[better], picked(trial, self.grid, np.flatnonzero(better)))
             self.residual[own[better]] = residual[better]
             arrived = better & (gain <= LEVEL * cost) & ~self.tightening[own]
             self.cost[own[better]] = cost[better]
@@ -217,16 +213,13 @@ class _Search:
         cost[usable] = scale[usable] ** 2 * rho.sum(axis=1)
         return cost
 
-    def _pick(self, at: Parameters, rows: IntArray) -> Parameters:
-        return picked(at, self.grid.beams, self.grid.planes, rows)
-
     def _take(self, rows: IntArray, new: Parameters) -> None:
         if len(rows) == len(self.cost):
             self.at = new
             return
-        beams, planes = _indices(self.grid.beams, self.grid.planes, rows)
+        beams, planes = _indices(self.grid, rows)
         arrays = []
-        for name in ("locations", "directions", "range_errors", "normals", "offsets"):
+        for name in Parameters.__dataclass_fields__:
             array = getattr(self.at, name).copy()
             array[planes if name in ("normals", "offsets") else beams] = getattr(new, name)
             arrays.append(array)
@@ -235,32 +228,24 @@ class _Search:
 
 def joined(copies: Sequence[Parameters]) -> Parameters:
     """Return the beams and planes of several candidates, one after the other."""
-    return Parameters(
-        np.concatenate([p.locations for p in copies]),
-        np.concatenate([p.directions for p in copies]),
-        np.concatenate([p.range_errors for p in copies]),
-        np.concatenate([p.normals for p in copies]),
-        np.concatenate([p.offsets for p in copies]),
-    )
+    names = Parameters.__dataclass_fields__
+    return Parameters(*(np.concatenate([getattr(p, name) for p in copies]) for name in names))
 
 
-def parted(at: Parameters, beams: int, planes: int) -> list[Parameters]:
-    """Return the candidates that were `joined`, each with so many beams and planes."""
-    copies = len(at.locations) // beams
-    return [picked(at, beams, planes, np.array([k])) for k in range(copies)]
+def parted(at: Parameters, grid: Grid) -> list[Parameters]:
+    """Return the candidates that were `joined`, each with the beams and planes of the grid."""
+    copies = len(at.locations) // grid.beams
+    return [picked(at, grid, np.array([k])) for k in range(copies)]
 
 
-def picked(at: Parameters, beams: int, planes: int, rows: IntArray) -> Parameters:
+def picked(at: Parameters, grid: Grid, rows: IntArray) -> Parameters:
     """Return candidates `rows` (ascending) of joined parameters."""
-    if len(rows) * beams == len(at.locations):
+    if len(rows) * grid.beams == len(at.locations):
         return at
-    i, p = _indices(beams, planes, rows)
-    return Parameters(
-        at.locations[i], at.directions[i], at.range_errors[i], at.normals[p], at.offsets[p]
-    )
+    return at.part(*_indices(grid, rows))
 
 
-def _indices(beams: int, planes: int, rows: IntArray) -> tuple[IntArray, IntArray]:
-    of_beams = (rows[:, None] * beams + np.arange(beams)).ravel()
-    of_planes = (rows[:, None] * planes + np.arange(planes)).ravel()
+def _indices(grid: Grid, rows: IntArray) -> tuple[IntArray, IntArray]:
+    of_beams = (rows[:, None] * grid.beams + np.arange(grid.beams)).ravel()
+    of_planes = (rows[:, None] * grid.planes + np.arange(grid.planes)).ravel()
     return of_beams.astype(np.intp), of_planes.astype(np.intp)

@@ -16,9 +16,9 @@ from ..data.recording import Readings
 from ..model.equation import plausible_range_errors, residuals_or_infinite
 from ..solvers.refine import Refined, refine_many
 from .directions import direction_starts, random_starts
+from .excerpt import Excerpt, excerpt_of
+from .growing import PartialStart, grow
 from .lifted import lifted_starts
-from .part import Part, part_of
-from .partial import PartialStart, grow
 from .search import Candidate, Refinement, Round, agreeing, rank, search
 from .sweep import sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
@@ -72,7 +72,7 @@ class Start:
     believed : bool
         Whether the search ended on evidence, and not because there was nothing left to try.
     found : Candidate, each
-        All candidates, the best first, for the part of the recording that `part_of` chooses.
+        All candidates, the best first, for the part of the recording that `excerpt_of` chooses.
     """
 
     parameters: Parameters
@@ -112,7 +112,7 @@ def find_start(
         Of a quick search, which this one goes on with.
     """
     terms = usable_terms(readings, terms)
-    part = part_of(readings)
+    part = excerpt_of(readings)
     some = part.readings
     judge = _LeastSquaresJudge(some, range_sigma, terms, certain, accepts)
     loss = _LeastSquares(some, terms, 0 if effort == "glance" else LAST_STEPS)
@@ -138,7 +138,7 @@ def _lowest(found: Sequence[Candidate], readings: int) -> tuple[tuple[str, float
     return tuple(lowest.items())
 
 
-def _extended(part: Part, best: Parameters, readings: Readings, terms: int) -> Parameters:
+def _extended(part: Excerpt, best: Parameters, readings: Readings, terms: int) -> Parameters:
     """Return the best start of a part of the readings for all of them."""
     best = part.extended(best)
     if readings.beams > MOST_REFINED:

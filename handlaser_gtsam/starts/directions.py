@@ -22,7 +22,7 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import Readings
-from .partial import PartialStart
+from .growing import PartialStart
 
 TURNS, SUBSET_TURNS = 3, 4
 LEAST_COSINE = 0.1

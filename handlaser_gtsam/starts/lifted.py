@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import IntArray
 from ..data.recording import Readings
-from .partial import PartialStart
+from .growing import PartialStart
 
 LEAST_READINGS = 24
 GAP = 3.0

@@ -25,7 +25,7 @@ from ..data.recording import Readings
 from ..model.losses import Loss, LossName
 from ..solvers.refine import Refined, Scale, refine_many
 from .directions import direction_starts, random_starts, subset_starts
-from .partial import PartialStart, grow
+from .growing import PartialStart, grow
 from .search import Candidate, Judge, Round, search
 
 METHOD = "consensus"

@@ -18,7 +18,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..solvers.refine import refine_many
 from .directions import least_squares, sphere
-from .partial import PartialStart
+from .growing import PartialStart
 
 _NONE = np.zeros((1, 2))
 SAME_DIRECTION = 0.02

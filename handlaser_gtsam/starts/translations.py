@@ -27,14 +27,10 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
-from .partial import PartialStart
+from .growing import PartialStart
 
-ROTATION_CELL = 2e-3
-"""Rotations whose matrices agree to about this many radians count as equal."""
 SPREAD = 1e-4
 """Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
-
-
 LEAST_SHARE = 1e-8
 """Part of the squared readings that translations must leave free for kappa to be determined."""
 
@@ -108,7 +104,7 @@ def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
 
 
 def _series(readings: Readings) -> _Series | None:
-    cells = np.floor(readings.world_R_hand.reshape(-1, 9) / ROTATION_CELL + 0.377).astype(np.int64)
+    cells = model.rotation_cells(readings.world_R_hand)
     labels = np.column_stack((readings.plane, readings.beam, cells))
     _, first, index = np.unique(labels, axis=0, return_index=True, return_inverse=True)
     index = index.ravel()

@@ -19,8 +19,9 @@ from ..errors import GrazingBeamError, InputError, SolverError
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .hold_out import hold_out
-from .leave_out import MOST_SPLITS, PlaneLeftOut, Prediction, predicted, training_stations
+from .leave_out import MOST_SPLITS, PlaneLeftOut, training_stations
 from .parts import Whole
+from .prediction import Prediction, predicted
 
 MOST_WORK, LEAST_PLANES = 2000, 10
 """Planes that are left out times all planes, and the least planes that are left out of many."""

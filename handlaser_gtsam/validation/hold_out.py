@@ -15,7 +15,6 @@ part of P infinite.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
@@ -25,13 +24,13 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..distributions import chi2_sf, f_sf
-from ..model.joint import beam_lift
+from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts
 from ..solvers.normal_equations import normal_equations
 from ..solvers.progress import tell
 from ..solvers.steps import apply_step
-from ..starts.partial import PartialStart, grow
+from ..starts.growing import PartialStart, grow
 
 STEPS, SETTLED = 20, 1e-12
 RANK = 1e-12
@@ -217,7 +216,7 @@ class _Quadratic:
             keep = values / scale > MOST_SIGMA**-2
         axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
         bases = model.tangent_basis(mounts.directions)
-        lift = block_diag(*(beam_lift(B, 2) for B in bases))[:, active]
+        lift = beams_lift(bases, mounts.terms)
         P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
         return cls(
             cost / scale,

@@ -10,6 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError
+from ..model.joint import beam_lifts
 from ..results.calibration import Calibration
 
 MOUNT, COORDINATES = 5, 8
@@ -52,11 +53,7 @@ def of_calibration(result: Calibration) -> Estimated:
     beams = list(result.beams.values())
     none = np.full((COORDINATES, COORDINATES), np.nan)
     return Estimated(
-        (
-            np.array([beam.location for beam in beams]),
-            np.array([beam.direction for beam in beams]),
-            np.array([beam.range_error for beam in beams]),
-        ),
+        result.parameters().beams,
         np.array([none if beam.covariance is None else beam.covariance for beam in beams]),
         result.status,
         result.iterations,
@@ -101,9 +98,7 @@ def _nees(e: FloatArray, v: FloatArray, S: FloatArray) -> tuple[float, float, in
 
     Each beam in its own covariance; also the number of unknowns of a beam with k.
     """
-    lift = np.zeros((len(e), COORDINATES, MOUNT + 2))
-    lift[:, :3, :3], lift[:, 3:6, 3:5] = np.eye(3), model.tangent_basis(v)
-    lift[:, 6:, 5:] = np.eye(2)
+    lift = beam_lifts(model.tangent_basis(v))
     x = np.einsum("bij,bi->bj", lift, e)
     C = np.swapaxes(lift, 1, 2) @ S @ lift
     terms = int((np.einsum("bii->bi", C)[:, MOUNT:] > 0.0).all(axis=0).sum())

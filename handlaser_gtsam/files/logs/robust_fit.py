@@ -12,7 +12,7 @@ from ...model.losses import Loss
 from ...solvers.refine import Scale, refine_many
 from ...starts import find_start
 from ...starts.directions import subset_starts
-from ...starts.partial import grow
+from ...starts.growing import grow
 from ...starts.robust import least_scale
 
 GOOD = 0.7

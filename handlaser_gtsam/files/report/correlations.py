@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray
-from ...results.calibration_data import LABELS
+from ...results.calibration_fields import LABELS
 from ..json_text import Record
 from .figure import Figure, axis, label, layout, numbers, tick_labels
 from .subject import Subject

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...arrays import FloatArray
-from ...results.calibration_data import LABELS
+from ...results.calibration_fields import LABELS
 from ...results.lines import DEG, MM
+from ...results.measuring import spot
 from ...results.reports import Beam
 from ...results.spot_error import spot_radii
-from ...results.spots import spot
 from .subject import Subject
 from .tables import (
     NONE,

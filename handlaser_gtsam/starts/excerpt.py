@@ -1,4 +1,4 @@
-"""A part of a long recording to search on: some of its planes, and some of very many beams."""
+"""An excerpt of a long recording to search on: some of its planes, and some of very many beams."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from .partial import PartialStart, grow
+from .growing import PartialStart, grow
 
 ENOUGH = 1500
 """About so many readings decide which start is best; more would only cost time."""
@@ -18,8 +18,8 @@ MOST_BEAMS = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Some planes and beams of a recording.
+class Excerpt:
+    """Some planes and beams of a recording, and of very many stations some.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Part:
         return grow(start, self.whole)
 
 
-def part_of(readings: Readings) -> Part:
+def excerpt_of(readings: Readings) -> Excerpt:
     """Return the planes with most readings, so many that they suffice, and one for every beam.
 
     Of very many beams only those with most readings are there, and of very many stations some.
@@ -75,11 +75,11 @@ def part_of(readings: Readings) -> Part:
             if own.size and not chosen[own].any():
                 chosen[own[np.argmax(count[own])]] = True
     elif some is readings and len(readings) <= MOST:
-        return Part(readings, np.arange(readings.planes), beams, readings)
+        return Excerpt(readings, np.arange(readings.planes), beams, readings)
     few, planes = _thinned(some.subset(np.flatnonzero(chosen[some.plane]))), np.flatnonzero(chosen)
     plane, beam = (np.cumsum(chosen) - 1)[few.plane], (np.cumsum(has) - 1)[few.beam]
     part = replace(few, beam=beam, plane=plane, beams=len(beams), planes=len(planes))
-    return Part(part, planes, beams, readings)
+    return Excerpt(part, planes, beams, readings)
 
 
 def _thinned(readings: Readings) -> Readings:

@@ -14,7 +14,7 @@ from ..checks import require_kind
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, plane_lift
 from .calibration import Calibration
 from .reports import Beam
 from .spot_error import spot_at
@@ -112,7 +112,7 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
     found = plane_of(X)
     if found is None:
         raise InputError("laser spots on one line", "spots that span a plane")
-    (*across, n), middle = found
+    n, middle = found
     n = n if v.mean(axis=0) @ n > 0.0 else -n
     # The heights of the spots above the plane: by all coordinates, and by the readings.
     heights = np.zeros((len(names), 8 * len(names)))
@@ -121,13 +121,11 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
         heights[i, 8 * i : 8 * i + 8] = n @ J
         noise[i] = (n @ v[i]) * slope * _range_sigma(calibration, name)
     S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
-    basis = np.transpose(across)
+    basis = model.tangent_basis(n[None])[0]
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
     fit = -np.linalg.pinv(A)
     tangent = fit @ S @ fit.T
-    lift = np.zeros((4, 3))
-    lift[:3, :2] = basis
-    lift[3] = (*(-middle @ basis), 1.0)
+    lift = plane_lift(basis, middle)
     return MeasuredPlane(
         n,
         float(-n @ middle),
@@ -138,12 +136,9 @@ def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> M
 
 
 def plane_of(spots: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return two axes of the plane through spots (N, 3) and its normal, as rows, and their middle.
-
-    None where the spots are on one line.
-    """
+    """Return the normal of the plane through spots (N, 3), and their middle; None for one line."""
     axes, middle, size = model.plane_through(spots)
-    return None if size[1] <= LEAST_SPREAD * size[0] else (axes, middle)
+    return None if size[1] <= LEAST_SPREAD * size[0] else (axes[2], middle)
 
 
 def typical_plane(

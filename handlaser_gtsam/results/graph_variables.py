@@ -86,7 +86,7 @@ class OwnGraph:
         asked = [
             (kind, f"{kind.words} {name}", key)
             for name, beam in self.beams.items()
-            for kind, key in zip((LOCATION, DIRECTION, RANGE_ERROR), keys_of(beam), strict=False)
+            for kind, key in zip((LOCATION, DIRECTION, RANGE_ERROR), beam.variables, strict=False)
         ]
         asked += [(PLANE, f"{PLANE.words} {name}", key) for name, key in self.planes.items()]
         found: dict[int, Variable] = {}
@@ -113,12 +113,6 @@ class OwnGraph:
         return dim
 
 
-def keys_of(beam: BeamKeys) -> tuple[int, ...]:
-    """Return the keys that a beam has: location, direction, and range error if it is estimated."""
-    keys = (beam.location, beam.direction, beam.range_error)
-    return tuple(key for key in keys if key is not None)
-
-
 def key_name(key: int) -> str:
     """Return a key as people write it: x3, or the number."""
     return str(gtsam.DefaultKeyFormatter(key))
@@ -133,7 +127,7 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
         A beam without a range factor to these planes, two names for one beam, or an error that is no
         number.
     """
-    if len({keys_of(beam) for beam in own.beams.values()}) < len(own.beams):
+    if len({beam.variables for beam in own.beams.values()}) < len(own.beams):
         raise InputError("two names for one beam", "different variables for every beam")
     found = list(_factors(own))
     for i, name in enumerate(own.beams):
@@ -173,7 +167,7 @@ def _factors(own: OwnGraph) -> Iterator[tuple[gtsam.CustomFactor, str, int, bool
 
     Each with the name of its pose or its number, the number of its beam, and whether it has a pose.
     """
-    owner = {keys_of(beam): i for i, beam in enumerate(own.beams.values())}
+    owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
     planes = set(own.planes.values())
     for i, factor in own.factors():
         if not isinstance(factor, gtsam.CustomFactor):

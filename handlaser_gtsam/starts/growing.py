@@ -1,4 +1,4 @@
-"""A start that knows some beams and planes, and how the others grow from them.
+"""How all beams and planes grow from a start that knows some of them.
 
 Points of a known beam give a plane by total least squares; known planes give a beam, linearly:
 n_H . r + d n_H . v = -(b + n . t) in the six numbers (r, v).

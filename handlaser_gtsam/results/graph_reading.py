@@ -19,8 +19,8 @@ from ..observability.rank import ObservabilityOptions
 from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
 from .calibration import Calibration
-from .calibration_data import Status, strong_correlations
-from .own_graph import OwnGraph, Variable, fit_of_graph, keys_of
+from .calibration_fields import Status, strong_correlations
+from .graph_variables import OwnGraph, Variable, fit_of_graph
 from .problem import named_estimates
 from .reports import Determined, Fit, StartReport
 
@@ -112,16 +112,12 @@ def _information(
     """Return the information of what is read, and its right-hand side; None if it has none."""
     keys = [one.key for one in wanted]
     order = gtsam.Ordering.ColamdConstrainedLastNonlinearFactorGraph(own.graph, keys)
-    others, last = gtsam.Ordering(), gtsam.Ordering()
-    for i in range(order.size() - len(keys)):
-        others.push_back(order.at(i))
-    for key in keys:
-        last.push_back(key)
+    others = gtsam.Ordering([order.at(i) for i in range(order.size() - len(keys))])
     rest = linear
     try:
         if others.size():
             _, rest = linear.eliminatePartialSequential(others)
-        matrix, vector = rest.hessian(last)
+        matrix, vector = rest.hessian(gtsam.Ordering(keys))
     except RuntimeError:  # GTSAM's indeterminate linear system, which names a bystander
         return None
     except ValueError as error:
@@ -179,7 +175,7 @@ def _judged(
 def _joint(S: FloatArray, wanted: list[Variable], own: OwnGraph) -> JointCovariance:
     """Return the covariance in the order of the names; shared variables stand once for every beam."""
     columns = {one.key: np.arange(one.columns.start, one.columns.stop) for one in wanted}
-    of_beams = [np.concatenate([columns[k] for k in keys_of(b)]) for b in own.beams.values()]
+    of_beams = [np.concatenate([columns[k] for k in b.variables]) for b in own.beams.values()]
     at = np.concatenate(of_beams)
     p = np.array([columns[key] for key in own.planes.values()], dtype=np.intp).ravel()
     unique = np.unique(at)

@@ -1,0 +1,139 @@
+"""How far predicted ranges are off: from a calibration, or from the plane that one station shows.
+
+Predictions carry their own standard deviation, from the reading, the pose, and the beams and planes
+behind it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray
+from ..data.noise import Noise
+from ..data.parameters import Parameters
+from ..data.recording import Recording
+from ..data.value import Value
+from ..errors import InputError
+from ..model.joint import JointCovariance
+from ..model.weighting import Variances, reading_sigmas
+from ..results.calibration import Calibration
+from ..results.measuring import plane_of
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Prediction(Value):
+    """Errors of predicted ranges.
+
+    Attributes
+    ----------
+    tests : int
+    rms, max_residual : float
+        [m]
+    standardized : float
+        Root mean square in units of the predictions' own standard deviations: near 1 if these are
+        right; NaN where they are not known.
+    """
+
+    tests: int
+    rms: float
+    max_residual: float
+    standardized: float
+
+
+def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
+    """Return the errors with which a calibration predicts another recording of its planes and beams.
+
+    Raises
+    ------
+    InputError
+        The calibration has no covariance.
+    """
+    joint = calibration.covariance
+    if joint is None:
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    ranges = np.full(len(recording.beam_names), calibration.fit.range_sigma)
+    if calibration.variances is not None:
+        beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+        ranges = calibration.variances.range_sigma[beams]
+    pose = None
+    if calibration.fit.poses != "exact":
+        told = calibration.noise(noise).reordered(np.arange(len(recording.plane_labels)))
+        pose = told.pose_covariances(len(recording.plane_labels))
+    variances = Variances(ranges, noise.incidence_sigma, pose)
+    return predicted(calibration.parameters(), joint, recording, variances)
+
+
+def predicted(
+    at: Parameters, joint: JointCovariance, recording: Recording, variances: Variances
+) -> Prediction:
+    """Return the errors with which beams and planes predict a recording of some of them.
+
+    Parameters
+    ----------
+    at : Parameters
+        In the order of the names of `joint`.
+    joint : JointCovariance
+    recording : Recording
+    variances : Variances
+        Of its readings, by its beams and stations.
+    """
+    readings = recording.readings()
+    beams = [joint.beam_names.index(name) for name in recording.beam_names]
+    planes = [joint.plane_names.index(name) for name in recording.plane_names]
+    at = at.part(beams, planes)
+    x = model.scene(at, readings)
+    lin = model.linearize(x, readings.distance)
+    J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
+    S = joint.matrix(recording.beam_names, recording.plane_names)
+    first = 8 * len(beams)
+    of_beam = 8 * readings.beam[:, None] + np.arange(8)
+    of_plane = first + 4 * readings.plane[:, None] + np.arange(4)
+    columns = np.hstack((of_beam, of_plane))
+    own = S[columns[:, :, None], columns[:, None, :]]
+    variance = np.einsum("ni,nij,nj->n", J, own, J)
+    sigmas = reading_sigmas(at, readings, variances)
+    return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
+
+
+def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
+    """Predict all stations of a plane from the plane that the beams span at each one of them."""
+    planes = range(len(recording.plane_names))
+    errors = [one for p in planes for one in _of_plane(calibration, recording, p)]
+    if not errors:
+        return None
+    e = np.concatenate(errors)
+    return _prediction(e, np.full(len(e), np.nan))
+
+
+def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Iterator[FloatArray]:
+    """Yield the errors of the other stations, from each station where three beams span the plane."""
+    rows = np.flatnonzero(recording.plane_of_station == plane)
+    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+    r, v, k = (array[beams] for array in calibration.parameters().beams)
+    d = recording.ranges[rows]
+    g = model.corrected(d, k)
+    R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
+    spots = np.einsum("mij,mbj->mbi", R, r + g[:, :, None] * v) + t[:, None, :]
+    read = ~np.isnan(d)
+    for station in range(len(rows)):
+        X = spots[station, read[station]]
+        found = plane_of(X) if len(X) >= 3 else None
+        if found is None:
+            continue
+        n, middle = found
+        others = read & (np.arange(len(rows)) != station)[:, None]
+        m, b = np.nonzero(others)
+        n_hand = np.einsum("mji,j->mi", R[m], n)
+        height = np.einsum("mi,mi->m", n_hand, r[b]) + (t[m] - middle) @ n
+        yield -height / np.einsum("mi,mi->m", n_hand, v[b]) - g[m, b]
+
+
+def _prediction(e: FloatArray, sigmas: FloatArray) -> Prediction:
+    return Prediction(
+        len(e),
+        float(np.sqrt(np.mean(e**2))),
+        float(np.abs(e).max()),
+        float(np.sqrt(np.mean((e / sigmas) ** 2))),
+    )
