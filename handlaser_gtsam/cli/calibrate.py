@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .log_options import Log
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, logged, metres
+from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -95,19 +95,9 @@ class Output:
 
     def check(self, sources: tuple[Path | None, ...]) -> None:
         """Refuse files that cannot be written, or are one of the `sources` or each other."""
-        from ..errors import InputError
-        from ..files.writing import require_writable, same_file
+        from ..files.writing import require_outputs
 
-        for option, path in (("--out", self.out), ("--report", self.report)):
-            if path is None:
-                continue
-            if any(source is not None and same_file(path, source) for source in sources):
-                raise InputError(f"the input itself as {option}", "another file to write to", path)
-            require_writable(path)
-        if self.out is not None and self.report is not None:
-            same = self.out.resolve() == self.report.resolve()
-            if same or same_file(self.out, self.report):
-                raise InputError("one file as --out and --report", "two files", self.out)
+        require_outputs({"--out": self.out, "--report": self.report}, sources)
         if self.report_date is not None:
             from ..files.report.options import iso_day
 
@@ -160,14 +150,15 @@ def _calibrated(
     """Calibrate, and write the result where it is asked for."""
     from .. import pipeline
     from ..files.calibration_json import calibration_text
+    from ..files.rig_reading import read_with
     from ..files.writing import write_text
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
-    output.check((path, rig_file, rig.log.readings, rig.log.plane_file))
+    output.check((path, rig_file, *rig.log.files))
     reading = output.reading
-    log, noise = logged(path, rig)
-    recording, fed = log.recording, None
+    log, rig = read_with(rig, path)
+    recording, noise, fed = log.recording, rig.noise, None
     options = replace(model.options(rig), outliers=manner.outliers.value, loss=manner.loss.value)
     if manner.incremental:
         from .incremental import plane_by_plane

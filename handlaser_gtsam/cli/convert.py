@@ -55,17 +55,12 @@ def convert(
 def _converted(
     path: Path, log: Log, out: Path | None, rig: Path | None, range_mm: tuple[float, float] | None
 ) -> Answer:
-    from ..errors import InputError
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
-    from ..files.writing import require_writable, same_file
+    from ..files.writing import require_outputs
 
     given, sensor, sigma = _known(log, rig, range_mm)
-    if out is not None:
-        sources = (path, rig, given.readings, given.plane_file)
-        if any(source is not None and same_file(out, source) for source in sources):
-            raise InputError("the input itself as --out", "another file to write to", out)
-        require_writable(out)
+    require_outputs({"--out": out}, (path, rig, *given.files))
     report = describe_log(path, given, sensor, sigma)
     if out is not None:
         write_recording(out, report.recording)

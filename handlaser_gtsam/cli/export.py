@@ -102,16 +102,14 @@ class Wanted:
     def check(self, calibration: Path) -> None:
         """Refuse an output that is missing, cannot be written, or is an input."""
         from ..errors import InputError
-        from ..files.writing import require_writable, same_file
+        from ..files.writing import require_outputs
 
         if self.out is None:
             if self.to.value in BINARY or self.into is not None:
                 what = "--into" if self.into is not None else f"the binary format {self.to.value}"
                 raise InputError(f"{what} without --out", "--out FILE")
             return
-        if any(one is not None and same_file(self.out, one) for one in (calibration, self.into)):
-            raise InputError("the input itself as output", "another file to write to", self.out)
-        require_writable(self.out)
+        require_outputs({"--out": self.out}, (calibration, self.into))
 
 
 def export(

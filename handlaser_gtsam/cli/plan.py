@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, print_wrapped
+from .log_options import Log
 from .options import Given, JsonOption, Model, QuietOption
 from .progress_line import Working
 
@@ -61,26 +62,21 @@ class Wanted:
 
     def check(self, sources: tuple[Path | None, ...]) -> None:
         """Refuse files that cannot be written, or are one of the `sources` or each other."""
-        from ..errors import InputError
-        from ..files.writing import require_writable, same_file
+        from ..files.writing import require_outputs
 
-        for path in (self.out, self.picture):
-            if path is None:
-                continue
-            if any(source is not None and same_file(path, source) for source in sources):
-                raise InputError("the input itself as output", "another file to write to", path)
-            require_writable(path)
-        if self.out is not None and self.out == self.picture:
-            raise InputError("one file as --out and --picture", "two files", self.out)
+        require_outputs({"--out": self.out, "--picture": self.picture}, sources)
 
 
 def plan(
     given: Given,
+    log: Log,
     model: Model,
     wanted: Wanted,
     recording: Annotated[
         Path | None,
-        typer.Argument(help="What was recorded so far, CSV; it is calibrated first."),
+        typer.Argument(
+            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
+        ),
     ] = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
@@ -93,8 +89,8 @@ def plan(
     the plan.
     """
     with Working():
-        wanted.check((recording, wanted.calibration, given.rig))
-        rig = given.read()
+        rig = given.read(log)
+        wanted.check((recording, wanted.calibration, given.rig, *rig.log.files))
         found = _planned(recording, rig, model, wanted)
         answer = _answer(found, rig, wanted)
     answer.give(json=json_, quiet=quiet)
@@ -141,7 +137,7 @@ def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "
 
     from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
-    from ..files.recording_csv import read_recording
+    from ..files.rig_reading import read_with
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.workspace import require_range
@@ -165,8 +161,8 @@ def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "
             placement=placement,
             rng=rng,
         )
-    read = read_recording(recording or Path(), rig.sensor)
-    found = calibrate(read, rig.noise, model.options(rig))
+    report, rig = read_with(rig, recording or Path())
+    found = calibrate(report.recording, rig.noise, model.options(rig))
     if found.status != "converged":
         raise SolverError(found.message)
     return planning.plan(

@@ -7,6 +7,7 @@ to another place wants it there. A file that is replaced hands its mode on to th
 import os
 import stat
 import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..errors import InputError
@@ -69,6 +70,26 @@ def require_writable(path: Path) -> None:
         Path(name).unlink()
     except OSError as error:
         raise _refusal(path, error) from error
+
+
+def require_outputs(outputs: Mapping[str, Path | None], sources: Iterable[Path | None]) -> None:
+    """Refuse outputs, by their options, that cannot be written, or are a source or each other.
+
+    Raises
+    ------
+    InputError
+    """
+    given = {option: path for option, path in outputs.items() if path is not None}
+    known = [source for source in sources if source is not None]
+    before: dict[str, Path] = {}
+    for option, path in given.items():
+        if any(same_file(path, source) for source in known):
+            raise InputError(f"the input itself as {option}", "another file to write to", path)
+        require_writable(path)
+        for other, there in before.items():
+            if path.resolve() == there.resolve() or same_file(path, there):
+                raise InputError(f"one file as {other} and {option}", "two files", path)
+        before[option] = path
 
 
 def same_file(first: Path, second: Path) -> bool:
