@@ -90,7 +90,7 @@ def opened(path: Path) -> Iterator[Bag]:
             "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
         ) from error
     if path.is_dir() and not (path / METADATA).is_file():
-        found = f"a folder without {METADATA}, and so no bag of ROS 2"
+        found = f"no bag that can be read (a folder without {METADATA})"
         raise InputError(found, "a log, or the folder of a bag", path)
     try:
         if path.suffix.lower() == ".bag":

@@ -52,7 +52,7 @@ def read_log_table(path: Path, given: LogFormat) -> Table:
         frame = _foreign(path, given)
         table = _of_values(frame, path, 2 if suffix in WORKBOOKS else 1)
         if suffix in WORKBOOKS:
-            table = _with_points(table, given)
+            table = _with_points(table, given, numbers_have_points=True)
     else:
         table = _of_text(path, given)
     if not len(table.frame):
@@ -122,8 +122,8 @@ def _cells(line: str, separator: str) -> int:
     return re.sub('"[^"]*"', "", line).count(separator) + 1
 
 
-def _with_points(table: Table, given: LogFormat) -> Table:
-    """Return the table with points for decimal commas.
+def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = False) -> Table:
+    """Return the table with points for decimal commas; the numbers of a workbook have points.
 
     Raises
     ------
@@ -138,6 +138,8 @@ def _with_points(table: Table, given: LogFormat) -> Table:
     if given.decimal is None:
         _refuse_ambiguous(replace(table, frame=texts), commas)
     for name, column in zip(texts.columns, cells, strict=True):
+        if numbers_have_points:
+            break
         points = column.str.contains(rf"^{POINT.pattern}$").fill_null(value=False).to_numpy()
         table.refuse(points, name, "decimal commas, as in other cells; or state --decimal point")
     changed = [
@@ -214,12 +216,12 @@ def _workbook(path: Path, given: LogFormat) -> pl.DataFrame:
     if twice is not None:  # the reader would give the second one a name that nobody wrote
         raise InputError("the same name twice", "every column once", path, 1, names[twice])
     with _silent("fastexcel"):
-        try:
-            return book.load_sheet(
-                sheet, dtype_coercion="strict", schema_sample_rows=None
-            ).to_polars()
-        except fastexcel.FastExcelError:  # a column of numbers and texts, or of truth values
-            return book.load_sheet(sheet, dtypes="string", schema_sample_rows=None).to_polars()
+        found, texts = (
+            book.load_sheet(sheet, dtypes=kind, schema_sample_rows=None).to_polars()
+            for kind in (None, "string")
+        )
+    truths = [name for name in texts.columns if texts[name].is_in(["true", "false"]).any()]
+    return found.with_columns(texts[name] for name in truths)  # read as 1 and 0 among numbers
 
 
 @contextmanager
