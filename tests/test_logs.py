@@ -1,10 +1,12 @@
 """Logs of controllers and spreadsheets: conventions, tables, and what is refused."""
 
+import inspect
 import json
 import math
 import time
 import zipfile
 from dataclasses import fields
+from typing import get_args
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -442,8 +444,10 @@ def test_names_from_files_are_escaped(tmp_path):
 
 def test_every_field_is_an_option_and_a_field_of_the_rig_file():
     names = [one.name for one in fields(hl.LogFormat)]
-    assert [one.name for one in fields(Log)] == names
-    assert list(LogTable.model_fields) == names
+    options = inspect.signature(Log).parameters
+    assert list(options) == list(LogTable.model_fields) == names
+    for name, option in options.items():
+        assert get_args(option.annotation)[1].help, name
 
 
 def test_the_rig_file_says_how_logs_are_written(tmp_path):

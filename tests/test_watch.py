@@ -400,6 +400,56 @@ def test_a_file_that_is_truncated_replaced_or_no_file_for_a_while(shown, tmp_pat
     shown.is_at("current", 14)
 
 
+def test_a_log_in_two_files_is_followed_as_both_grow(tmp_path):
+    """Poses in millimetres here, readings there, joined by station; the rig file says so."""
+    names = LINES[0].rstrip("\n").split(",")
+    poses = [i for i, name in enumerate(names) if name in ("x", "y", "z") or name.startswith("q")]
+    both = ["station," + ",".join(names[i] for i in poses)], ["station,plane"]
+    both[1][0] += "".join(f",{name}" for name in names if name.startswith("range_"))
+    for number, line in enumerate(LINES[1:], 1):
+        cells = line.rstrip("\n").split(",")
+        scaled = [repr(1e3 * float(cells[i])) if names[i] in "xyz" else cells[i] for i in poses]
+        both[0].append(",".join([str(number), *scaled]))
+        rest = [cell for name, cell in zip(names, cells, strict=True) if name.startswith("range_")]
+        both[1].append(",".join([str(number), cells[names.index("plane")], *rest]))
+    log = '[log]\nrotation = "xyzw"\nunits = "mm"\nreadings = "readings.csv"\n'
+    (tmp_path / "rig.toml").write_text(RIG + log)
+    path, readings = tmp_path / "recording.csv", tmp_path / "readings.csv"
+    shown = Shown(tmp_path)
+    try:
+        path.write_text("\n".join(both[0][:20]) + "\n")
+        until(
+            lambda: shown.is_at("waiting")["note"] == "waiting for readings.csv, which is not there"
+        )
+        readings.write_text("\n".join(both[1][:20]) + "\n")
+        shown.is_at("current", 19)
+        shown_then = shown.newest["state"]["beams"]
+        with readings.open("a") as file:  # a line that is not whole, of a station without a pose
+            file.write(both[1][20][:10])
+            file.flush()
+            until(lambda: "not whole yet" in shown.is_at("current", 19)["note"])
+            file.write(both[1][20][10:] + "\n")
+        with path.open("a") as file:
+            file.write(both[0][20] + "\n")
+        shown.is_at("current", 20)
+        readings.write_text("nonsense\n")
+        until(lambda: str(readings) in shown.is_at("refused", 20)["error"])
+        for file, lines in ((readings, both[1]), (path, both[0])):
+            file.write_text("\n".join(lines) + "\n")
+        shown.is_at("current", len(LINES) - 1)
+        assert shown.newest["state"]["beams"] != shown_then
+    finally:
+        shown.end()
+
+
+def test_a_bag_cannot_be_followed(handlaser, tmp_path):
+    (tmp_path / "metadata.yaml").touch()
+    for path in (tmp_path, tmp_path / "log.mcap"):
+        code, _, err = handlaser("watch", path)
+        assert code == 2
+        assert "a bag, which cannot be read while it grows" in err
+
+
 def test_a_change_whose_time_stamp_is_put_back_is_found(shown):
     text = "".join(LINES[:20])
     shown.path.write_text(text)

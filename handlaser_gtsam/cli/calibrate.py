@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .log_options import Log
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, logged, metres
+from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -152,14 +152,15 @@ def _calibrated(
     """Calibrate, and write the result where it is asked for."""
     from .. import pipeline
     from ..files.calibration_json import calibration_text
+    from ..files.rig_reading import read_with
     from ..files.writing import write_text
     from ..results.verdict import verdict
     from ..validation import cross_check as checking
 
-    output.check((path, rig_file, rig.log.readings, rig.log.plane_file))
+    output.check((path, rig_file, *rig.log.files))
     reading = output.reading
-    log, noise = logged(path, rig)
-    recording, fed = log.recording, None
+    log, rig = read_with(rig, path)
+    recording, noise, fed = log.recording, rig.noise, None
     options = replace(model.options(rig), outliers=manner.outliers.value, loss=manner.loss.value)
     if manner.incremental:
         from .incremental import plane_by_plane

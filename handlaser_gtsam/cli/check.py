@@ -8,7 +8,7 @@ import typer
 
 from .answer import UNDETERMINED, Answer, print_wrapped
 from .log_options import Log
-from .options import JsonOption, RecordingArgument, logged
+from .options import JsonOption, RecordingArgument
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -37,11 +37,12 @@ def check(
 
 def _checked(path: Path, log: Log, rig: Path | None, *, json: bool) -> Answer:
     from ..files.calibration_json import check_text
+    from ..files.rig_reading import read_with
     from ..files.rig_toml import known_rig
     from ..observability.motion import check_motion, lemma_words
 
-    known = known_rig(rig, log.stated())
-    recording = logged(path, known)[0].recording
+    report, known = read_with(known_rig(rig, log.stated()), path)
+    recording = report.recording
     found = check_motion(recording)
     lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
     lines += lemma_words(found, recording.beam_names)

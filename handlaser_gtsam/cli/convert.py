@@ -60,7 +60,7 @@ def _converted(
     from ..files.writing import require_outputs
 
     given, sensor, sigma = _known(log, rig, range_mm)
-    require_outputs({"--out": out}, (path, rig, given.readings, given.plane_file))
+    require_outputs({"--out": out}, (path, rig, *given.files))
     report = describe_log(path, given, sensor, sigma)
     if out is not None:
         write_recording(out, report.recording)

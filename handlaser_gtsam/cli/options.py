@@ -6,7 +6,7 @@ A verb takes a group as one argument; `expanded` gives the command line one opti
 import functools
 import inspect
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,9 +17,7 @@ from .log_level import LogLevel, LogLevelOption, logging_at
 from .log_options import Log
 
 if TYPE_CHECKING:
-    from ..data.noise import Noise
     from ..estimation.options import CalibrationOptions
-    from ..files.logs.report import LogReport
     from ..files.rig_toml import Rig
 
 
@@ -74,11 +72,11 @@ class Given:
         float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
     ] = None
 
-    def read(self, log: Log | None = None) -> "Rig":
+    def read(self, log: Log) -> "Rig":
         """Return the rig file with what the command line says instead."""
         from ..files.rig_toml import known_rig
 
-        return known_rig(self.rig, asdict(self) | ({} if log is None else log.stated()))
+        return known_rig(self.rig, asdict(self) | log.stated())
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,16 +126,6 @@ def _with_log(log_level: LogLevelOption = None) -> None:
     """Carry the option that every verb has."""
 
 
-def logged(path: Path, rig: "Rig") -> "tuple[LogReport, Noise]":
-    """Return what is read from a recording or a log, and the noise with what its scatter says."""
-    from ..files.logs.reading import read_any
-
-    report, noise = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma), rig.noise
-    if rig.log.range_sigma_from_scatter and noise.range_sigma is None:
-        noise = replace(noise, range_sigma=report.scatter)
-    return report, noise
-
-
 def metres(at_range_mm: float | None) -> float | None:
     """Return the reading of --at-range-mm in metres."""
     from ..checks import require_number
@@ -154,7 +142,7 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     groups: dict[str, Callable[..., object]] = {}
     parameters: list[inspect.Parameter] = []
     for one in inspect.signature(verb).parameters.values():
-        if hasattr(one.annotation, "__dataclass_fields__"):
+        if one.annotation is Log or hasattr(one.annotation, "__dataclass_fields__"):
             groups[one.name] = one.annotation
             parameters += inspect.signature(one.annotation).parameters.values()
         else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, print_wrapped
+from .log_options import Log
 from .options import Given, JsonOption, Model, QuietOption
 from .progress_line import Working
 
@@ -62,11 +63,14 @@ class Wanted:
 
 def plan(
     given: Given,
+    log: Log,
     model: Model,
     wanted: Wanted,
     recording: Annotated[
         Path | None,
-        typer.Argument(help="What was recorded so far, CSV; it is calibrated first."),
+        typer.Argument(
+            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
+        ),
     ] = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
@@ -81,9 +85,9 @@ def plan(
     from ..files.writing import require_outputs
 
     with Working():
+        rig = given.read(log)
         outputs = {"--out": wanted.out, "--picture": wanted.picture}
-        require_outputs(outputs, (recording, wanted.calibration, given.rig))
-        rig = given.read()
+        require_outputs(outputs, (recording, wanted.calibration, given.rig, *rig.log.files))
         found = _planned(recording, rig, model, wanted)
         answer = _answer(found, rig, wanted)
     answer.give(json=json_, quiet=quiet)
@@ -130,7 +134,7 @@ def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "
 
     from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
-    from ..files.recording_csv import read_recording
+    from ..files.rig_reading import read_with
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.workspace import require_range
@@ -145,8 +149,8 @@ def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "
     if wanted.calibration is not None:
         mounts, plates = read_mounts(wanted.calibration), _plates(wanted.calibration, rig)
         return planning.plan(mounts, *given, plates=plates, placement=placement, rng=rng)
-    read = read_recording(recording or Path(), rig.sensor)
-    found = calibrate(read, rig.noise, model.options(rig))
+    report, rig = read_with(rig, recording or Path())
+    found = calibrate(report.recording, rig.noise, model.options(rig))
     if found.status != "converged":
         raise SolverError(found.message)
     return planning.plan(found, *given, placement=placement, rng=rng)

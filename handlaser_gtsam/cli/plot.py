@@ -6,19 +6,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import UNDETERMINED, Answer, print_wrapped
+from .log_options import Log
 from .options import Given, Model
 from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..files.calibration_reading import CalibrationFile
     from ..files.report.options import ReportOptions
+    from ..files.rig_toml import Rig
     from ..results.calibration import Calibration
 
 SourceArgument = Annotated[
     Path,
     typer.Argument(
         metavar="FILE",
-        help="Recording, which is calibrated; or a calibration, FILE.json.",
+        help="Recording or log, which is calibrated; or a calibration, FILE.json.",
         show_default=False,
     ),
 ]
@@ -28,7 +30,7 @@ OutOption = Annotated[
 ]
 
 
-def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> None:
+def plot(file: SourceArgument, out: OutOption, given: Given, log: Log, model: Model) -> None:
     """Draw the figures of a report as PNG files into a folder.
 
     Of a calibration that was written by --out, only the beams and their correlations: its file holds
@@ -38,15 +40,15 @@ def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> No
     Exit codes: 0 good; 2 bad input; 3 no calibration: what can be drawn all the same is drawn.
     """
     with Working():
-        answer = _drawn(file, out, given, model)
+        answer = _drawn(file, out, given.read(log), model)
     answer.give(json=False)
 
 
-def _drawn(path: Path, folder: Path, given: Given, model: Model) -> Answer:
+def _drawn(path: Path, folder: Path, rig: "Rig", model: Model) -> Answer:
     from ..files.report.pictures import write_pictures
     from ..text import printable
 
-    found, options = _calibration(path, given, model)
+    found, options = _calibration(path, rig, model)
     files = write_pictures(folder, found, options)
     lines = [f"wrote {printable(str(file))}" for file in files]
     failure = None if found.status == "converged" else (UNDETERMINED, found.message)
@@ -55,18 +57,17 @@ def _drawn(path: Path, folder: Path, given: Given, model: Model) -> Answer:
 
 
 def _calibration(
-    path: Path, given: Given, model: Model
+    path: Path, rig: "Rig", model: Model
 ) -> "tuple[Calibration | CalibrationFile, ReportOptions]":
     """Return the calibration of a file, or the one that stands in it."""
     from ..files.report.options import ReportOptions
 
-    rig = given.read()
     if path.suffix.lower() == ".json":
         from ..files.calibration_reading import read_calibration
 
         return read_calibration(path), ReportOptions(rig)
-    from ..files.recording_csv import read_recording
+    from ..files.rig_reading import read_with
     from ..pipeline import calibrate
 
-    recording = read_recording(path, rig.sensor)
-    return calibrate(recording, rig.noise, model.options(rig)), ReportOptions(rig)
+    report, rig = read_with(rig, path)
+    return calibrate(report.recording, rig.noise, model.options(rig)), ReportOptions(rig)

@@ -9,7 +9,7 @@ import typer
 
 from .answer import NOT_USABLE, Answer, print_wrapped
 from .log_options import Log
-from .options import Given, JsonOption, Model, RecordingArgument, logged
+from .options import Given, JsonOption, Model, RecordingArgument
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -67,12 +67,13 @@ def validate(
 
 def _answered(path: Path, against: Against, rig: "Rig", model: Model, splits: Splits) -> Answer:
     from ..errors import InputError
+    from ..files.rig_reading import read_with
 
     if against.calibration is not None and against.hold_out is not None:
         raise InputError("--calibration and --hold-out", "one of the two")
     options = model.options(rig)
-    report, noise = logged(path, rig)
-    recording, rig = report.recording, replace(rig, noise=noise)
+    report, rig = read_with(rig, path)
+    recording = report.recording
     if against == Against():
         return _validated(recording, rig, options, splits)
     return _tested(recording, rig, options, against)
@@ -102,6 +103,7 @@ def _tested(
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
     from ..files.calibration_reading import read_mounts
+    from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
     from ..model.sensor import within
     from ..results.significance import SINGLE_LEVEL
@@ -117,7 +119,7 @@ def _tested(
         mounts = read_mounts(against.calibration)
     else:
         mounts, noise = _mounts(recording, rig, options, noise)
-        recording = logged(against.hold_out or Path(), rig)[0].recording
+        recording = read_with(rig, against.hold_out or Path())[0].recording
     found = hold_out(mounts, within(recording, rig.sensor), noise)
     failure = None
     if found.p_value < SINGLE_LEVEL:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .log_options import Log
 from .options import Given, Model, metres
 from .progress_line import Working
 
@@ -53,12 +54,13 @@ def watch(
         Path,
         typer.Argument(
             metavar="FOLDER|FILE",
-            help="Folder of recording.csv, and of rig.toml if it is there; or a recording, CSV. The "
-            "recording may yet come.",
+            help="Folder of recording.csv, and of rig.toml if it is there; or a recording, CSV, or a "
+            "log that is a table. It may yet come.",
             show_default=False,
         ),
     ],
     given: Given,
+    log: Log,
     model: Model,
     serving: Serving,
 ) -> None:
@@ -70,7 +72,7 @@ def watch(
     """
     with Working():
         _require_extra()
-        watched = _watched(path, given, model, serving)
+        watched = _watched(path, given, log, model, serving)
         from ..files.watch.follower import Follower
         from ..files.watch.server import PageServer, listening
 
@@ -93,12 +95,12 @@ def _require_extra() -> None:
             raise InputError(f"no {name}, which the page needs", expected) from error
 
 
-def _watched(path: Path, given: Given, model: Model, serving: Serving) -> "Watched":
+def _watched(path: Path, given: Given, log: Log, model: Model, serving: Serving) -> "Watched":
     """Return what is followed; refuse what cannot be calibrated whatever the files say."""
     from ..files.rig_toml import known_rig
     from ..files.watch.watched import Watched, watched_files
 
-    stated = {name: value for name, value in asdict(given).items() if name != "rig"}
+    stated = {name: value for name, value in asdict(given).items() if name != "rig"} | log.stated()
     options = model.options(known_rig(None, stated))
     recording, rig = watched_files(path, given.rig)
     reading = metres(serving.at_range_mm)

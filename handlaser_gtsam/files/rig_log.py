@@ -1,8 +1,11 @@
-"""The table [log] of a rig file: how logs are written, see `logs.format`."""
+"""The table [log] of a rig file: how logs are written, a field for every one of `LogFormat`."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import create_model
 
 from .checked_text import FileRecord
 from .logs.format import LogFormat
@@ -18,49 +21,21 @@ ONE_OF = (
 NAMES = tuple(one.name for one in fields(LogFormat))
 
 
-class LogTable(FileRecord):
-    """The table [log] of a rig file."""
+def _plain(kind: Any) -> Any:
+    """Return the type of a field in TOML, or None where it is not stated."""
+    if get_origin(kind) is tuple:
+        return list[get_args(kind)[0]] | None  # type: ignore[misc]  # computed
+    for plain in (bool, float):
+        if kind is plain or plain in get_args(kind):
+            return plain | None
+    return str | None
 
-    pose_format: str | None = None
-    rotation: str | None = None
-    units: str | None = None
-    angles: str | None = None
-    inverted: bool | None = None
-    tool: list[float] | None = None
-    base: list[float] | None = None
-    pose_columns: list[str] | None = None
-    plane_column: str | None = None
-    station_column: str | None = None
-    time_column: str | None = None
-    range_columns: list[str] | None = None
-    beam_column: str | None = None
-    range_column: str | None = None
-    range_units: str | None = None
-    plane: str | None = None
-    plane_ranges: list[str] | None = None
-    plane_file: str | None = None
-    header: list[str] | None = None
-    delimiter: str | None = None
-    decimal: str | None = None
-    sheet: str | None = None
-    readings: str | None = None
-    readings_station_column: str | None = None
-    readings_time_column: str | None = None
-    time_units: str | None = None
-    tolerance_s: float | None = None
-    interpolate: bool | None = None
-    stands: bool | None = None
-    stand_s: float | None = None
-    stand_mm: float | None = None
-    stand_deg: float | None = None
-    average: str | None = None
-    lag_s: float | None = None
-    estimate_lag: bool | None = None
-    pose_topic: str | None = None
-    frames: list[str] | None = None
-    receive_time: bool | None = None
-    range_sigma_from_scatter: bool | None = None
-    as_stated: bool | None = None
+
+_FIELDS: Any = {one.name: (_plain(one.type), None) for one in fields(LogFormat)}
+
+
+class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type: ignore[misc]
+    """The table [log] of a rig file."""
 
     def to_format(self, folder: Path) -> LogFormat:
         """Return the format; files are named from a folder on.

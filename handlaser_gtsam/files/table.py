@@ -137,7 +137,9 @@ def table_of(
             cut = (
                 " in a last line that is cut" if last and not lines.ended and count < width else ""
             )
-            raise lines.fault(index, f"{count} fields{cut}", f"{width}, as in the header")
+            hint = "; decimal commas need another separator than commas"
+            hint = hint if count > width and lines.separator == "," else ""
+            raise lines.fault(index, f"{count} fields{cut}", f"{width}, as in the header{hint}")
     names = _names(lines, cells[0].split(UNIT))
     split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
     frame = split.struct.rename_fields(names).struct.unnest()

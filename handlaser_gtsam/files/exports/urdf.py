@@ -49,7 +49,8 @@ def urdf_with(path: Path, beams: Sequence[ExportedBeam], link: str) -> str:
     outline = _Outline(path, text)
     if link not in outline.links:
         found = f"no link {shown(link)}"
-        raise InputError(found, f"one of {some(outline.links, SHOWN) or 'its links'}", path)
+        expected = f"one of {some(outline.links, SHOWN)}" if outline.links else "a URDF with links"
+        raise InputError(found, expected, path)
     for kind, there, names in (
         ("link", outline.links, [beam.identifier for beam in beams]),
         ("joint", outline.joints, [_joint(beam) for beam in beams]),

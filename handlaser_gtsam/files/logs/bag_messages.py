@@ -33,6 +33,8 @@ RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 STATIC = "/tf_static"
+METADATA = "metadata.yaml"
+"""Which every folder of a ROS 2 bag has."""
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
 A_PART = 20_000
 """So many messages are read between two signs of life."""
@@ -87,6 +89,9 @@ def opened(path: Path) -> Iterator[Bag]:
         raise InputError(
             "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
         ) from error
+    if path.is_dir() and not (path / METADATA).is_file():
+        found = f"no bag that can be read (a folder without {METADATA})"
+        raise InputError(found, "a log, or the folder of a bag", path)
     try:
         if path.suffix.lower() == ".bag":
             with path.open("rb") as file:
@@ -222,6 +227,9 @@ def _beams(topics: dict[str, str], given: LogFormat, path: Path) -> tuple[Beam, 
         fault = name_fault(beam.name).rstrip(",")
         if fault or [one.name for one in found].count(beam.name) > 1:
             raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}", path)
+        if [(one.topic, one.ray) for one in found].count((beam.topic, beam.ray)) > 1:
+            ray = "" if beam.ray is None else f"[{beam.ray}]"
+            raise InputError(f"several beams of {beam.topic}{ray}", "one beam of each", path)
     return tuple(found)
 
 
@@ -253,5 +261,8 @@ def _pose_topics(topics: dict[str, str], given: LogFormat, path: Path) -> list[s
     if len(poses) != 1:
         expected = "--pose-topic, which of them" if poses else f"one of {POSE}"
         also = "; or --frames WORLD,HAND of tf" if transforms else ""
-        raise InputError(f"{len(poses)} topics of {POSE} ({some(poses, 8)})", expected + also, path)
+        found = (
+            f"{len(poses)} topics of {POSE} ({some(poses, 8)})" if poses else f"no topic of {POSE}"
+        )
+        raise InputError(found, expected + also, path)
     return poses

@@ -11,7 +11,7 @@ from ...arrays import FloatArray, IntArray
 from ...errors import CalibrationWarning, InputError
 from .assembling import Known, Stationed, assembled
 from .averaging import Samples
-from .bag_messages import BagContent, read_bag
+from .bag_messages import METADATA, BagContent, read_bag
 from .conventions import FORMATS
 from .format import LogFormat
 from .frames import between
@@ -67,7 +67,8 @@ def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
     ------
     InputError
     """
-    refuse_stated(given, OF_TABLES, "a bag", path)
+    if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
+        refuse_stated(given, OF_TABLES, "a bag", path)
     content = read_bag(path, given)
     first = [beam.rows()[0, 0] for beam in content.beams]
     begin = min(float(content.track.time[0]), *map(float, first))

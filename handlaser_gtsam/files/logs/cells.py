@@ -5,16 +5,16 @@ import polars as pl
 
 from ...arrays import FloatArray
 from ...data.recording import LARGEST
-from ...errors import CalibrationWarning, InputError
+from ...errors import CalibrationWarning
 from ...text import A_NAME, name_fault
 from ..table import Table, column_numbers
-from .conventions import Convention
-from .format import LogFormat, convention_of
+from .conventions import TIME_UNITS, Convention
+from .format import LogFormat
+from .format_checks import convention_of
 from .poses import faults
 
 PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
 """Names of ASCII, which most are, need no closer look."""
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def pose_numbers(
@@ -111,14 +111,3 @@ def _text(cells: pl.Series) -> pl.Series:
     if cells.dtype.is_float() and (cells == cells.round()).all():
         return cells.cast(pl.Int64).cast(pl.String)
     return cells.cast(pl.String)
-
-
-def require_increasing(name: str, t: FloatArray, table: Table, column: str) -> None:
-    """Refuse times that go back."""
-    back = np.concatenate(([False], np.diff(t) < 0.0))
-    table.refuse(back, column, f"times of {name} that do not go back")
-
-
-def no_such(what: str, expected: str, table: Table) -> InputError:
-    """Return the error for something that a table lacks."""
-    return InputError(what, expected, table.path, table.header_line or None)

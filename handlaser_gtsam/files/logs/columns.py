@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from ...errors import InputError
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
-from .conventions import FORMATS, Convention
-from .format import LogFormat, convention_of
+from .conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
+from .format import LogFormat
+from .format_checks import convention_of
 
 POSITIONS = (
     ("x", "y", "z"),
@@ -20,7 +21,11 @@ POSITIONS = (
     ("translation.x", "translation.y", "translation.z"),
     ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
 )
-UNIT_IN_NAME = re.compile(r"[\s_]*[\[(]\s*(mm|m|deg|°|rad|s|ms|us|ns)\s*[\])]$|_(mm|m|deg|rad)$")
+KNOWN = "mm m deg ° rad s ms us ns"
+OTHERS = "cm dm km um µm μm nm in inch ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"
+"""Units that nothing is read in: a column of such values is refused."""
+UNITS = "|".join(f"{KNOWN} {OTHERS}".split())
+UNIT_IN_NAME = re.compile(rf"[\s_]*[\[(]\s*({UNITS})\s*[\])]$|_(mm|cm|um|m|deg|rad)$")
 """A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`."""
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
@@ -65,7 +70,7 @@ def unit_of(name: str) -> str:
     """Return the unit in a column's name; empty if there is none."""
     found = UNIT_IN_NAME.search(name.strip().lower())
     unit = "" if found is None else found[1] or found[2]
-    return "deg" if unit == "°" else unit
+    return {"°": "deg", "µs": "us"}.get(unit, unit)
 
 
 def columns_of(
@@ -87,8 +92,7 @@ def columns_of(
     if readings and given.beam_column:
         for name in (given.beam_column, given.range_column):
             _require(table, name)
-    _check_units(table, pose, [*beams.values(), given.range_column], given)
-    return Columns(
+    found = Columns(
         pose,
         beams,
         given.beam_column if readings else "",
@@ -97,6 +101,23 @@ def columns_of(
         _named(table, station, ("station",)),
         _named(table, time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
     )
+    _check_once(table, found)
+    _check_units(table, found, given)
+    return found
+
+
+def _check_once(table: Table, found: Columns) -> None:
+    """Refuse one column as two things; times may be labels of stations, too."""
+    things = [*((name, "a number of poses") for name in found.pose)]
+    things += [(name, f"the readings of beam {shown(beam)}") for beam, name in found.beams.items()]
+    things += [(found.range, "readings"), (found.beam, "beams"), (found.plane, "planes")]
+    things += [(found.station, "stations")]
+    used: dict[str, str] = {}
+    for name, what in things:
+        if name and name in used:
+            found_so = f"one column as {used[name]} and as {what}"
+            raise InputError(found_so, "a column of its own for each", table.path, None, name)
+        used[name] = what
 
 
 def _plane_column(table: Table, given: LogFormat, *, alone: bool) -> str:
@@ -153,7 +174,7 @@ def _present(names: Sequence[str], convention: Convention) -> bool:
 def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the columns of the first spelling that is there as a whole."""
     for spelling in spellings:
-        found = [_alike(table.frame.columns, (name,)) for name in spelling]
+        found = [[one for one in table.frame.columns if plain(one) == name] for name in spelling]
         if not all(found):
             continue
         for name, columns in zip(spelling, found, strict=True):
@@ -237,23 +258,25 @@ def _beam_of(text: str, names: Sequence[str]) -> tuple[str, str]:
     return UNIT_IN_NAME.sub("", text.strip()).removeprefix(RANGE), text
 
 
-def _check_units(
-    table: Table, pose: Sequence[str], ranges: Sequence[str], given: LogFormat
-) -> None:
+def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
     """Refuse columns whose names say another unit than is stated."""
     convention = convention_of(given)
-    count = 0 if convention.is_matrix else 3
+    position = () if convention.is_matrix else found.pose[:3]
+    rotation = found.pose[3:] if convention.has_angles else ()
+    ranges = (*found.beams.values(), found.range)
     wanted = [
-        *((name, convention.units, ("m", "mm"), "--units") for name in pose[:count]),
-        *((name, convention.angles, ("deg", "rad"), "--angles") for name in pose[count:]),
-        *((name, given.range_units, ("m", "mm"), "--range-units") for name in ranges),
+        *((name, convention.units, tuple(LENGTHS), "--units") for name in position),
+        *((name, convention.angles, tuple(ANGLES), "--angles") for name in rotation),
+        *((name, given.range_units, tuple(LENGTHS), "--range-units") for name in ranges),
+        (found.time, given.time_units, tuple(TIME_UNITS), "--time-units"),
     ]
     for name, unit, units, option in wanted:
         stated = unit_of(name)
-        if stated in units and stated != unit and not given.as_stated:
+        if stated and stated != unit and not given.as_stated:
+            remedy = f"{option} {stated}" if stated in units else f"values in {' or '.join(units)}"
             raise InputError(
                 f"the unit {stated} in the name of the column, which is read as {unit}",
-                f"{option} {stated}; or --as-stated if the name is wrong",
+                f"{remedy}; or --as-stated if the name is wrong",
                 table.path,
                 table.header_line or None,
                 name,

@@ -23,6 +23,8 @@ LENGTHS = {"m": 1.0, "mm": 1e-3}
 """Units of length [m]."""
 ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
 """Units of angle [rad]."""
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of time [s]."""
 EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
 """Three axes of which neighbours differ."""
 MATRIX_NUMBERS = (12, 16)

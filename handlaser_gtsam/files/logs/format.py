@@ -1,24 +1,20 @@
-"""How a log is written, as a user states it: every field is an option and a field of `[log]`, too."""
+"""How a log is written, as a user states it.
 
-from dataclasses import dataclass, fields
+Every field of `LogFormat` is an option of the command line and a field of the table `[log]` of a rig
+file, too; its description in the docstring is what `--help` says of the option. Nothing heavy is
+imported here: the checks are, once there is something to check.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
-
-from ...checks import require_bool, require_number, require_word
-from ...errors import InputError
-from ...text import name_fault, shown
-from ..writing import path_of
-from .conventions import ANGLES, EULER, FORMATS, LENGTHS, Convention, spelled_columns
+from typing import Literal, get_args, get_origin
 
 Units = Literal["m", "mm"]
 AngleUnits = Literal["deg", "rad"]
 Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 TUM_HEADER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-LONGEST = 1e6
-"""Most seconds of any duration that is stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,65 +24,87 @@ class LogFormat:
     Attributes
     ----------
     pose_format : str
-        Name of a controller or of a library (`FORMATS`); `ros` if neither it nor `rotation` is given.
+        Poses as written by: ros (the default), kuka, abb, abb-euler, fanuc, yaskawa, ur, staubli,
+        kawasaki, franka, matrix, tum, urdf-rpy, ... (docs/logs.md has all).
     rotation : str
-        Spelled out instead: `xyzw`, `wxyz`, `rotvec`, `matrix`, `matrix-columns`, or Euler angles in
-        SciPy's spelling. Needs `units`, and `angles` where there are any.
-    units, angles : {"m", "mm"}, {"deg", "rad"}, optional
-        Of the poses, if they differ from those of the format.
+        Instead of a pose format: xyzw, wxyz, rotvec, matrix, matrix-columns, or Euler angles as SciPy
+        spells them (ZYX, xyz); with units, and with angles where there are any.
+    units : {"m", "mm"}, optional
+        Of positions, if it is not that of the format.
+    angles : {"deg", "rad"}, optional
+        Of rotations, if it is not that of the format.
     inverted : bool
-        Poses are hand_T_world.
-    tool, base : numbers
-        The tool and the base that were active, as poses of the log: the hand is then the flange, and
-        the world is the robot's own frame.
+        Poses are hand_T_world (base in hand).
+    tool : numbers
+        The tool that was active, as a pose of the log: the hand is then the flange.
+    base : numbers
+        The base (work object) that was active: the world is then the robot's own frame.
     pose_columns : names
-        Of the numbers of a pose in their order; where the names are not the usual ones.
-    plane_column, station_column, time_column : str
-        Their names, if they are not `plane`, `station` and `time`.
+        Columns of a pose in their order, where the names are not the usual ones: X,Y,Z,A,B,C.
+    plane_column : str
+        Column of plane labels, if it is not "plane".
+    station_column : str
+        Column of station labels, if it is not "station".
+    time_column : str
+        Column of times, if it is not "time".
     range_columns : names
-        `COLUMN` or `BEAM=COLUMN` for every beam, if they are not `range_NAME`; of a bag topics, and
-        `TOPIC[INDEX]` for a ray of a `LaserScan`.
-    beam_column, range_column : str
-        Of a long table, one row a reading.
+        Columns of ranges, COLUMN or BEAM=COLUMN for every beam, if they are not range_NAME:
+        left=AI1,right=AI2; of bags topics, and TOPIC[INDEX] for a ray of a LaserScan.
+    beam_column : str
+        Column of beams in a long table, one row a reading.
+    range_column : str
+        Column of ranges in a long table.
     range_units : {"m", "mm"}
+        Of ranges: m (the default) or mm.
     plane : str
         The plane of all stations.
-    plane_ranges : texts
-        `PLANE=FIRST..LAST`, of stations, or of times with an s: `A=0s..12.5s`.
+    plane_ranges : names
+        Planes by stations, A=1..12,B=13..24, or by times with an s, A=0s..12.5s.
     plane_file : Path, optional
-        The same as CSV: `plane,from,to`.
+        The same as CSV: plane,from,to.
     header : names
-        Of the columns of a file without a header.
-    delimiter, decimal, sheet : str
-        `comma`, `semicolon`, `tab` or `space`; `point` or `comma`; of a workbook. Empty: recognised.
+        Columns of a file that has no header.
+    delimiter : str
+        comma, semicolon, tab or space; default: recognised.
+    decimal : {"point", "comma"}, optional
+        The decimal mark; default: recognised.
+    sheet : str
+        Sheet of a workbook.
     readings : Path, optional
-        A second file with the readings, joined by station or time.
-    readings_station_column, readings_time_column : str
-        Their names in the second file, if they differ.
+        A second file, with the readings; joined by station or time.
+    readings_station_column : str
+        Column of station labels there, if it differs.
+    readings_time_column : str
+        Column of times there, if it differs.
     time_units : {"s", "ms", "us", "ns"}
+        Of times: s (the default), ms, us or ns.
     tolerance_s : float, optional
-        How far pose and reading may be apart in time [s].
+        How far pose and reading may be apart in time, s.
     interpolate : bool
-        The pose at a reading's time between its neighbours, since the arm moves.
+        The arm moves: the pose at the time of a reading lies between its neighbours.
     stands : bool
-        Stations are the moments at which the arm stands still; bags are always read so, unless
-        `interpolate` is given.
-    stand_s, stand_mm, stand_deg : float
-        The shortest stand, and how far the hand may move in it.
+        Stations are the moments at which the arm stands still; bags are always read so, unless they
+        are interpolated.
+    stand_s : float
+        Shortest stand, s (0.5).
+    stand_mm : float
+        How far the hand may move in a stand, mm (0.1).
+    stand_deg : float
+        How far the hand may turn in a stand, deg (0.05).
     average : {"mean", "median"}
-        Of repeated readings.
+        Of repeated readings: mean (the default) or median.
     lag_s : float
-        How much later readings are stamped than poses of the same moment.
+        How much later readings are stamped than poses of the same moment, s.
     estimate_lag : bool
         Estimate that instead, from readings while the arm moves.
     pose_topic : str
-        Of a bag, `PoseStamped`.
-    frames : (str, str), or empty
-        Instead: names of world and hand in `tf`.
+        Of a bag: topic of PoseStamped of the hand.
+    frames : names
+        Of a bag, instead: names of world and hand in tf, WORLD,HAND.
     receive_time : bool
-        Times at which a bag received its messages, not the stamps of their headers.
+        Of a bag: times at which messages were received, not the stamps of their headers.
     range_sigma_from_scatter : bool
-        The scatter of repeated readings is the range sigma, where none is given.
+        Take the scatter of repeated readings as range sigma, where none is given.
     as_stated : bool
         Read it so although it looks otherwise; that is then a warning.
 
@@ -138,12 +156,21 @@ class LogFormat:
     as_stated: bool = False
 
     def __post_init__(self) -> None:
-        _check_kinds(self)
-        if self.delimiter:
-            require_word("delimiter", self.delimiter, DELIMITERS)
-        _check_numbers(self)
-        _check_together(self)
-        convention_of(self)  # one that cannot be is refused now
+        from .format_checks import check_format
+
+        check_format(self)
+
+    @classmethod
+    def words_of(cls, name: str) -> tuple[str, ...]:
+        """Return the words among which a field chooses; none where it is free."""
+        kind = cls.__annotations__[name]
+        parts = [one for one in (kind, *get_args(kind)) if get_origin(one) is Literal]
+        return get_args(parts[0]) if parts else ()
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """The files beside the log itself."""
+        return self.readings, self.plane_file
 
     @property
     def stated(self) -> bool:
@@ -154,108 +181,3 @@ class LogFormat:
     def header_given(self) -> tuple[str, ...]:
         """Names of the columns of a file that has no header; TUM files have none."""
         return self.header or (TUM_HEADER if self.pose_format == "tum" else ())
-
-
-def convention_of(given: LogFormat) -> Convention:
-    """Return what the numbers of a pose mean.
-
-    Raises
-    ------
-    InputError
-        A rotation that is none.
-    """
-    if not given.rotation:
-        known = FORMATS[given.pose_format or "ros"]
-        return Convention(
-            known.rotation, given.units or known.units, given.angles or known.angles, known.columns
-        )
-    columns = spelled_columns(given.rotation)
-    return Convention(given.rotation, given.units or "m", given.angles or "rad", columns)
-
-
-def _check_kinds(given: LogFormat) -> None:
-    """Refuse values of other types, and store lists as tuples."""
-    plain = LogFormat.__dataclass_fields__
-    for one in fields(given):
-        value, default = getattr(given, one.name), plain[one.name].default
-        if isinstance(default, bool):
-            require_bool(one.name, value)
-        elif isinstance(default, tuple):
-            numbers = one.name in ("tool", "base")
-            object.__setattr__(given, one.name, _tuple_of(one.name, value, numbers=numbers))
-        elif one.name in ("readings", "plane_file"):
-            if value is not None:
-                object.__setattr__(given, one.name, path_of(value))
-        elif isinstance(default, str) and one.name not in CHOICES and not isinstance(value, str):
-            raise InputError(f"{one.name} {shown(value)}", "a text")
-    for name, choices in CHOICES.items():
-        value = getattr(given, name)
-        if value is not None or name in ("range_units", "time_units", "average"):
-            require_word(name, value, choices)
-    if given.pose_format:
-        require_word("pose_format", given.pose_format, FORMATS)
-
-
-CHOICES: dict[str, tuple[str, ...]] = {
-    "units": tuple(LENGTHS),
-    "angles": tuple(ANGLES),
-    "range_units": tuple(LENGTHS),
-    "decimal": get_args(Decimal),
-    "average": get_args(Average),
-    "time_units": get_args(TimeUnits),
-}
-
-
-def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
-    expected = "a sequence of numbers" if numbers else "a sequence of texts"
-    if isinstance(value, str) or not isinstance(value, (list, tuple)):
-        raise InputError(f"{name} {shown(value)}", expected)
-    for one in value:
-        if numbers:
-            require_number(name, one, -1e6, 1e6)
-        elif not isinstance(one, str) or not one:
-            raise InputError(f"{shown(one)} in {name}", expected)
-    return tuple(map(float, value)) if numbers else tuple(value)
-
-
-def _check_numbers(given: LogFormat) -> None:
-    if given.tolerance_s is not None:
-        require_number("tolerance_s", given.tolerance_s, 0.0, LONGEST, above=True, unit="s")
-    require_number("lag_s", given.lag_s, -LONGEST, LONGEST, unit="s")
-    require_number("stand_s", given.stand_s, 0.0, LONGEST, above=True, unit="s")
-    require_number("stand_mm", given.stand_mm, 0.0, 1e3, above=True, unit="mm")
-    require_number("stand_deg", given.stand_deg, 0.0, 180.0, above=True, unit="deg")
-
-
-def _check_together(given: LogFormat) -> None:
-    """Refuse what contradicts each other, or lacks another field."""
-    if given.pose_format and given.rotation:
-        raise InputError(
-            "pose_format and rotation", "one of the two: the format says what rotation it has"
-        )
-    if given.rotation and given.units is None:
-        raise InputError(f"rotation {given.rotation} without units", "units m or mm")
-    turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
-    if turned and given.angles is None:
-        raise InputError(f"rotation {given.rotation} without angles", "angles deg or rad")
-    if bool(given.beam_column) != bool(given.range_column):
-        raise InputError("one of beam_column and range_column", "both, of a long table")
-    if given.beam_column and given.range_columns:
-        raise InputError("range_columns and beam_column", "a wide or a long table")
-    planes = [bool(given.plane), bool(given.plane_ranges), given.plane_file is not None]
-    if sum(planes) > 1 or (any(planes) and given.plane_column):
-        raise InputError(
-            "planes stated in several ways", "one of plane, plane_column, plane_ranges, plane_file"
-        )
-    if given.plane and name_fault(given.plane):
-        raise InputError(name_fault(given.plane).rstrip(","), "a name for the plane")
-    if len(given.frames) not in (0, 2):
-        raise InputError(
-            f"{len(given.frames)} frames", "two: the world and the hand, as tf calls them"
-        )
-    if given.frames and given.pose_topic:
-        raise InputError("frames and pose_topic", "one of the two")
-    if given.stands and given.interpolate:
-        raise InputError("stands and interpolate", "one of the two: the arm stands, or it moves")
-    if given.estimate_lag and given.lag_s:
-        raise InputError("lag_s and estimate_lag", "one of the two")

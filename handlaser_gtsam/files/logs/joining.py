@@ -9,7 +9,8 @@ from ...arrays import FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
 from .averaging import Samples
-from .format import LogFormat, convention_of
+from .format import LogFormat
+from .format_checks import convention_of
 from .motion import Means, Rows, Way
 from .poses import poses_of
 from .rows import LogRows
@@ -57,6 +58,11 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
         raise InputError(
             "stands or interpolate, of one table with poses and readings",
             "two tables joined by time (--readings), or a bag",
+        )
+    if given.lag_s or given.estimate_lag:
+        raise InputError(
+            "a lag, of one table with poses and readings in its rows",
+            "no lag; or two tables joined by time (--readings), or a bag",
         )
     if rows.columns.range and rows.stations is None:
         expected = "a column station, or its name by --station-column"

@@ -7,8 +7,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import InputError
 from .averaging import Samples
-from .format import LogFormat, convention_of
-from .joining import Joined, groups, unmatched
+from .format import LogFormat
+from .format_checks import convention_of
+from .joining import SAME_STATION_M, SAME_STATION_RAD, Joined, groups, unmatched
 from .lag import Lag, estimated_lag
 from .motion import Between, Rows, Way, bracketed, nearest
 from .planes import intervals, planes_of
@@ -37,6 +38,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> 
             "poses and readings joined by time without a tolerance",
             "--tolerance-s: how far pose and reading may be apart; or --stands",
         )
+    _refuse_two_poses_at_once(poses, given)
     if given.interpolate:
         return _between(poses, readings, wanted, given.tolerance_s)
     if len(poses.times) < len(wanted):
@@ -47,11 +49,35 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> 
     return _at_readings(Rows(row[near]), readings, near, poses, row, "the nearest pose")
 
 
+def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
+    """Refuse two rows of one time (they stand in the order of time) at poses that differ."""
+    assert poses.times is not None
+    assert poses.poses is not None
+    again = np.flatnonzero(np.diff(poses.times) == 0.0) + 1
+    if not again.size:
+        return
+    (R, t), (S, s) = (
+        poses_of(poses.poses[rows], convention_of(given)) for rows in (again - 1, again)
+    )
+    angle = np.atleast_1d(Rotation.from_matrix(np.swapaxes(S, 1, 2) @ R).magnitude())
+    distance = np.linalg.norm(t - s, axis=1)
+    far = (angle > SAME_STATION_RAD) | (distance > SAME_STATION_M)
+    if far.any():
+        first, wrong = int(far.argmax()), np.zeros(len(poses.times), dtype=bool)
+        wrong[again[far]] = True
+        found = (
+            f"the time {poses.times[again[first]]:.10g} s again, at a pose "
+            f"{1e3 * distance[first]:.3g} mm and {np.degrees(angle[first]):.3g} deg away"
+        )
+        expected = "one pose at a time: finer stamps, or --stands"
+        poses.table.refuse(wrong, poses.columns.time, expected, found)
+
+
 def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
     assert poses.times is not None
     near = bracketed(poses.times, wanted, tolerance)
     row, off = nearest(poses.times, wanted)
-    _require_any(near, poses, readings, off)
+    _require_any(near, poses, readings, off, "poses before and after it")
     way = Between.at(poses.times, wanted[near])
     return _at_readings(way, readings, near, poses, row, "a pose between its neighbours")
 
@@ -159,13 +185,15 @@ def track_of(poses: LogRows, given: LogFormat) -> Track:
     return Track(poses.times, t, Rotation.from_matrix(R).as_quat())
 
 
-def _require_any(near: BoolArray, poses: LogRows, readings: LogRows, off: FloatArray) -> None:
+def _require_any(
+    near: BoolArray, poses: LogRows, readings: LogRows, off: FloatArray, what: str = "a pose"
+) -> None:
     assert poses.times is not None
     assert readings.times is not None
     if near.any():
         return
     raise InputError(
-        f"no reading with a pose within the tolerance: the nearest two are {off.min():.3g} s apart "
+        f"no reading with {what} within the tolerance: the nearest two are {off.min():.3g} s apart "
         f"(poses from {poses.times[0]:.10g} to {poses.times[-1]:.10g} s, readings from "
         f"{readings.times.min():.10g} to {readings.times.max():.10g} s)",
         "one clock and one unit (--time-units), a larger --tolerance-s, or --lag-s",

@@ -1,7 +1,7 @@
 """Numbers of poses become rotations and positions; signs that the numbers mean something else."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ FARTHEST = 30.0
 """A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
 NEAREST = 5.0
 """Positions that all stay within so many millimetres of the origin are metres."""
+UNIT_WORDS = {"m": "metres", "mm": "millimetres"}
 TURN = 2.0 * math.pi * (1.0 + 1e-9)
 
 
@@ -114,7 +115,14 @@ def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     )
     R = np.clip(T[:, :3, :3], -2.0, 2.0)
     off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    wrong = ~(off <= MATRIX_TOLERANCE) | (np.linalg.det(R) < 0.0)
+    turned = np.linalg.det(R) < 0.0
+    yield Fault(
+        turned & (off <= MATRIX_TOLERANCE),
+        slice(0, x.shape[1]),
+        "a matrix with the determinant -1, of a left-handed frame",
+        "a rotation, of right-handed frames",
+    )
+    wrong = ~(off <= MATRIX_TOLERANCE)
     yield Fault(
         wrong,
         slice(0, x.shape[1]),
@@ -148,15 +156,16 @@ def _position_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
         which, t = slice(0, x.shape[1]), _matrices(x, convention)[:, :3, 3]
     size = np.abs(t).max(axis=1)
     other = _others(replace(convention, units="mm" if convention.units == "m" else "m"))
-    if convention.units == "m":
-        yield Fault(
-            size > FARTHEST,
-            which,
-            f"a position of {size.max():.6g} read as metres",
-            f"at most {FARTHEST:g} m of an arm; is it millimetres? {other}",
-            doubt=True,
-        )
-    elif size.max() < NEAREST and len(x) > 1:
+    far = size * LENGTHS[convention.units] > FARTHEST
+    question = f"; is it millimetres? {other}" if convention.units == "m" else ""
+    yield Fault(
+        far,
+        which,
+        f"a position of {size.max():.6g} read as {UNIT_WORDS[convention.units]}",
+        f"at most {FARTHEST:g} m of an arm{question}",
+        doubt=True,
+    )
+    if convention.units == "mm" and size.max() < NEAREST and len(x) > 1:
         yield Fault(
             np.ones(len(x), dtype=bool),
             which,
@@ -237,7 +246,3 @@ def single_pose(
         if fault.wrong.any():
             raise InputError(f"{name}: {fault.found}", fault.expected)
     return poses_of(x, convention)
-
-
-Change = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""What becomes of poses once they are read: inversion, tool and base."""

@@ -16,7 +16,8 @@ from ..writing import path_of
 from .assembling import Known, Stationed, assembled
 from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
 from .columns import columns_of, formats_in
-from .format import LogFormat, convention_of
+from .format import LogFormat
+from .format_checks import convention_of
 from .held import held_poses
 from .joining import Joined, by_station, one_table
 from .joining_time import by_time, lag_of_tables
@@ -24,7 +25,7 @@ from .poses import hand_poses
 from .report import LogReport
 from .rows import LogRows, rows_of
 from .suspicion import Raw, refuse_wrong_convention
-from .tables import FOREIGN, read_log_table
+from .tables import FOREIGN, WORKBOOKS, read_log_table
 
 
 def read_log(
@@ -81,6 +82,8 @@ def describe_log(
         if is_bag(path):
             return describe_bag(path, given, known)
         refuse_stated(given, OF_BAGS, "a table", path)
+        books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
+        refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
         return _of_tables(path, given, known)
     except InputError as error:
         if error.path is not None:
@@ -116,6 +119,8 @@ def read_any(
 
 def _is_recording(path: Path, given: LogFormat) -> bool:
     """Tell whether a file has the header of a recording, and not the columns that are stated."""
+    if not path.is_file():  # a pipe can be read only once
+        return False
     try:
         table = read_table(path, ("plane", *POSE))
     except InputError:
@@ -151,7 +156,8 @@ def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
     if both:
         return _report(path, poses, poses, one_table(poses, given), given, known, (0.0, None))
     second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
-    table = read_log_table(given.readings or path, replace(second, pose_format="", rotation=""))
+    second = replace(second, pose_format="", rotation="")
+    table = read_log_table(given.readings or path, second)
     readings = rows_of(table, given, known.sensor, poses=False)
     if given.plane_column and not (poses.columns.plane or readings.columns.plane):
         expected = "the name of a column of either, as its header has it"

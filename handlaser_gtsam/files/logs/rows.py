@@ -59,7 +59,7 @@ class LogRows:
         return tuple(name for name in self.table.frame.columns if name not in used)
 
     def in_time(self) -> "LogRows":
-        """Return the rows in the order of their times.
+        """Return the rows in the order of their times, with a warning where they are not.
 
         Raises
         ------
@@ -69,9 +69,17 @@ class LogRows:
         if self.times is None:
             expected = "a column time, or its name by --time-column"
             raise InputError("no column of times", expected, self.table.path)
-        if (np.diff(self.times) >= 0.0).all():
+        back = np.flatnonzero(np.diff(self.times) < 0.0) + 1
+        if not back.size:
             return self
-        return self.part(np.argsort(self.times, kind="stable").astype(np.intp))
+        words = (
+            f"{self.table.path.name}: {back.size} of {len(self.times)} rows are stamped earlier than "
+            f"the row before (the first: line {self.table.lines[back[0]]}), and all were sorted by "
+            "time; if the clock was set back, poses and readings are mixed up"
+        )
+        warning = CalibrationWarning("times-back", words, {"rows": int(back.size)})
+        found = self.part(np.argsort(self.times, kind="stable").astype(np.intp))
+        return replace(found, warnings=(*self.warnings, warning))
 
     def part(self, rows: IntArray) -> "LogRows":
         """Return some rows."""

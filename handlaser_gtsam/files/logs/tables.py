@@ -5,26 +5,34 @@ are recognised where only one of each is possible; else they must be stated.
 """
 
 import json
+import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from ...data.recording import first_repeated
 from ...errors import InputError
 from ...text import LONGEST_NAME, name_fault, shown
 from ..table import SEPARATORS, Table, table_of, table_text
-from .format import DELIMITERS, LogFormat
+from .format import LogFormat
+from .format_checks import DELIMITERS
 
 WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 PARQUET, LINES = (".parquet", ".pq"), (".jsonl", ".ndjson")
-FOREIGN = (*WORKBOOKS, *PARQUET, *LINES)
-"""Endings of files that are no text with separators."""
+BOOKS = (*WORKBOOKS, *PARQUET)
+"""Endings of files that are no lines of text,"""
+FOREIGN = (*BOOKS, *LINES)
+"""and of files that are no text with separators."""
 FIRST_LINES = 200
 """So many lines tell separators apart."""
 COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
+NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
 
@@ -43,6 +51,8 @@ def read_log_table(path: Path, given: LogFormat) -> Table:
             raise InputError("no readable file", "a table", path)
         frame = _foreign(path, given)
         table = _of_values(frame, path, 2 if suffix in WORKBOOKS else 1)
+        if suffix in WORKBOOKS:
+            table = _with_points(table, given, numbers_have_points=True)
     else:
         table = _of_text(path, given)
     if not len(table.frame):
@@ -64,6 +74,8 @@ def _of_text(path: Path, given: LogFormat) -> Table:
         separator = "\t"
     if names:
         text, offset = separator.join(names) + "\n" + text, 1
+    else:
+        _refuse_no_header(text, separator, path)
     table = table_of(text, path, (), separator)
     if offset:
         table = replace(table, header_line=0, lines=table.lines - offset)
@@ -71,6 +83,16 @@ def _of_text(path: Path, given: LogFormat) -> Table:
         table = _with_points(table, given)
     table.refuse_cut()
     return table
+
+
+def _refuse_no_header(text: str, separator: str, path: Path) -> None:
+    """Refuse a first line that has numbers, and no two names, where names of columns should be."""
+    cells = next((line for line in text.split("\n") if line.strip()), "").split(separator)
+    numbers = [cell for cell in cells if NUMBER.fullmatch(cell.strip())]
+    if len(numbers) > 1 and len(cells) - len(numbers) < 2:
+        found = f"numbers in the first line ({shown(numbers[0].strip())[1:-1]}, ...)"
+        expected = "names of columns; state them by --header where the file has none"
+        raise InputError(found, expected, path, 1)
 
 
 def _separator(text: str, path: Path) -> str:
@@ -100,28 +122,31 @@ def _cells(line: str, separator: str) -> int:
     return re.sub('"[^"]*"', "", line).count(separator) + 1
 
 
-def _with_points(table: Table, given: LogFormat) -> Table:
-    """Return the table with points for decimal commas.
+def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = False) -> Table:
+    """Return the table with points for decimal commas; the numbers of a workbook have points.
 
     Raises
     ------
     InputError
         Numbers with commas and numbers with points, or commas that may stand between thousands.
     """
-    cells = [table.frame[name] for name in table.frame.columns]
+    texts = table.frame.select(pl.selectors.string())
+    cells = [texts[name] for name in texts.columns]
     commas = [column.str.contains(rf"^{COMMA.pattern}$").fill_null(value=False) for column in cells]
     if given.decimal == "point" or not any(mask.any() for mask in commas):
         return table
     if given.decimal is None:
-        _refuse_ambiguous(table, commas)
-    for name, column in zip(table.frame.columns, cells, strict=True):
+        _refuse_ambiguous(replace(table, frame=texts), commas)
+    for name, column in zip(texts.columns, cells, strict=True):
+        if numbers_have_points:
+            break
         points = column.str.contains(rf"^{POINT.pattern}$").fill_null(value=False).to_numpy()
         table.refuse(points, name, "decimal commas, as in other cells; or state --decimal point")
     changed = [
         pl.when(mask).then(column.str.replace(",", ".", literal=True)).otherwise(column).alias(name)
-        for name, column, mask in zip(table.frame.columns, cells, commas, strict=True)
+        for name, column, mask in zip(texts.columns, cells, commas, strict=True)
     ]
-    return replace(table, frame=table.frame.select(changed))
+    return replace(table, frame=table.frame.with_columns(changed))
 
 
 def _refuse_ambiguous(table: Table, commas: list[pl.Series]) -> None:
@@ -152,7 +177,10 @@ def _foreign(path: Path, given: LogFormat) -> pl.DataFrame:
             return _workbook(path, given)
         if suffix in PARQUET:
             return pl.read_parquet(path)
-        return pl.read_ndjson(path, infer_schema_length=None)
+        text = table_text(path)
+        if not text.strip():
+            raise InputError("an empty file", "an object a line", path)
+        return pl.read_ndjson(text.encode(), infer_schema_length=None)
     except InputError:
         raise
     except Exception as error:  # Polars and its readers have no common root
@@ -173,35 +201,72 @@ def _workbook(path: Path, given: LogFormat) -> pl.DataFrame:
             "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV",
             path,
         ) from error
-    sheets = fastexcel.read_excel(path).sheet_names
+    book = fastexcel.read_excel(path)
+    sheets = book.sheet_names
     if given.sheet and given.sheet not in sheets:
         expected = f"one of {', '.join(map(shown, sheets))}"
         raise InputError(f"no sheet {shown(given.sheet)}", expected, path)
     if not given.sheet and len(sheets) > 1:
-        names = ", ".join(map(shown, sheets))
-        raise InputError(f"{len(sheets)} sheets, {names}", "one of them: state --sheet", path)
-    return pl.read_excel(
-        path,
-        sheet_name=given.sheet or sheets[0],
-        infer_schema_length=None,
-        drop_empty_rows=False,
-        raise_if_empty=False,
-    )
+        listed = ", ".join(map(shown, sheets))
+        raise InputError(f"{len(sheets)} sheets, {listed}", "one of them: state --sheet", path)
+    sheet = given.sheet or sheets[0]
+    head = book.load_sheet(sheet, header_row=None, n_rows=1, dtypes="string").to_polars()
+    names = [name for name in head.row(0) if name] if len(head) else []
+    twice = first_repeated(names)
+    if twice is not None:  # the reader would give the second one a name that nobody wrote
+        raise InputError("the same name twice", "every column once", path, 1, names[twice])
+    with _silent("fastexcel"):
+        found, texts = (
+            book.load_sheet(sheet, dtypes=kind, schema_sample_rows=None).to_polars()
+            for kind in (None, "string")
+        )
+    truths = [name for name in texts.columns if texts[name].is_in(["true", "false"]).any()]
+    return found.with_columns(texts[name] for name in truths)  # read as 1 and 0 among numbers
+
+
+@contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Keep the warnings of a library to itself: what matters of them is refused."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _refuse_bad_line(path: Path) -> None:
-    """Name the line of JSON Lines that is none."""
-    with path.open("rb") as file:
-        for number, line in enumerate(file, 1):
-            if not line.strip():
-                continue
-            try:
-                fields = json.loads(line)
-            except ValueError as error:
-                found = f"no JSON ({str(error)[:80]})"
-                raise InputError(found, "an object a line", path, number) from error
-            if not isinstance(fields, dict):
-                raise InputError(shown(fields), "an object a line", path, number)
+    """Name the line of JSON Lines that is none, or has another kind of value than those before."""
+    kinds: dict[str, tuple[str, int]] = {}
+    for number, line in enumerate(table_text(path).split("\n"), 1):
+        if not line.strip():
+            continue
+        try:
+            fields = json.loads(line, parse_constant=_refuse_constant)
+        except ValueError as error:
+            found = f"no JSON ({str(error)[:80]})"
+            raise InputError(found, "an object a line", path, number) from error
+        if not isinstance(fields, dict):
+            raise InputError(shown(fields), "an object a line", path, number)
+        for name, value in fields.items():
+            kind = next((word for type_, word in JSON_KINDS if isinstance(value, type_)), "")
+            first, there = kinds.setdefault(name, (kind, number)) if kind else (kind, number)
+            if kind != first:
+                expected = f"{first}, as in line {there}"
+                raise InputError(kind, expected, path, number, shown(name)[1:-1])
+
+
+JSON_KINDS = (
+    (bool, "a truth value"),
+    ((int, float), "a number"),
+    (str, "a text"),
+    (list, "an array"),
+    (dict, "an object"),
+)
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name}, which JSON has not; null is no reading")
 
 
 def _of_values(frame: pl.DataFrame, path: Path, first: int) -> Table:
@@ -215,6 +280,10 @@ def _of_values(frame: pl.DataFrame, path: Path, first: int) -> Table:
         if fault:
             expected = f"printable names of at most {LONGEST_NAME} characters"
             raise InputError(fault, expected, path)
+    twice = first_repeated([column.name for column in flat])
+    if twice is not None:
+        found = "the same name twice, as that of a column and of a part of another"
+        raise InputError(found, "every column once", path, None, flat[twice].name)
     table = pl.DataFrame(flat)
     empty = np.ones(len(table), dtype=bool)
     for column in flat:
@@ -241,5 +310,7 @@ def _flat(column: pl.Series) -> list[pl.Series]:
         return [column]
     if isinstance(kind, (pl.Datetime, pl.Date)):
         return [column.cast(pl.Datetime("ns")).to_physical().cast(pl.Float64) * 1e-9]
+    if isinstance(kind, pl.Duration):
+        return [column.dt.total_nanoseconds().cast(pl.Float64) * 1e-9]
     text = column.cast(pl.String, strict=False).str.strip_chars(" \t")
     return [text.replace("", None)]

@@ -1,4 +1,3 @@
-"use strict";
 (() => {
   const parsed = (id) => {
     const element = document.getElementById(id);
@@ -44,13 +43,17 @@
     });
   }
 
-  // Figures: the page is read before the library runs; the flat ones are drawn one after the other, those
-  // in space when they come into view.
+  // Figures: the page is read before the library runs. What is in view or near it is drawn first; the
+  // other flat ones follow while the browser has nothing else to do, and those in space wait for a reader.
   const figures = parsed("figures") || {};
   const NARROW = 500;
   const settings = { displayModeBar: false, responsive: true };
   const started = new Set();
-  const pause = () => new Promise((resolve) => setTimeout(resolve));
+  const NEAR = "400px";
+  const idle = () => new Promise((resolve) => {
+    if (window.requestIdleCallback) window.requestIdleCallback(resolve, { timeout: 1000 });
+    else setTimeout(resolve);
+  });
 
   // A drawing keeps its proportions on paper, where it is narrower than on the screen.
   const scalable = (place) => {
@@ -70,17 +73,19 @@
   };
   const draw = async (place) => {
     const name = place.dataset.figure;
-    if (started.has(name) || !figures[name] || !window.Plotly) return;
+    if (started.has(name) || !figures[name]) return;
     started.add(name);
     const space = place.closest(".space");
     if (space && !webgl()) {
       place.dataset.drawn = "still"; // the still picture stays
       return;
     }
+    const Plotly = await plotly();
+    if (!Plotly) return;
     try {
       if (space) space.classList.add("live");
       if (space && place.clientWidth < NARROW) shrink(place, figures[name].layout);
-      await window.Plotly.newPlot(place, figures[name].data, figures[name].layout, settings);
+      await Plotly.newPlot(place, figures[name].data, figures[name].layout, settings);
       if (!space) {
         scalable(place);
         place.on("plotly_relayout", () => scalable(place));
@@ -92,28 +97,28 @@
       place.dataset.drawn = "still";
     }
   };
+  const seen = () => new Promise((resolve) => {
+    const drawing = (entries) => {
+      const near = entries.filter((one) => one.isIntersecting);
+      return Promise.all(near.map((one) => draw(one.target.querySelector(".canvas"))));
+    };
+    const observer = new IntersectionObserver(
+      (entries) => drawing(entries).then(resolve), // the first time of all figures
+      { rootMargin: NEAR },
+    );
+    const places = document.querySelectorAll(".plot, .space");
+    for (const place of places) observer.observe(place);
+    if (!places.length) resolve();
+  });
   const start = async () => {
-    const library = document.getElementById("plotly");
-    if (!library || !window.DecompressionStream) return; // an old browser: tables and still pictures
+    if (!window.DecompressionStream) return;
     document.documentElement.classList.add("drawing");
-    const packed = atob(library.textContent);
-    const bytes = new Uint8Array(packed.length);
-    for (let i = 0; i < packed.length; i += 1) bytes[i] = packed.charCodeAt(i);
-    const code = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const script = document.createElement("script");
-    script.textContent = await new Response(code).text();
-    document.head.append(script);
-    library.remove();
-    const near = new IntersectionObserver((entries) => {
-      for (const entry of entries) {
-        if (entry.isIntersecting) draw(entry.target.querySelector(".canvas"));
-      }
-    });
+    await seen();
+    performance.mark("view-drawn"); // all that a reader sees first
     for (const place of document.querySelectorAll(".plots .canvas")) {
-      await pause();
+      await idle();
       await draw(place);
     }
-    for (const space of document.querySelectorAll(".space")) near.observe(space);
     document.documentElement.dataset.ready = "yes";
   };
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from multiprocessing import connection, get_context
+from pathlib import Path
 
 from ...text import printable
 from .watched import Fingerprint, Watched
@@ -66,6 +67,7 @@ class Follower:
         self._watched, self._publish = watched, publish
         self._over = threading.Event()
         self._worker: Worker | None = None
+        self._beside: tuple[Path, ...] = ()
         self._seen: Fingerprint = ()
         self._changed = 0.0
         self._asked: tuple[Fingerprint, bool, float] | None = None
@@ -90,7 +92,7 @@ class Follower:
 
     def _look(self) -> None:
         """Ask for a calibration if the files have changed, and once more when they have settled."""
-        seen, now = self._watched.fingerprint(), time.monotonic()
+        seen, now = self._watched.fingerprint(self._beside), time.monotonic()
         if seen != self._seen:
             self._seen, self._changed = seen, now
         if self._asked is not None:
@@ -129,6 +131,7 @@ class Follower:
     def _tell(self, answer: Answer, settled: bool) -> None:
         if answer.state:
             self._publish("state", answer.state)
+        self._beside = answer.beside
         now = time.monotonic()
         if not answer.error:
             self._refused_since = None

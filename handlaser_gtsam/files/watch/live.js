@@ -1,4 +1,4 @@
-"use strict";
+{% include "library.js" %}
 (() => {
   const QUIET = 35000; // milliseconds without a beat of the server, after which the connection is dead
   const LONGEST_WAIT = 10000;
@@ -61,20 +61,7 @@
     show(at("content"), true);
   };
 
-  // plotly.js stands compressed in the page; it is unpacked once, when there is something to draw.
-  let library = null;
-  const unpacked = async () => {
-    const packed = atob(at("plotly").textContent);
-    const bytes = new Uint8Array(packed.length);
-    for (let i = 0; i < packed.length; i += 1) bytes[i] = packed.charCodeAt(i);
-    const code = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const script = document.createElement("script");
-    script.textContent = await new Response(code).text();
-    document.head.append(script);
-    at("plotly").remove();
-    return window.Plotly;
-  };
-  const figure = async (name, content) => {
+  const figure = async (Plotly, name, content) => {
     const place = at(name);
     show(at(`${name}-figure`), content);
     if (!content) return;
@@ -88,7 +75,7 @@
       layout.margin.t = 30;
     }
     try {
-      await window.Plotly.react(place, data, layout, settings);
+      await Plotly.react(place, data, layout, settings);
       place.dataset.drawn = "yes";
     } catch (error) {
       fill(place, made("p", `This browser cannot draw it (${error.message}).`, "soft"));
@@ -97,11 +84,10 @@
   };
   const figures = async (state) => {
     show(at("no-falling"), !state.falling);
-    if (!window.DecompressionStream) return; // an old browser: words and tables are all there is
-    library = library || unpacked();
-    await library;
-    await figure("falling", state.falling);
-    await figure("space", state.space);
+    const Plotly = await plotly();
+    if (!Plotly) return; // words and tables are all there is
+    await figure(Plotly, "falling", state.falling);
+    await figure(Plotly, "space", state.space);
   };
 
   // Whatever comes while one state is drawn, the newest is drawn next.

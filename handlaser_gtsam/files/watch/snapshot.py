@@ -1,46 +1,42 @@
 """What stands in the files at one moment: whole lines only, whoever is writing to them meanwhile."""
 
 import hashlib
-import os
 import stat
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ...data.recording import Recording
 from ...errors import InputError
-from ...model.sensor import Sensor
-from ..recording_csv import read_recording
-from .watched import Watched
+from ..logs.report import LogReport
+from ..logs.tables import BOOKS
+from ..rig_reading import read_with
+from ..rig_toml import Rig
 
 MOST_BYTES = 200_000_000
 """A recording that is larger is none, or nothing for a page."""
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """The files at one moment.
+class Part:
+    """A file at one moment.
 
     Attributes
     ----------
+    path : Path
     lines : bytes
-        The lines of the recording that have a line end.
+        The lines that have a line end; all of a file that has no lines.
     rest : bytes
         What stands after them: a line that may not be whole yet.
-    rig : Path or None
-        The rig file, if there is one.
-    digest : str
-        Of the two files, `rest` left out.
     """
 
+    path: Path
     lines: bytes
     rest: bytes
-    rig: Path | None
-    digest: str
 
-    def has_stations(self, rest: bytes = b"") -> bool:
-        """Tell whether anything follows the header, in the whole lines or in the rest after them."""
-        return sum(1 for line in (self.lines + rest).splitlines() if line.strip()) > 1
+    def rows(self, rest: bytes = b"") -> int:
+        """Return how many lines are not blank, with or without the rest after them."""
+        return sum(1 for line in (self.lines + rest).splitlines() if line.strip())
 
     @property
     def last_line(self) -> int:
@@ -48,50 +44,79 @@ class Snapshot:
         return len(self.lines.splitlines()) + 1
 
 
-def snapshot(watched: Watched) -> Snapshot:
-    """Read the files.
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The recording or log, and the files beside it that its format names, at one moment."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def rests(self) -> tuple[bytes, ...]:
+        """What may not be whole yet, of each file."""
+        return tuple(part.rest for part in self.parts)
+
+    @property
+    def digest(self) -> str:
+        """Of the files, rests left out."""
+        each = [hashlib.sha256(part.lines).digest() for part in self.parts]
+        return hashlib.sha256(b"".join(each)).hexdigest()
+
+    def read(self, rig: Rig, rests: Sequence[bytes]) -> tuple[LogReport, Rig]:
+        """Read what the lines hold, and rests after them; faults name the files themselves.
+
+        Raises
+        ------
+        InputError
+            As `read_with`.
+        """
+        with tempfile.TemporaryDirectory(prefix="handlaser-") as folder:
+            copies = {}
+            for number, (part, rest) in enumerate(zip(self.parts, rests, strict=True)):
+                copy = Path(folder) / str(number) / part.path.name
+                copy.parent.mkdir()
+                copy.write_bytes(part.lines + rest)
+                copies[copy] = part.path
+            there = {original: copy for copy, original in copies.items()}
+            log = replace(
+                rig.log,
+                readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
+                plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
+            )
+            try:
+                return read_with(replace(rig, log=log), next(iter(copies)))
+            except InputError as error:
+                place = None if error.path is None else copies.get(error.path, error.path)
+                found = InputError(error.found, error.expected, place, error.line, error.column)
+                raise found from error
+
+
+def snapshot(paths: Sequence[Path]) -> Snapshot:
+    """Read the recording or log, and the files beside it.
 
     Raises
     ------
     InputError
         No readable file.
     """
-    data = _content(watched.recording, "a recording")
-    end = b"\n" if b"\n" in data else b"\r"
-    cut = data.rfind(end) + 1
-    rig, content = watched.rig, b""
-    if rig is not None and not watched.rig_needed and not os.path.lexists(rig):
-        rig = None
-    if rig is not None:
-        content = _content(rig, "a rig file, TOML")
-    digest = hashlib.sha256(hashlib.sha256(data[:cut]).digest())
-    digest.update(b"" if rig is None else hashlib.sha256(content).digest())
-    return Snapshot(data[:cut], data[cut:], rig, digest.hexdigest())
+    return Snapshot(tuple(_part(path) for path in paths))
 
 
-def recording_in(data: bytes, path: Path, sensor: Sensor) -> Recording:
-    """Read a recording out of the content of a file; faults name its `path`.
+def _part(path: Path) -> Part:
+    data = content(path, "a recording or a log")
+    if path.suffix.lower() in BOOKS:
+        return Part(path, data, b"")
+    cut = data.rfind(b"\n" if b"\n" in data else b"\r") + 1
+    return Part(path, data[:cut], data[cut:])
+
+
+def content(path: Path, expected: str) -> bytes:
+    """Return the bytes of a regular file of bounded size.
 
     Raises
     ------
     InputError
-        As `read_recording`.
+        There is none.
     """
-    handle, name = tempfile.mkstemp(prefix="handlaser-", suffix=".csv")
-    copy = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        return read_recording(copy, sensor)
-    except InputError as error:
-        place = path if error.path == copy else error.path
-        raise InputError(error.found, error.expected, place, error.line, error.column) from error
-    finally:
-        copy.unlink(missing_ok=True)
-
-
-def _content(path: Path, expected: str) -> bytes:
-    """Return the bytes of a regular file of bounded size."""
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):

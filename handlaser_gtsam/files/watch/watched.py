@@ -6,6 +6,8 @@ from pathlib import Path
 
 from ...errors import InputError
 from ...estimation.options import CalibrationOptions
+from ..logs.bag_messages import METADATA
+from ..logs.bags import BAGS
 from ..writing import path_of
 
 RECORDING, RIG = "recording.csv", "rig.toml"
@@ -39,9 +41,10 @@ class Watched:
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     reading: float | None = None
 
-    def fingerprint(self) -> Fingerprint:
+    def fingerprint(self, beside: tuple[Path, ...] = ()) -> Fingerprint:
         """Return what is another thing once a file was written to, replaced or taken away."""
-        return tuple(_seen(path) for path in (self.recording, self.rig) if path is not None)
+        paths = (self.recording, self.rig, *beside)
+        return tuple(_seen(path) for path in paths if path is not None)
 
 
 def watched_files(path: Path | str, rig: Path | None = None) -> tuple[Path, Path | None]:
@@ -56,6 +59,9 @@ def watched_files(path: Path | str, rig: Path | None = None) -> tuple[Path, Path
     try:
         if rig is not None and not rig.is_file():
             raise InputError("no such file", "a rig file, TOML", rig)
+        if path.suffix.lower() in BAGS or (path / METADATA).is_file():
+            expected = "a recording or a table; `handlaser convert` reads a bag once it is closed"
+            raise InputError("a bag, which cannot be read while it grows", expected, path)
         if path.is_dir():
             return path / RECORDING, path / RIG if rig is None else rig
         if path.is_file():

@@ -7,15 +7,16 @@ import threading
 from dataclasses import dataclass, replace
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
+from pathlib import Path
 
-from ...data.recording import Recording
 from ...errors import HandlaserError, InputError
 from ...pipeline import calibrate
 from ...text import printable
+from ..logs.report import LogReport
 from ..report.options import ReportOptions
 from ..report.subject import subject_of
 from ..rig_toml import Rig, known_rig
-from .snapshot import Snapshot, recording_in, snapshot
+from .snapshot import Snapshot, content, snapshot
 from .state import state_text
 from .watched import Watched
 
@@ -38,12 +39,15 @@ class Answer:
         What is to be known beside: one line, or empty.
     waiting : bool
         Whether there is no station yet.
+    beside : tuple of Path
+        Files that count beside the recording and the rig file.
     """
 
     state: str = ""
     error: str = ""
     note: str = ""
     waiting: bool = False
+    beside: tuple[Path, ...] = ()
 
 
 class Calibrator:
@@ -51,7 +55,7 @@ class Calibrator:
 
     def __init__(self, watched: Watched) -> None:
         self._watched = watched
-        self._last: tuple[str, bytes] | None = None
+        self._last: tuple[str, bytes, tuple[bytes, ...]] | None = None
         self._answer = Answer()
 
     def answer(self, settled: bool) -> Answer:
@@ -63,36 +67,54 @@ class Calibrator:
             Whether the files have rested for a while, so that a last line without a line end is all
             that will come of it.
         """
-        name = self._watched.recording.name
         try:
-            found = snapshot(self._watched)
+            rig, mark = self._rig()
+        except InputError as error:
+            self._last = None
+            return Answer(error=str(error))
+        beside = tuple(path for path in rig.log.files if path is not None)
+        return replace(self._of_files(rig, mark, beside, settled), beside=beside)
+
+    def _rig(self) -> tuple[Rig, bytes]:
+        """Return what is known of sensors and logs, and what is another thing once it changes."""
+        path, watched = self._watched.rig, self._watched
+        if path is not None and not watched.rig_needed and not os.path.lexists(path):
+            path = None
+        mark = b"" if path is None else content(path, "a rig file, TOML")
+        return known_rig(path, watched.given), mark
+
+    def _of_files(self, rig: Rig, mark: bytes, beside: tuple[Path, ...], settled: bool) -> Answer:
+        paths = (self._watched.recording, *beside)
+        try:
+            found = snapshot(paths)
         except InputError as error:
             self._last = None
             missing = isinstance(error.__cause__, FileNotFoundError)
-            if missing and error.path == self._watched.recording:
-                return Answer(
-                    note=f"waiting for {printable(name)}, which is not there", waiting=True
-                )
+            if missing and error.path in paths:
+                name = printable(error.path.name)
+                return Answer(note=f"waiting for {name}, which is not there", waiting=True)
             return Answer(error=str(error))
-        rest = found.rest if settled else b""
-        if (found.digest, rest) != self._last:
-            self._answer = self._calibrated(found, rest)
-            self._last = (found.digest, rest)
-            return self._noted(self._answer, found, settled)
-        return self._noted(replace(self._answer, state=""), found, settled)
+        rests = found.rests if settled else tuple(b"" for _ in found.parts)
+        last = (found.digest, mark, rests)
+        if last != self._last:
+            self._answer, self._last = self._calibrated(found, rests, rig), last
+            return _noted(self._answer, found, settled)
+        return _noted(replace(self._answer, state=""), found, settled)
 
-    def _noted(self, answer: Answer, found: Snapshot, settled: bool) -> Answer:
-        if found.rest.strip() and not settled and not answer.error:
-            return replace(answer, note=f"line {found.last_line} is not whole yet")
-        return answer
-
-    def _calibrated(self, found: Snapshot, rest: bytes) -> Answer:
-        if not found.has_stations(rest):
+    def _calibrated(self, found: Snapshot, rests: tuple[bytes, ...], rig: Rig) -> Answer:
+        heads = 0 if rig.log.header_given else 1
+        first, rest = found.parts[0], rests[0]
+        if first.rows(rest) <= heads:
             return Answer(note="waiting for the first station", waiting=True)
         try:
-            rig = known_rig(found.rig, self._watched.given)
-            recording, note = self._recording(found, rest, rig)
-            return Answer(self._state(recording, rig), note=note)
+            try:
+                (report, rig), note = found.read(rig, rests), ""
+            except InputError as error:
+                whole = tuple(b"" for _ in rests)
+                if not any(rest.strip() for rest in rests) or first.rows() <= heads:
+                    raise
+                (report, rig), note = found.read(rig, whole), f"not used: {error}"
+            return Answer(self._state(report, rig), note=note)
         except HandlaserError as error:
             return Answer(error=printable(str(error)))
         except Exception as error:  # the page goes on with the next station
@@ -100,23 +122,18 @@ class Calibrator:
             fault = f"a fault of handlaser, please report it: {type(error).__name__}: {words}"
             return Answer(error=printable(fault))
 
-    def _recording(self, found: Snapshot, rest: bytes, rig: Rig) -> tuple[Recording, str]:
-        """Return the recording, and what is to be known of its last line."""
-        path, sensor = self._watched.recording, rig.sensor
-        if rest.strip():
-            try:
-                return recording_in(found.lines + rest, path, sensor), ""
-            except InputError as error:
-                if not found.has_stations():
-                    raise
-                whole, note = recording_in(found.lines, path, sensor), f"not used: {error}"
-                return whole, note
-        return recording_in(found.lines, path, sensor), ""
-
-    def _state(self, recording: Recording, rig: Rig) -> str:
+    def _state(self, report: LogReport, rig: Rig) -> str:
         options = replace(self._watched.options, sensor=rig.sensor)
-        calibration = calibrate(recording, rig.noise, options)
+        calibration = calibrate(report.recording, rig.noise, options)
         return state_text(subject_of(calibration, ReportOptions(rig, self._watched.reading)))
+
+
+def _noted(answer: Answer, found: Snapshot, settled: bool) -> Answer:
+    """Return an answer that says which line is not whole yet."""
+    for part in found.parts:
+        if part.rest.strip() and not settled and not answer.error:
+            return replace(answer, note=f"line {part.last_line} is not whole yet")
+    return answer
 
 
 def work(asked: "Connection[Answer, bool]", watched: Watched) -> None:

@@ -1,0 +1,125 @@
+"""Whether what a user states of a log can be, and what its poses mean."""
+
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+from ...checks import require_bool, require_number, require_word
+from ...errors import InputError
+from ...text import name_fault, shown
+from ..writing import path_of
+from .conventions import EULER, FORMATS, Convention, spelled_columns
+
+if TYPE_CHECKING:
+    from .format import LogFormat
+
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+LONGEST = 1e6
+"""Most seconds of any duration that is stated."""
+
+
+def check_format(given: "LogFormat") -> None:
+    """Refuse values that cannot be or contradict each other; store lists as tuples.
+
+    Raises
+    ------
+    InputError
+    """
+    _check_kinds(given)
+    if given.delimiter:
+        require_word("delimiter", given.delimiter, DELIMITERS)
+    _check_numbers(given)
+    _check_together(given)
+    convention_of(given)  # one that cannot be is refused now
+
+
+def convention_of(given: "LogFormat") -> Convention:
+    """Return what the numbers of a pose mean.
+
+    Raises
+    ------
+    InputError
+        A rotation that is none.
+    """
+    if not given.rotation:
+        known = FORMATS[given.pose_format or "ros"]
+        return Convention(
+            known.rotation, given.units or known.units, given.angles or known.angles, known.columns
+        )
+    columns = spelled_columns(given.rotation)
+    return Convention(given.rotation, given.units or "m", given.angles or "rad", columns)
+
+
+def _check_kinds(given: "LogFormat") -> None:
+    """Refuse values of other types, and store lists as tuples."""
+    for one in fields(given):
+        value, default, words = getattr(given, one.name), one.default, given.words_of(one.name)
+        if words:
+            if value is not None or default is not None:
+                require_word(one.name, value, words)
+        elif isinstance(default, bool):
+            require_bool(one.name, value)
+        elif isinstance(default, tuple):
+            numbers = one.name in ("tool", "base")
+            object.__setattr__(given, one.name, _tuple_of(one.name, value, numbers=numbers))
+        elif one.name in ("readings", "plane_file"):
+            if value is not None:
+                object.__setattr__(given, one.name, path_of(value))
+        elif isinstance(default, str) and not isinstance(value, str):
+            raise InputError(f"{one.name} {shown(value)}", "a text")
+    if given.pose_format:
+        require_word("pose_format", given.pose_format, FORMATS)
+
+
+def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
+    expected = "a sequence of numbers" if numbers else "a sequence of texts"
+    if isinstance(value, str) or not isinstance(value, (list, tuple)):
+        raise InputError(f"{name} {shown(value)}", expected)
+    for one in value:
+        if numbers:
+            require_number(name, one, -1e6, 1e6)
+        elif not isinstance(one, str) or not one:
+            raise InputError(f"{shown(one)} in {name}", expected)
+    return tuple(map(float, value)) if numbers else tuple(value)
+
+
+def _check_numbers(given: "LogFormat") -> None:
+    if given.tolerance_s is not None:
+        require_number("tolerance_s", given.tolerance_s, 0.0, LONGEST, above=True, unit="s")
+    require_number("lag_s", given.lag_s, -LONGEST, LONGEST, unit="s")
+    require_number("stand_s", given.stand_s, 0.0, LONGEST, above=True, unit="s")
+    require_number("stand_mm", given.stand_mm, 0.0, 1e3, above=True, unit="mm")
+    require_number("stand_deg", given.stand_deg, 0.0, 180.0, above=True, unit="deg")
+
+
+def _check_together(given: "LogFormat") -> None:
+    """Refuse what contradicts each other, or lacks another field."""
+    if given.pose_format and given.rotation:
+        raise InputError(
+            "pose_format and rotation", "one of the two: the format says what rotation it has"
+        )
+    if given.rotation and given.units is None:
+        raise InputError(f"rotation {given.rotation} without units", "units m or mm")
+    turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
+    if turned and given.angles is None:
+        raise InputError(f"rotation {given.rotation} without angles", "angles deg or rad")
+    if bool(given.beam_column) != bool(given.range_column):
+        raise InputError("one of beam_column and range_column", "both, of a long table")
+    if given.beam_column and given.range_columns:
+        raise InputError("range_columns and beam_column", "a wide or a long table")
+    planes = [bool(given.plane), bool(given.plane_ranges), given.plane_file is not None]
+    if sum(planes) > 1 or (any(planes) and given.plane_column):
+        raise InputError(
+            "planes stated in several ways", "one of plane, plane_column, plane_ranges, plane_file"
+        )
+    if given.plane and name_fault(given.plane):
+        raise InputError(name_fault(given.plane).rstrip(","), "a name for the plane")
+    if len(given.frames) not in (0, 2):
+        raise InputError(
+            f"{len(given.frames)} frames", "two: the world and the hand, as tf calls them"
+        )
+    if given.frames and given.pose_topic:
+        raise InputError("frames and pose_topic", "one of the two")
+    if given.stands and given.interpolate:
+        raise InputError("stands and interpolate", "one of the two: the arm stands, or it moves")
+    if given.estimate_lag and given.lag_s:
+        raise InputError("lag_s and estimate_lag", "one of the two")
