@@ -1,4 +1,4 @@
-"""The mathematics in NumPy, without GTSAM: equation, geometry, weights, losses."""
+"""The mathematics in NumPy, without GTSAM: equation, geometry, weights, losses, distributions."""
 
 from .equation import (
     GRAZING_LIMIT,

@@ -22,8 +22,8 @@ from scipy.special import betaln, gammaln
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
-from ..distributions import chi2_sf, f_sf
 from ..estimation.information import Information
+from ..model.distributions import chi2_sf, f_sf
 from .reference import MOVES, Reference
 
 MOST_SIGMA = 0.1
