@@ -190,7 +190,11 @@ def test_a_study_is_declared_in_a_file(tmp_path):
         ('range_error = "k1"\n', "", "reduction"),
         ('outliers = "keep"', 'outliers = "none"', "outliers"),
         ("beams = 2", "beams = 0", "beams"),
-        ("[scenes.small]", "[scene.small]", "no field scenes; expected the field, which a study needs"),
+        (
+            "[scenes.small]",
+            "[scene.small]",
+            "no field scenes; expected the field, which a study needs",
+        ),
     ],
 )
 def test_a_declaration_is_checked(tmp_path, old, new, words):
