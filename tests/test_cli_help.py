@@ -26,10 +26,18 @@ QUICK = ("--poses", "exact", "--range-error", "k1k2", "--range-sigma-mm", "0.03"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the files that examples name, and what earlier ones wrote."""
+    """Return a folder with the files that examples name, and what earlier ones wrote.
+
+    Also the calibration that the first of them writes: where several processes share the tests, it may
+    run in another one.
+    """
     path = tmp_path_factory.mktemp("examples")
     for source in (RECORDING, GRIPPER / "rig.toml", ROOT / "examples" / "study" / "study.toml"):
         shutil.copy(source, path)
+    rig = hl.read_rig(path / "rig.toml")
+    options = hl.CalibrationOptions(sensor=rig.sensor)
+    calibration = hl.calibrate(hl.read_recording(RECORDING, rig.sensor), rig.noise, options)
+    hl.write_calibration(path / "calibration.json", calibration)
     return path
 
 
