@@ -73,6 +73,13 @@ def test_help_is_no_wider_than_the_terminal(handlaser, monkeypatch, verb, column
     assert max(map(len, text.splitlines())) <= int(columns)
 
 
+def test_options_of_logs_stand_by_themselves(handlaser):
+    _, text, _ = handlaser("calibrate", "--help")
+    before, after = text.split("Options for logs:\n")
+    assert "--rig" in before and "--quiet" in before and "--pose-format" not in before
+    assert "--pose-format" in after and "--rig" not in after
+
+
 def test_nothing_but_the_name_shows_the_help(handlaser):
     assert handlaser() == handlaser("--help")
     assert handlaser()[0] == 0

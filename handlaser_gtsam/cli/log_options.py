@@ -13,6 +13,7 @@ from .listed import listed, numbers
 
 FIELD = re.compile(r"(?m)^    (\w+) : .*\n((?:^        .*\n)+)")
 """A field in the section Attributes, and what is said of it."""
+PANEL = "Options for logs"
 
 
 class Log:
@@ -50,7 +51,8 @@ def _parameters() -> list[inspect.Parameter]:
         plain: Any = next((other for other in (float, Path) if _may_be(kind, other)), str)
         plain = bool if kind is bool else plain | None
         annotation = Annotated[
-            plain, typer.Option(option, help=texts.get(one.name), metavar=metavar)
+            plain,
+            typer.Option(option, help=texts.get(one.name), metavar=metavar, rich_help_panel=PANEL),
         ]
         where = inspect.Parameter.POSITIONAL_OR_KEYWORD
         found.append(inspect.Parameter(one.name, where, default=default, annotation=annotation))

@@ -13,6 +13,7 @@ from .export import export
 from .options import expanded
 from .plan import plan
 from .plot import plot
+from .sections import Verb
 from .simulate import simulate
 from .study import study
 from .validate import validate
@@ -29,7 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate, watch):
-    app.command(epilog=epilog(verb.__name__))(expanded(verb))
+    app.command(cls=Verb, epilog=epilog(verb.__name__))(expanded(verb))
 
 
 def usage_words(error: Exception) -> str:
