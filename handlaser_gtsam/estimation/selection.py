@@ -12,8 +12,8 @@ from ..arrays import BoolArray, IntArray
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..distributions import gaussian_sf, student_quantile
 from ..model import sensor as limits
+from ..model.distributions import gaussian_sf, student_quantile
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus

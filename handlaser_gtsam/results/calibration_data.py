@@ -13,10 +13,10 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
-from ..distributions import gaussian_quantile, student_quantile
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
+from ..model.distributions import gaussian_quantile, student_quantile
 from ..model.joint import BEAM_COORDINATES, JointCovariance
 from ..model.weighting import Variances
 from .reports import (

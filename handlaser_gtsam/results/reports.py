@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.value import Value
-from ..distributions import chi2_sf
+from ..model.distributions import chi2_sf
 from ..model.joint import JointCovariance
 from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected

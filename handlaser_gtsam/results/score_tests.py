@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..distributions import (
+from ..model.distributions import (
     gaussian_cdf,
     gaussian_quantile,
     gaussian_sf,

@@ -37,8 +37,8 @@ from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.recording import LARGEST, Readings, Recording
-from ..distributions import chi2_quantile, f_quantile
 from ..errors import HandlaserError, InputError
+from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, whitening
 from ..solvers.normal_equations import normal_equations

@@ -8,9 +8,9 @@ import numpy as np
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..distributions import chi2_cdf
 from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
+from ..model.distributions import chi2_cdf
 from ..model.equation import plausible_range_errors
 from ..model.sensor import BY_LIMITS
 from .reports import Fit

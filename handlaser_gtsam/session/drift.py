@@ -23,7 +23,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..data.value import Value
-from ..distributions import chi2_sf, f_sf
+from ..model.distributions import chi2_sf, f_sf
 from ..solvers.normal_equations import NormalEquations
 
 MOST_SIGMA = 0.1

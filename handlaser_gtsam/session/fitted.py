@@ -10,9 +10,9 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
-from ..distributions import chi2_sf, gaussian_sf, student_quantile
 from ..errors import GrazingBeamError
 from ..keys import plane_key, pose_key
+from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.errors_in_variables import weighed
 from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening

@@ -24,7 +24,7 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
-from ..distributions import chi2_sf, f_sf
+from ..model.distributions import chi2_sf, f_sf
 from ..model.joint import beam_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..results.mounts import Mounts

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...distributions import beta_quantile, gaussian_quantile
+from ...model.distributions import beta_quantile, gaussian_quantile
 from ...results.lines import DEG, MM
 from ..json_text import Record
 from .figure import (

@@ -21,7 +21,7 @@ from scipy.special import (
     stdtrit,
 )
 
-from .arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 
 Numbers = float | FloatArray | IntArray
 
