@@ -157,6 +157,14 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
     until(lambda: not stopped.open)
 
 
+def test_a_status_follows_the_state_that_it_speaks_of():
+    hub = Hub("")
+    hub.publish("status", "[2]")
+    hub.publish("state", "[1]")
+    told = hub.unheard({})
+    assert told.index(b"event: state\n") < told.index(b"event: status\n")
+
+
 def test_who_vanishes_is_forgotten(server, look_on):
     clients = [look_on(server.port) for _ in range(10)]
     until(lambda: server.clients == 10)
