@@ -35,3 +35,16 @@ def handlaser(monkeypatch, capsys):
         return caught.value.code or 0, captured.out, captured.err
 
     return run
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give every process a part of the tests in their order; who is done first takes from the others.
+
+    What the tests of a file share is then made once, and all end together.
+    """
+    if config.getoption("dist") != "load":  # something else is asked for
+        return None
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)

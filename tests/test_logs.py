@@ -388,6 +388,18 @@ def test_what_cannot_be_read_is_refused_in_one_line(tmp_path, case):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("written_as", "read_as", "words"),
+    [("matrix", "franka", "row by row"), ("franka", "matrix", "column by column")],
+)
+def test_a_matrix_the_other_way_is_told_by_its_last_row(tmp_path, written_as, read_as, words):
+    rows, _, _ = written(written_as, np.random.default_rng(3), 20)
+    extra = [("range_1", [0.2 + 0.01 * i for i in range(20)])]
+    (tmp_path / "log.csv").write_text(text_of(CONTROLLERS[read_as].names, rows, extra))
+    with pytest.raises(hl.InputError, match=rf"last row is .*is it {words}"):
+        hl.read_log(tmp_path / "log.csv", hl.LogFormat(pose_format=read_as, plane="A"))
+
+
 def test_a_decimal_comma_is_read_where_it_is_stated(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(AMBIGUOUS)

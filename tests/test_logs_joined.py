@@ -129,6 +129,24 @@ def test_each_reading_has_the_nearest_pose(tmp_path, driven):
         )
 
 
+def test_a_pose_has_the_mean_of_the_readings_around_it(tmp_path, driven):
+    """Poses that are fewer than the readings are the stations."""
+    drive, _ = driven
+    write_poses(tmp_path / "poses.csv", drive, every=25)
+    write_readings(tmp_path / "readings.csv", drive)
+    given = hl.LogFormat(
+        readings=tmp_path / "readings.csv", tolerance_s=0.025, plane="A", as_stated=True
+    )
+    found = hl.read_log(tmp_path / "poses.csv", given)
+    time = drive.pose_time[::25]
+    nearest = np.abs(time[:, None] - drive.time).argmin(axis=0)
+    near = np.abs(time[nearest] - drive.time) <= 0.025
+    expected = [drive.ranges[near & (nearest == i)].mean(axis=0) for i in range(len(time))]
+    assert 0.2 < near.mean() < 0.4
+    assert np.abs(found.world_t_hand - drive.position[::25]).max() < 1e-12
+    assert np.abs(found.ranges - expected).max() < 1e-12
+
+
 def test_poses_between_two_rows_are_interpolated(tmp_path, driven):
     """Poses at a sixth of the rate: ranges of the poses found agree with the readings all the same."""
     drive, mounts = driven
@@ -190,6 +208,21 @@ def test_stations_are_the_moments_at_which_the_arm_stands(tmp_path, driven):
         )
 
 
+@pytest.mark.parametrize(("part", "plane"), [(0.4, "B"), (0.6, "A")])
+def test_a_stand_is_before_the_plane_of_its_middle(tmp_path, driven, part, plane):
+    drive, _ = driven
+    write_poses(tmp_path / "poses.csv", drive)
+    write_readings(tmp_path / "readings.csv", drive)
+    begin, end = drive.stand[11]
+    cut = begin + part * (end - begin)
+    ranges = (f"A=0s..{cut}s", f"B={cut + 1e-6}s..{drive.pose_time[-1] + 1.0}s")
+    given = hl.LogFormat(
+        readings=tmp_path / "readings.csv", stands=True, plane_ranges=ranges, as_stated=True
+    )
+    found = hl.read_log(tmp_path / "poses.csv", given)
+    assert found.plane_labels == ("A",) * 11 + (plane,) + ("B",) * 12
+
+
 # --- the lag -----------------------------------------------------------------------------------------
 
 
@@ -210,6 +243,25 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
     assert abs(report.lag - put) < 0.01
     assert abs(report.lag - put) < 4.0 * report.lag_sigma
     assert any("estimated to" in line for line in report.lines)
+
+
+def test_lags_between_the_steps_of_the_search_differ_by_what_they_do(tmp_path, driven):
+    """The steps are 2 ms; what the polynomials leave out moves both lags alike."""
+    drive, _ = driven
+    write_poses(tmp_path / "poses.csv", drive)
+    found = []
+    for put in (0.1, 0.1007):
+        write_readings(tmp_path / "readings.csv", drive, lag=put)
+        given = hl.LogFormat(
+            readings=tmp_path / "readings.csv",
+            tolerance_s=0.02,
+            interpolate=True,
+            estimate_lag=True,
+            plane_ranges=planes(drive),
+            as_stated=True,
+        )
+        found.append(hl.describe_log(tmp_path / "poses.csv", given).lag)
+    assert found[1] - found[0] == pytest.approx(0.0007, abs=1e-4)
 
 
 def test_a_stated_lag_is_taken_off(tmp_path, driven):

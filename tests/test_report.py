@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from helpers import GRIPPER, simulated
+from scipy.stats import binom, norm
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text
@@ -278,6 +279,12 @@ def test_figures_draw_the_residuals(page, calibration, gripper):
     assert len(z["x"]) == calibration.fit.readings
     assert np.all(np.diff(z["y"]) >= 0.0)
     assert np.allclose(z["x"], -np.array(z["x"])[::-1], atol=1e-5)
+    # The reading of a rank is below the edge where at least so many of all are.
+    count = len(z["x"])
+    for edge, part in zip(figures["qq"]["data"], (0.025, 0.975), strict=False):
+        for rank in (1, count // 3, count):
+            below = norm.cdf(edge["y"][rank - 1])
+            assert binom.sf(rank - 1, count, below) == pytest.approx(part, abs=1e-3)
 
 
 def test_incidence_is_that_of_beam_and_plane(page, calibration, gripper):
@@ -390,6 +397,12 @@ def test_json_in_a_script_ends_nothing_and_reads_back(value):
     text = safe_json({"name": [value]})
     assert not re.search("[<>&\u2028\u2029]", text)
     assert json.loads(text) == {"name": [value]}
+
+
+def test_json_of_what_is_no_number_is_refused():
+    for value in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="JSON"):
+            safe_json([value])
 
 
 def test_still_pictures_are_sound_xml(calibration, hostile, options):

@@ -417,6 +417,6 @@ def test_scales_are_found_where_the_evidence_is_beyond_all_bounds():
 
 @pytest.mark.parametrize("noise", [hl.Noise(), hl.Noise(3e-5)], ids=["nothing given", "sigma"])
 def test_rows_shifted_against_the_poses_are_no_calibration(noise):
-    recording, _ = simulated(layout=Layout(3, 3, 8), range_sigma=3e-5)
+    recording, _ = simulated(layout=Layout(2, 3, 8), range_sigma=3e-5)
     shifted = replace(recording, ranges=np.roll(recording.ranges, 1, axis=0))
     assert hl.calibrate(shifted, noise).status != "converged"

@@ -45,13 +45,16 @@ def assert_batch(session):
 
 
 @pytest.mark.parametrize(
-    ("noise", "range_error", "k"),
-    [(EXACT, "none", (0.0, 0.0)), (ROBOT, "none", (0.0, 0.0)), (EXACT, "k1k2", (0.02, 0.3))],
+    ("poses", "noise", "range_error", "k"),
+    [
+        ("auto", EXACT, "none", (0.0, 0.0)),
+        ("auto", ROBOT, "none", (0.0, 0.0)),
+        ("auto", EXACT, "k1k2", (0.02, 0.3)),
+        ("estimated", ROBOT, "none", (0.0, 0.0)),
+        ("estimated", ROBOT, "k1k2", (0.02, 0.3)),
+    ],
 )
-@pytest.mark.parametrize("poses", ["auto", "estimated"])
-def test_every_step_is_the_batch_solution(noise, range_error, k, poses):
-    if poses == "estimated":
-        noise = ROBOT
+def test_every_step_is_the_batch_solution(poses, noise, range_error, k):
     recording = recorded(6, noise=noise, k=k)
     session = hl.Session(noise, hl.CalibrationOptions(range_error, poses=poses))
     for index, name in enumerate(recording.plane_names):

@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,7 +25,7 @@ from handlaser_gtsam.validation.scenes import Layout
 pytest.importorskip("starlette", reason="needs the extra watch")
 pytest.importorskip("uvicorn", reason="needs the extra watch")
 
-from watching import Client, answer, until, watching
+from watching import HOSTILE_BEAMS, Client, answer, until, watching, write_hostile
 
 from handlaser_gtsam.files.watch import patience
 from handlaser_gtsam.files.watch.follower import Follower
@@ -87,7 +86,7 @@ def test_everybody_ends_at_the_same_state_after_a_thousand_stations(tmp_path, lo
                 for piece in (row[:40], row[40:]):
                     file.write(piece)
                     file.flush()
-                    time.sleep(0.005 if number % 10 else 0.02)
+                    time.sleep(0.001 if number % 10 else 0.02)
         until(lambda: all(one.counted("stations") == 1000 for one in live), 240)
         until(lambda: all(one.status["phase"] == "current" for one in live))
         assert resident(process.pid) - before < 40 * MIB
@@ -156,6 +155,14 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
     assert live.open
     stopped.begin()
     until(lambda: not stopped.open)
+
+
+def test_a_status_follows_the_state_that_it_speaks_of():
+    hub = Hub("")
+    hub.publish("status", "[2]")
+    hub.publish("state", "[1]")
+    told = hub.unheard({})
+    assert told.index(b"event: state\n") < told.index(b"event: status\n")
 
 
 def test_who_vanishes_is_forgotten(server, look_on):
@@ -506,26 +513,20 @@ def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
 
 
 def test_names_are_text_wherever_they_are_shown(tmp_path):
-    recording = hl.read_recording(GRIPPER / "recording.csv")
-    names = ("<script>alert(1)</script>", "<img src=x onerror=alert(1)>", "%{x}$a$", "&lt;b&gt;")
-    planes = {plane: f"<b>{plane}</b>" for plane in recording.plane_names}
-    named = replace(
-        recording,
-        beam_names=names,
-        plane_labels=tuple(planes[plane] for plane in recording.plane_labels),
-    )
-    write_recording(tmp_path / "recording.csv", named)
+    """In what is sent; `test_watch_browser` looks at what a browser makes of the same names."""
+    write_hostile(tmp_path / "recording.csv")
     found = Shown(tmp_path, given={"range_mm": (0.0, 30.0)})
     try:
         found.is_at("current", 44)
     finally:
         found.end()
     state = found.newest["state"]
-    assert [row[0][0] for row in state["beams"]["rows"]] == list(names)  # the page sets it as text
+    # The page sets it as text.
+    assert [row[0][0] for row in state["beams"]["rows"]] == list(HOSTILE_BEAMS)
     for figure in (state["space"], state["falling"]):
         shown = [{**one, "legendgroup": ""} for one in figure["data"]]  # that is never text
         drawn = json.dumps(shown)
-        for tag in ("<script", "<img", "<b>"):
+        for tag in ("<script", "<img", "</td>"):
             assert tag not in drawn
     assert "&lt;script&gt;" in json.dumps(state["space"]["data"])
 

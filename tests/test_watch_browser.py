@@ -6,13 +6,9 @@ Skipped where there is no Chromium, no playwright to drive it (extra `browser`),
 import re
 import shutil
 import time
-from dataclasses import replace
 
 import pytest
 from helpers import GRIPPER
-
-import handlaser_gtsam as hl
-from handlaser_gtsam.files.recording_csv import write_recording
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
@@ -20,7 +16,7 @@ pytest.importorskip("starlette", reason="needs the extra watch")
 pytest.importorskip("uvicorn", reason="needs the extra watch")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
-from watching import watching  # noqa: E402
+from watching import HOSTILE_BEAMS, watching, write_hostile  # noqa: E402
 
 ARGUMENTS = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -147,20 +143,12 @@ def test_a_view_that_was_turned_stays_turned(chromium, folder):
 
 
 def test_names_are_text_and_nothing_of_them_runs(chromium, folder):
-    recording = hl.read_recording(GRIPPER / "recording.csv")
-    beams = ("<script>alert(1)</script>", "</td><img src=x onerror=alert(1)>", "%{x} $x^2$", "&lt;")
-    planes = {name: f"<img src=x onerror=alert('{name}')>" for name in recording.plane_names}
-    named = replace(
-        recording,
-        beam_names=beams,
-        plane_labels=tuple(planes[name] for name in recording.plane_labels),
-    )
-    write_recording(folder / "recording.csv", named)
+    write_hostile(folder / "recording.csv")
     with watching(folder, "--port", 0) as (_, port):
         tab = Looking(chromium, port)
         tab.has(44)
         names = tab.page.locator("#beams tbody td:first-child").all_text_contents()
-        assert names == list(beams)
+        assert names == list(HOSTILE_BEAMS)
         legend = tab.page.locator("#space .legendtext").all_text_contents()
         assert legend[0] == "beam <script>alert(1)</script>"
         assert tab.page.locator("main img").count() == 0

@@ -10,6 +10,11 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
+
+from helpers import GRIPPER
+
+import handlaser_gtsam as hl
 
 BEGUN = """
 import signal
@@ -17,6 +22,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell o
 from handlaser_gtsam.cli import main
 main()
 """
+HOSTILE_BEAMS = (
+    *("<script>alert(1)</script>", "</td><img src=x onerror=alert(1)>"),
+    *("%{x} $x^2$", "&lt;b&gt;"),
+)
 PATIENCE = 90.0
 """Seconds until a busy machine has done anything."""
 
@@ -30,6 +39,15 @@ def until(condition, seconds=PATIENCE):
             assert found, "it did not happen"
             return found
         time.sleep(0.02)
+
+
+def write_hostile(path):
+    """Write the shipped recording with beams and planes that are called like programs."""
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    planes = {name: f"<img src=x onerror=alert('{name}')>" for name in recording.plane_names}
+    labels = tuple(planes[name] for name in recording.plane_labels)
+    named = replace(recording, beam_names=HOSTILE_BEAMS, plane_labels=labels)
+    hl.write_recording(path, named)
 
 
 @contextlib.contextmanager

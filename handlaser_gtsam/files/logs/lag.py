@@ -49,7 +49,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Readings d (N,) of one beam before one plane, at times (N,) [s], and the polynomial's degree."""
+    """Readings d (N, b) of beams before a plane, at times (N,) [s], and the polynomials' degree."""
 
     time: FloatArray
     d: FloatArray
@@ -100,8 +100,9 @@ def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
     sums = np.array([_squares(track, parts, lag) for lag in lags])
     low = np.clip(int(sums.argmin()), 3, len(lags) - 4)
     rows = slice(low - 3, low + 4)
+    both = [(one.d, one.degree) for one in parts]
     bend, slope, _ = np.polyfit(lags[rows] - lags[low], sums[rows], 2)
-    count = sum(len(one.d) - len(_exponents(one.degree)) for one in parts)
+    count = sum((len(d) - len(_exponents(k))) * d.shape[1] for d, k in both)
     variance = float(sums.min()) / max(count, 1)
     if bend > 0.0:
         shift = float(np.clip(-0.5 * slope / bend, -3 * FINE, 3 * FINE))
@@ -119,13 +120,19 @@ def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> It
     inside = (time - MOST >= track.time[0]) & (time + MOST <= track.time[-1]) & (plane >= 0)
     moves = inside & _moves(track, time)
     for index in np.unique(plane[moves]).tolist():
-        for beam in range(d.shape[1]):
-            rows = np.flatnonzero(moves & (plane == index) & ~np.isnan(d[:, beam]))
+        read = ((moves & (plane == index))[:, None] & ~np.isnan(d)).T
+        alike: dict[
+            bytes, list[int]
+        ] = {}  # beams that read at the same times share their monomials
+        for beam, mine in enumerate(read):
+            alike.setdefault(mine.tobytes(), []).append(beam)
+        for beams in alike.values():
+            rows = np.flatnonzero(read[beams[0]])
             if len(rows) > AT_MOST:
                 rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
             for degree in (3, 2):
                 if len(rows) >= A_FEATURE * len(_exponents(degree)):
-                    yield _Part(time[rows], d[rows, beam], degree)
+                    yield _Part(time[rows], d[np.ix_(rows, beams)], degree)
                     break
 
 
