@@ -179,7 +179,7 @@ def _calibrated(
         advice = _advice(result, recording, rig)
     if output.report is not None:
         whole = replace(result, recording=recording) if result.recording is None else result
-        _report(output, whole, path, rig_file, rig, advice)
+        _report(output, whole, (path, *log.beside), rig_file, rig, advice)
     return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
 
 
@@ -197,7 +197,7 @@ def _advice(result: "Calibration", recording: "Recording", rig: "Rig") -> "Plan 
 def _report(
     output: Output,
     result: "Calibration",
-    recording: Path,
+    sources: tuple[Path, ...],
     rig_file: Path | None,
     rig: "Rig",
     advice: "Plan | None",
@@ -208,7 +208,14 @@ def _report(
 
     day = None if output.report_date is None else iso_day(output.report_date)
     options = ReportOptions(
-        rig, output.reading, recording, rig_file, called_as(sys.argv[1:]), day, advice
+        rig,
+        output.reading,
+        sources[0],
+        rig_file,
+        sources[1:],
+        called_as(sys.argv[1:]),
+        day,
+        advice,
     )
     write_report(output.report or Path(), result, options)
 

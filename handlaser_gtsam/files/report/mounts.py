@@ -19,6 +19,7 @@ from .tables import (
     Column,
     Table,
     concise,
+    determined,
     digits_of,
     name_cell,
     number,
@@ -131,10 +132,11 @@ def planes_table(subject: Subject) -> Table | None:
         turn = math.inf if turn is None else turn
         digits = digits_of([turn], 7)
         n = [
-            number(x, digits) if math.isfinite(s) else Cell(UNKNOWN, None, "care")
+            determined(x, s, digits)
             for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
         ]
-        row = (*n, significant(turn * DEG, 2), _determined(plane.offset, shift, MM, 4))
+        offset = determined(plane.offset * MM, shift, digits_of([shift * MM], 4))
+        row = (*n, significant(turn * DEG, 2), offset)
         rows.append((name_cell(plane.name), *row, significant(shift * MM, 2)))
     return Table(
         "planes",
@@ -155,12 +157,6 @@ def planes_table(subject: Subject) -> Table | None:
 
 def _known(sigma: FloatArray | None) -> bool:
     return sigma is not None and bool(np.isfinite(sigma).any())
-
-
-def _determined(value: float, sigma: float, scale: float, most: int) -> Cell:
-    if not math.isfinite(sigma):
-        return Cell(UNKNOWN, None, "care")
-    return number(float(value) * scale, digits_of([sigma * scale], most))
 
 
 def limits_table(subject: Subject) -> Table | None:

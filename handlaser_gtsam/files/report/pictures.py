@@ -14,7 +14,7 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
-from ..calibration_reading import CalibrationFile
+from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
 from .correlations import correlation_figure, correlations
 from .figure import GREY, INK, LINE, Figure, colour, short

@@ -56,6 +56,11 @@ def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
     return Cell(concise(value, digits), float(value), mark)
 
 
+def determined(value: float, sigma: float, digits: int, unknown: str = UNKNOWN) -> Cell:
+    """Return a cell of so many decimals; what stands for it where its sigma is not finite."""
+    return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
+
+
 def text(words: str, mark: str = "") -> Cell:
     """Return a cell of words."""
     return Cell(words, None, mark)

@@ -19,17 +19,7 @@ from ..report.history_figure import stations_figure
 from ..report.mounts import MOST_BEAMS
 from ..report.scene import scene_figure
 from ..report.subject import Subject
-from ..report.tables import (
-    NONE,
-    Cell,
-    Column,
-    Table,
-    concise,
-    digits_of,
-    name_cell,
-    number,
-    significant,
-)
+from ..report.tables import NONE, Cell, Column, Table, determined, digits_of, name_cell, significant
 
 MOST_WARNINGS = 20
 """Warnings that are listed; `handlaser calibrate` has all."""
@@ -74,7 +64,7 @@ def _counts(subject: Subject) -> list[tuple[str, str]]:
     found.append(("readings", str(read)))
     found.append(("rejected", str(len(fit.rejected))))
     if subject.solved and math.isfinite(fit.rms):
-        found.append(("rms residual", f"{concise(fit.rms * MM)} mm"))
+        found.append(("rms residual", significant(fit.rms * MM).text + " mm"))
     return found
 
 
@@ -82,7 +72,7 @@ def beams_table(subject: Subject) -> Table:
     """Return one row a beam: where it sits and points, and how well that is known."""
     beams = list(subject.calibration.beams.values())
     radii = spot_radii(subject.calibration, subject.reading) if subject.solved else {}
-    at = f" at a reading of {concise(subject.reading * MM, 4)} mm" if radii else ""
+    at = f" at a reading of {significant(subject.reading * MM, 4).text} mm" if radii else ""
     rows = tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
     more, notes = len(beams) - MOST_BEAMS, []
     if any(cell.mark == "care" for row in rows for cell in row):
@@ -112,7 +102,7 @@ def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     where = digits_of((sigma[:3] * MM).tolist(), 5)
     whither = digits_of(sigma[3:6].tolist(), 7)
     cells = [
-        _determined(value * scale, known, digits)
+        determined(value * scale, known, digits, NONE)
         for value, known, scale, digits in zip(
             beam.coordinates[:6].tolist(),
             sigma[:6].tolist(),
@@ -125,10 +115,6 @@ def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     spot = significant(None if radius is None else radius * MM, 2)
     direction = significant(turn * DEG, 2)
     return name_cell(beam.name), *cells[:3], location, *cells[3:], direction, spot
-
-
-def _determined(value: float, sigma: float, digits: int) -> Cell:
-    return number(value, digits) if math.isfinite(sigma) else Cell(NONE, None, "care")
 
 
 def _record(table: Table | None) -> Record | None:
