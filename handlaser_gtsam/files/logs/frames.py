@@ -165,12 +165,7 @@ class Frames:
 
 def between(x: FloatArray, time: FloatArray) -> tuple[Rotation, FloatArray]:
     """Return stamped poses (M, 8) at times (N,) between them."""
-    way = Between.at(x[:, 0], time)
-    following = np.minimum(way.row + 1, len(x) - 1)
-    w = way.part[:, None]
-    first, last = Rotation.from_quat(x[way.row, 4:]), Rotation.from_quat(x[following, 4:])
-    turn = first * Rotation.from_rotvec(w * (first.inv() * last).as_rotvec())
-    return turn, (1.0 - w) * x[way.row, 1:4] + w * x[following, 1:4]
+    return Between.at(x[:, 0], time).of_quaternions(x[:, 4:], x[:, 1:4])
 
 
 def _chain(poses: list[tuple[Rotation, FloatArray]], count: int) -> tuple[Rotation, FloatArray]:

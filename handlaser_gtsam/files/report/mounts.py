@@ -21,6 +21,7 @@ from .tables import (
     concise,
     determined,
     digits_of,
+    more,
     name_cell,
     number,
     significant,
@@ -56,7 +57,7 @@ def mounts_table(subject: Subject) -> Table | None:
             Column("unit", number=False, wide=True),
         ),
         tuple(rows),
-        _more(len(beams) - MOST_BEAMS, "beam"),
+        more(len(beams) - MOST_BEAMS, "beam"),
     )
 
 
@@ -116,7 +117,7 @@ def spots_table(subject: Subject) -> Table | None:
             Column("direction deg"),
         ),
         tuple(rows),
-        _more(len(radii) - MOST_BEAMS, "beam"),
+        more(len(radii) - MOST_BEAMS, "beam"),
     )
 
 
@@ -151,7 +152,7 @@ def planes_table(subject: Subject) -> Table | None:
             Column("std dev mm"),
         ),
         tuple(rows),
-        _more(len(planes) - MOST_PLANES, "plane"),
+        more(len(planes) - MOST_PLANES, "plane"),
     )
 
 
@@ -183,11 +184,5 @@ def limits_table(subject: Subject) -> Table | None:
             Column("result", number=False),
         ),
         tuple(rows),
-        _more(len(checks) - 3 * MOST_BEAMS, "limit"),
+        more(len(checks) - 3 * MOST_BEAMS, "limit"),
     )
-
-
-def _more(count: int, noun: str) -> str:
-    if count <= 0:
-        return ""
-    return f"{count} more {noun}{'' if count == 1 else 's'}: the JSON of the calibration has all."

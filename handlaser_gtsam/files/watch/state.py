@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ...results.lines import DEG, MM, count
+from ...results.lines import DEG, MM
 from ...results.reports import Beam
 from ...results.spot_error import spot_radii
 from ..json_text import Record
@@ -19,7 +19,17 @@ from ..report.history_figure import stations_figure
 from ..report.mounts import MOST_BEAMS
 from ..report.scene import scene_figure
 from ..report.subject import Subject
-from ..report.tables import NONE, Cell, Column, Table, determined, digits_of, name_cell, significant
+from ..report.tables import (
+    NONE,
+    Cell,
+    Column,
+    Table,
+    determined,
+    digits_of,
+    more,
+    name_cell,
+    significant,
+)
 
 MOST_WARNINGS = 20
 """Warnings that are listed; `handlaser calibrate` has all."""
@@ -32,8 +42,8 @@ def state_text(subject: Subject) -> str:
     """
     head = head_of(subject)
     space = in_world(subject)
-    more = len(head.warnings) - MOST_WARNINGS
-    warnings = [*head.warnings[:MOST_WARNINGS], *([f"{more} more."] if more > 0 else [])]
+    left = len(head.warnings) - MOST_WARNINGS
+    warnings = [*head.warnings[:MOST_WARNINGS], *([f"{left} more."] if left > 0 else [])]
     content: Record = {
         "verdict": {"mark": head.mark, "opening": head.opening, "findings": list(head.findings)},
         "counts": [list(one) for one in _counts(subject)],
@@ -74,11 +84,10 @@ def beams_table(subject: Subject) -> Table:
     radii = spot_radii(subject.calibration, subject.reading) if subject.solved else {}
     at = f" at a reading of {significant(subject.reading * MM, 4).text} mm" if radii else ""
     rows = tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
-    more, notes = len(beams) - MOST_BEAMS, []
+    notes = []
     if any(cell.mark == "care" for row in rows for cell in row):
         notes.append("A dash stands for what the stations do not determine yet.")
-    if more > 0:
-        notes.append(f"{count(more, 'more beam')}: the JSON of the calibration has all.")
+    notes.append(more(len(beams) - MOST_BEAMS, "beam"))
     return Table(
         "beams",
         "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
@@ -92,7 +101,7 @@ def beams_table(subject: Subject) -> Table:
             Column("95 % spot mm"),
         ),
         rows,
-        " ".join(notes),
+        " ".join(filter(None, notes)),
     )
 
 
