@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .log_options import Log
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, metres
+from .options import AtRangeOption, Given, JsonOption, Model, QuietOption, RecordingArgument, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -63,12 +63,7 @@ class Manner:
 class Output:
     """What becomes of the result."""
 
-    at_range_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Working distance at which the laser spot's error is stated; default: median reading."
-        ),
-    ] = None
+    at_range_mm: AtRangeOption = None
     out: Annotated[
         Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
     ] = None
