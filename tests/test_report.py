@@ -511,7 +511,7 @@ def test_every_file_of_a_log_is_named_with_its_hash(calibration, tmp_path):
     bag, second = tmp_path / "bag", tmp_path / "second.csv"
     bag.mkdir()
     second.write_text("more")
-    parts = {"b.db3": b"data", "a.yaml": b"about"}
+    parts = {"b.db3": b"data", "metadata.yaml": b"about"}
     for name, content in parts.items():
         (bag / name).write_bytes(content)
     each = [hashlib.sha256(parts[name]).hexdigest() for name in sorted(parts)]

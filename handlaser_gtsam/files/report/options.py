@@ -12,6 +12,7 @@ from ...data.recording import LARGEST
 from ...errors import InputError
 from ...planning.route import Plan
 from ...text import shown
+from ..logs.bag_messages import METADATA
 from ..rig_toml import Rig
 
 MOST_COMMAND = 2000
@@ -80,7 +81,7 @@ class ReportOptions:
 
 
 def sha256(path: Path | str) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits; of a folder, that of those of its files.
+    """Return the SHA-256 of a file, 64 hexadecimal digits; of the folder of a bag, that of those in it.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def sha256(path: Path | str) -> str:
     """
     found = hashlib.sha256()
     try:
-        if Path(path).is_dir():
+        if (Path(path) / METADATA).is_file():
             inside = sorted(one for one in Path(path).iterdir() if one.is_file())
             return hashlib.sha256("\n".join(map(sha256, inside)).encode()).hexdigest()
         with Path(path).open("rb") as file:
