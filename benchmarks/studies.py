@@ -14,7 +14,6 @@ import pickle
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Generic, Self, TypeVar
 
 # One thread a process: they are as many as the processors. NumPy reads this when it is imported.
@@ -63,14 +62,9 @@ class Studies:
         self._ends.enter_context(self._bar)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End what was begun."""
-        self._ends.__exit__(kind, error, trace)
+        self._ends.close()
 
     def each(
         self, name: str, run: Callable[[Argument], Result], arguments: Sequence[Argument]

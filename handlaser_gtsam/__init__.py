@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from .estimation.range_error_grid import RangeErrorGrid as RangeErrorGrid
     from .estimation.scales import Scale as Scale
     from .estimation.scales import Scales as Scales
+    from .files.calibration_file import CalibrationFile as CalibrationFile
     from .files.calibration_json import write_calibration as write_calibration
-    from .files.calibration_reading import CalibrationFile as CalibrationFile
     from .files.calibration_reading import read_calibration as read_calibration
     from .files.calibration_reading import read_mounts as read_mounts
     from .files.exports.export import ExportOptions as ExportOptions

@@ -102,6 +102,11 @@ REFUSED = {
     "no XML": ("<robot name='x'><link name='tool0'></robot>", "no XML \\(mismatched tag\\)"),
     "nothing": ("", "no XML"),
     "another root": ("<sdf><link name='tool0'/></sdf>", "the root element 'sdf'"),
+    "a link twice": ("<robot><link name='tool0'/><link name='tool0'/></robot>", "'tool0' twice"),
+    "macros only": (
+        "<robot xmlns:xacro='x'><xacro:macro><link name='tool0'/></xacro:macro></robot>",
+        "expected a URDF with links",
+    ),
     "no UTF-8": ('<robot><link name="tool0" a="\xe4"/></robot>'.encode("latin-1"), "not UTF-8"),
     "laughs": (
         '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa">'

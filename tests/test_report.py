@@ -520,6 +520,22 @@ def test_the_date_is_that_of_the_file_or_what_is_said(calibration, tmp_path):
     assert "2020-09-13" not in text
 
 
+def test_every_file_of_a_log_is_named_with_its_hash(calibration, tmp_path):
+    """Of a folder, as a bag of ROS 2 is one, that of the hashes of its files in their order."""
+    bag, second = tmp_path / "bag", tmp_path / "second.csv"
+    bag.mkdir()
+    second.write_text("more")
+    parts = {"b.db3": b"data", "metadata.yaml": b"about"}
+    for name, content in parts.items():
+        (bag / name).write_bytes(content)
+    each = [hashlib.sha256(parts[name]).hexdigest() for name in sorted(parts)]
+    told = hl.ReportOptions(recording_file=bag, beside=(second,))
+    text = Page(report_text(calibration, told)).text
+    assert hashlib.sha256("\n".join(each).encode()).hexdigest() in text
+    assert hashlib.sha256(b"more").hexdigest() in text
+    assert "second.csv" in text
+
+
 def test_limits_pass_and_fail_one_by_one(calibration, rig):
     limits = hl.Limits(rms=2e-5, location_sigma=2e-4, direction_sigma=0.0050)
     told = hl.ReportOptions(dataclasses.replace(rig, limits=limits))

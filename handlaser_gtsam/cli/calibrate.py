@@ -12,7 +12,7 @@ import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
 from .log_options import Log
-from .options import Given, JsonOption, Model, QuietOption, RecordingArgument, metres
+from .options import AtRangeOption, Given, JsonOption, Model, QuietOption, RecordingArgument, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -65,12 +65,7 @@ class Manner:
 class Output:
     """What becomes of the result."""
 
-    at_range_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Working distance at which the laser spot's error is stated; default: median reading."
-        ),
-    ] = None
+    at_range_mm: AtRangeOption = None
     out: Annotated[
         Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
     ] = None
@@ -181,7 +176,7 @@ def _calibrated(
         advice = _advice(result, recording, rig)
     if output.report is not None:
         whole = replace(result, recording=recording) if result.recording is None else result
-        _report(output, whole, path, rig_file, rig, advice)
+        _report(output, whole, (path, *log.beside), rig_file, rig, advice)
     return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
 
 
@@ -199,7 +194,7 @@ def _advice(result: "Calibration", recording: "Recording", rig: "Rig") -> "Plan 
 def _report(
     output: Output,
     result: "Calibration",
-    recording: Path,
+    sources: tuple[Path, ...],
     rig_file: Path | None,
     rig: "Rig",
     advice: "Plan | None",
@@ -210,7 +205,14 @@ def _report(
 
     day = None if output.report_date is None else iso_day(output.report_date)
     options = ReportOptions(
-        rig, output.reading, recording, rig_file, called_as(sys.argv[1:]), day, advice
+        rig,
+        output.reading,
+        sources[0],
+        rig_file,
+        sources[1:],
+        called_as(sys.argv[1:]),
+        day,
+        advice,
     )
     write_report(output.report or Path(), result, options)
 

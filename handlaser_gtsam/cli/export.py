@@ -14,7 +14,7 @@ from .options import QuietOption
 from .progress_line import Working
 
 if TYPE_CHECKING:
-    from ..files.calibration_reading import CalibrationFile
+    from ..files.calibration_file import CalibrationFile
     from ..files.exports.export import ExportOptions
 
 MM = 1e-3

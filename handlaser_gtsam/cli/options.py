@@ -38,6 +38,12 @@ RecordingArgument = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
 ]
+AtRangeOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Working distance at which the laser spot's error is stated; default: median reading."
+    ),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")]
 
 

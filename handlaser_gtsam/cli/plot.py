@@ -11,7 +11,7 @@ from .options import Given, Model
 from .progress_line import Working
 
 if TYPE_CHECKING:
-    from ..files.calibration_reading import CalibrationFile
+    from ..files.calibration_file import CalibrationFile
     from ..files.report.options import ReportOptions
     from ..files.rig_toml import Rig
     from ..results.calibration import Calibration

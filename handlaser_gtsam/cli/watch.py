@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .log_options import Log
-from .options import Given, Model, metres
+from .options import AtRangeOption, Given, Model, metres
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -41,12 +41,7 @@ class Serving:
         ),
     ] = None
     open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False
-    at_range_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Working distance at which the laser spot's error is stated; default: median reading."
-        ),
-    ] = None
+    at_range_mm: AtRangeOption = None
 
 
 def watch(

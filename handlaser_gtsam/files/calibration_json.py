@@ -11,7 +11,7 @@ from ..observability.motion import MotionCheck
 from ..results.calibration import Calibration
 from ..results.measuring import spot
 from ..results.reports import Beam, Fit, NoiseComponent, Plane
-from . import calibration_reading as schema
+from . import calibration_file as schema
 from .json_text import Record, json_text, record
 from .writing import path_of, write_text
 

@@ -111,7 +111,7 @@ def _plane_held_out(whole: Whole, plane: str, range_sigma: float | None) -> Plan
             found.joint.matrix(planes=[]),
             float(np.median(variances.range_sigma)),
         )
-        return PlaneLeftOut(plane, hold_out(mounts, own, noise), "")
+        return PlaneLeftOut(plane, hold_out(mounts, own, noise, each_beam=False), "")
     except (InputError, SolverError, GrazingBeamError) as error:
         return PlaneLeftOut(plane, None, str(error))
 

@@ -98,7 +98,9 @@ class HoldOut(Value):
     beams: tuple[BeamDrift, ...]
 
 
-def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -> HoldOut:
+def hold_out(
+    mounts: Mounts, recording: Recording, noise: Noise | None = None, *, each_beam: bool = True
+) -> HoldOut:
     """Compare calibrated beams with a recording of the same beams.
 
     Parameters
@@ -109,6 +111,8 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     noise : Noise, optional
         An unknown range sigma is that of the calibration, and what the recording shows where it has
         readings enough. Unknown errors of the poses are those of the calibration.
+    each_beam : bool
+        Whether each beam is tested alone, too; that takes long for dozens of beams.
 
     Raises
     ------
@@ -137,7 +141,8 @@ def hold_out(mounts: Mounts, recording: Recording, noise: Noise | None = None) -
     at, how = fit_planes(beams, readings, variances)
     e = model.residuals(model.scene(at, readings), readings.distance)
     known = noise.range_sigma is not None
-    return _tested(_Quadratic.of(at, readings, how, mounts, known=known), e, mounts)
+    names = mounts.names if each_beam else ()
+    return _tested(_Quadratic.of(at, readings, how, mounts, known=known), e, names)
 
 
 def fit_planes(
@@ -251,14 +256,14 @@ class _Quadratic:
         return float(f_sf(statistic / dof, dof, max(self.dof, 1)))
 
 
-def _tested(of: _Quadratic, e: FloatArray, mounts: Mounts) -> HoldOut:
+def _tested(of: _Quadratic, e: FloatArray, names: tuple[str, ...]) -> HoldOut:
     n = len(of.unit)
     none = np.empty((n, 0))
     held, _ = of.least(of.root, none)
     moved, _ = of.least(none, np.eye(n))
     chi2, drift = of.cost - moved, moved - held
     beams = []
-    for index, name in enumerate(mounts.names):
+    for index, name in enumerate(names):
         mine = of.beam == index
         others = _root((of.root @ of.root.T)[np.ix_(~mine, ~mine)])
         root = np.zeros((n, others.shape[1]))

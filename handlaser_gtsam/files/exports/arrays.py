@@ -5,7 +5,7 @@ import io
 import numpy as np
 
 from ...results.mounts import Mounts
-from ..calibration_reading import CalibrationFile
+from ..calibration_file import CalibrationFile
 from .beams import origin_line
 
 ABOUT = (

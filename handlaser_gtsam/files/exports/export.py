@@ -10,8 +10,9 @@ from ...errors import InputError, NotConvergedError
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
 from ...text import A_NAME, name_fault, shown
+from ..calibration_file import CalibrationFile
 from ..calibration_json import calibration_text
-from ..calibration_reading import CalibrationFile, mounts_of
+from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
 from .arrays import matlab_bytes, numpy_bytes
 from .beams import exported_beams

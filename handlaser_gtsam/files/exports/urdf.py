@@ -51,6 +51,8 @@ def urdf_with(path: Path, beams: Sequence[ExportedBeam], link: str) -> str:
         found = f"no link {shown(link)}"
         expected = f"one of {some(outline.links, SHOWN)}" if outline.links else "a URDF with links"
         raise InputError(found, expected, path)
+    if outline.links.count(link) > 1:
+        raise InputError(f"the link {shown(link)} twice", "every link once", path)
     for kind, there, names in (
         ("link", outline.links, [beam.identifier for beam in beams]),
         ("joint", outline.joints, [_joint(beam) for beam in beams]),

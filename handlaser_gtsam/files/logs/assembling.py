@@ -1,7 +1,7 @@
 """Stations and readings become a recording."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,12 @@ from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
 from .averaging import Averaged, Samples, averaged
 from .format import LogFormat
+from .held import held_poses
+from .motion import Pair
 from .planes import intervals, planes_of
+from .poses import hand_poses
 from .report import LogReport
+from .suspicion import Raw, refuse_wrong_convention
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,8 +27,8 @@ class Stationed:
     Attributes
     ----------
     path : Path
-    R, t : (S, 3, 3), (S, 3)
-        world_T_hand [m].
+    raw : Raw
+        Poses as the log has them, and how they become those of stations.
     names : S labels
     planes : S labels, or None
     times : (S,) or None
@@ -41,8 +45,7 @@ class Stationed:
     """
 
     path: Path
-    R: FloatArray
-    t: FloatArray
+    raw: Raw
     names: Sequence[str]
     planes: Sequence[str] | None
     times: FloatArray | None
@@ -64,14 +67,40 @@ class Known:
 
 def assembled(
     log: Stationed, given: LogFormat, known: Known, lag: tuple[float, float | None]
-) -> tuple[LogReport, np.ndarray]:
-    """Return the recording of stations, and which of them (S,) are in it.
+) -> LogReport:
+    """Return the recording of stations, once their poses are believed.
+
+    Parameters
+    ----------
+    log, given, known
+    lag : (float, float or None)
+        How much later readings are stamped than poses, and its standard deviation if estimated [s].
 
     Raises
     ------
     InputError
-        No planes, or no readings.
+        No planes, no readings, or poses that mean something else.
     """
+    report, chosen = _report(log, given, known, lag)
+    held = held_poses(report.recording)
+    doubts = refuse_wrong_convention(
+        report.recording,
+        log.raw,
+        np.flatnonzero(chosen),
+        given.range_units,
+        log.path,
+        as_stated=given.as_stated,
+    )
+    if not held and not doubts:
+        return report
+    warnings = (*report.recording.warnings, *held, *doubts)
+    return replace(report, recording=replace(report.recording, warnings=warnings))
+
+
+def _report(
+    log: Stationed, given: LogFormat, known: Known, lag: tuple[float, float | None]
+) -> tuple[LogReport, np.ndarray]:
+    """Return the recording of stations, and which of them (S,) are in it."""
     mean = averaged(log.samples, (len(log.names), len(log.beams)), given.average, known.sigma)
     if given.range_sigma_from_scatter and mean.scatter is None:
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
@@ -84,7 +113,9 @@ def assembled(
             raise InputError("no reading at any station", "readings at the time of poses", log.path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    recording = _recording(log, planes, chosen, mean, (*log.warnings, *warnings), known.sensor)
+    poses = hand_poses(*log.raw.poses(), log.raw.convention, given.tool, given.base)
+    both = (*log.warnings, *warnings)
+    recording = _recording(log, poses, planes, chosen, mean, both, known.sensor)
     scatter_of = {
         beam: float(value)
         for beam, value in zip(log.beams, mean.scatter_of, strict=True)
@@ -101,11 +132,13 @@ def assembled(
         )
     )
     lines = (counts, *log.lines, *_lag_lines(*lag), *_average_lines(mean, given))
-    return LogReport(recording, mean.scatter, scatter_of, *lag, lines), chosen
+    beside = tuple(path for path in given.files if path is not None)
+    return LogReport(recording, mean.scatter, scatter_of, *lag, lines, beside), chosen
 
 
 def _recording(
     log: Stationed,
+    poses: Pair,
     planes: list[str],
     chosen: np.ndarray,
     mean: Averaged,
@@ -114,8 +147,8 @@ def _recording(
 ) -> Recording:
     rows = np.flatnonzero(chosen)
     return Recording(
-        log.R[rows],
-        log.t[rows],
+        poses[0][rows],
+        poses[1][rows],
         mean.ranges[rows],
         tuple(planes[i] for i in rows.tolist()),
         log.beams,

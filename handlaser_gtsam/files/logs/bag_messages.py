@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,15 +20,13 @@ from ...data.recording import LARGEST
 from ...errors import HandlaserError, InputError
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
-from .bag_types import Bag, LaserScan, PoseStamped, Range, Transforms
-from .bag_types import Stamped as HasHeader
+from .bag_types import Bag
 from .conventions import LENGTHS
 from .format import LogFormat
 from .frames import Frames, Stamped, track_of_rows
 from .ros1_bag import Ros1Bag
 from .stands import Track
 
-Reading = Range | LaserScan
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -132,12 +130,12 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
             message = reader.deserialize(data, one.msgtype)
             when = received if given.receive_time else None
             if one.topic not in poses:
-                _read(cast(Reading, message), of_topic[one.topic], when, received, given)
+                _read(message, of_topic[one.topic], when, received, given)
             elif frames is None:
-                _add_pose(cast(PoseStamped, message), stamped, when, received)
+                _add_pose(message, stamped, when, received)
             else:
                 static = one.topic.endswith(STATIC)
-                for transform in cast(Transforms, message).transforms:
+                for transform in message.transforms:
                     frames.add(_time(transform, when, received), transform, static=static)
     return _content(path, topics, wanted, poses, (frames, stamped), beams)
 
@@ -167,35 +165,33 @@ def _content(
     return BagContent(track, beams, words, unused)
 
 
-def _time(message: HasHeader, when: int | None, received: int) -> float:
+def _time(message: Any, when: int | None, received: int) -> float:
     """Return the stamp of a header [s]; when it was received if that is wanted, or all there is."""
     stamp = message.header.stamp
     if when is None and (stamp.sec or stamp.nanosec):
-        return stamp.sec + 1e-9 * stamp.nanosec
+        return float(stamp.sec + 1e-9 * stamp.nanosec)
     return 1e-9 * received
 
 
-def _add_pose(message: PoseStamped, stamped: Stamped, when: int | None, received: int) -> None:
+def _add_pose(message: Any, stamped: Stamped, when: int | None, received: int) -> None:
     pose = message.pose
     stamped.add(_time(message, when, received), pose.position, pose.orientation)
 
 
 def _read(
-    message: Reading, beams: list[Beam], when: int | None, received: int, given: LogFormat
+    message: Any, beams: list[Beam], when: int | None, received: int, given: LogFormat
 ) -> None:
     """Add what beams read, if it is a reading."""
     unit, time = LENGTHS[given.range_units], _time(message, when, received)
     for beam in beams:
         if beam.ray is None:
-            one = cast(Range, message)
-            least, most, d, delay = one.min_range, one.max_range, one.range, 0.0
+            least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
         else:
-            scan = cast(LaserScan, message)
-            if beam.ray >= len(scan.ranges):
-                found = f"a scan of {len(scan.ranges)} rays on {beam.topic}"
+            if beam.ray >= len(message.ranges):
+                found = f"a scan of {len(message.ranges)} rays on {beam.topic}"
                 raise InputError(found, f"ray {beam.ray}, of beam {beam.name}")
-            least, most, d = scan.range_min, scan.range_max, float(scan.ranges[beam.ray])
-            delay = beam.ray * scan.time_increment
+            least, most, d = message.range_min, message.range_max, float(message.ranges[beam.ray])
+            delay = beam.ray * message.time_increment
         known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST
         if known and (d > 0.0 or least < 0.0):
             beam.numbers.extend((time + delay, unit * d))

@@ -1,14 +1,14 @@
 """Bags as recordings: stations are the moments at which the hand stands."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray, IntArray
-from ...errors import CalibrationWarning, InputError
+from ...errors import InputError
 from .assembling import Known, Stationed, assembled
 from .averaging import Samples
 from .bag_messages import METADATA, BagContent, read_bag
@@ -18,10 +18,9 @@ from .frames import between
 from .lag import Lag, estimated_lag
 from .motion import Rows, bracketed
 from .planes import intervals, planes_of
-from .poses import hand_poses, inverted
 from .report import LogReport
 from .stands import Stands, Track, find_stands
-from .suspicion import Raw, refuse_wrong_convention
+from .suspicion import Raw
 
 BAGS = (".bag", ".mcap", ".db3")
 OF_TABLES = (
@@ -73,30 +72,14 @@ def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
     first = [beam.rows()[0, 0] for beam in content.beams]
     begin = min(float(content.track.time[0]), *map(float, first))
     lag = _lag(content, given, begin) if given.estimate_lag else Lag(given.lag_s, 0.0)
-    log, stations = _stations(path, content, given, begin, lag.value)
-    sigma = lag.sigma if given.estimate_lag else None
-    report, chosen = assembled(log, given, known, (lag.value, sigma))
-    doubts = refuse_wrong_convention(
-        report.recording,
-        Raw(
-            stations, FORMATS["ros"], given.inverted, Rows(np.arange(len(stations), dtype=np.intp))
-        ),
-        np.flatnonzero(chosen),
-        given.range_units,
-        path,
-        as_stated=given.as_stated,
-    )
-    if not doubts:
-        return report
-    warnings = (*report.recording.warnings, *doubts)
-    return replace(report, recording=replace(report.recording, warnings=warnings))
+    log = _stations(path, content, given, begin, lag.value)
+    return assembled(log, given, known, (lag.value, lag.sigma if given.estimate_lag else None))
 
 
 def _stations(
     path: Path, content: BagContent, given: LogFormat, begin: float, lag: float
-) -> tuple[Stationed, FloatArray]:
-    """Return the stations of a bag, and their poses (S, 7) as it has them."""
-    warnings: tuple[CalibrationWarning, ...] = ()
+) -> Stationed:
+    """Return the stations of a bag."""
     if given.interpolate:
         time, R, t, samples = _moving(content, given, lag)
         words = f"{len(time)} moments with readings, each with a pose between its neighbours"
@@ -107,13 +90,10 @@ def _stations(
         samples = _standing(content, stands, lag)
         words = f"{len(time)} moments at which the hand stands"
     numbers = np.hstack((t, Rotation.from_matrix(R).as_quat()))
-    if given.inverted:
-        R, t = inverted(R, t)
-    R, t = hand_poses(R, t, FORMATS["ros"], given.tool, given.base)
-    log = Stationed(
+    every = Rows(np.arange(len(numbers), dtype=np.intp))
+    return Stationed(
         path,
-        R,
-        t,
+        Raw(numbers, FORMATS["ros"], given.inverted, every),
         [str(i + 1) for i in range(len(time))],
         None,
         time,
@@ -121,10 +101,9 @@ def _stations(
         tuple(beam.name for beam in content.beams),
         samples,
         content.unused,
-        warnings,
+        (),
         (f"poses from {content.poses_from}", words, f"times count from {begin:.3f} s"),
     )
-    return log, numbers
 
 
 def stand_poses(track: Track, stands: Stands) -> tuple[FloatArray, FloatArray]:

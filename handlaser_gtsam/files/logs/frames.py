@@ -2,6 +2,7 @@
 
 from array import array
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,7 +11,6 @@ from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import InputError
 from ...text import shown, some
-from .bag_types import Quaternion, TransformStamped, Vector
 from .motion import Between
 from .stands import Track
 
@@ -26,8 +26,8 @@ class Stamped:
 
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
 
-    def add(self, time: float, p: Vector, q: Quaternion) -> None:
-        """Add a pose at a time [s]."""
+    def add(self, time: float, p: Any, q: Any) -> None:
+        """Add a position and a quaternion, with fields x, y, z (and w), at a time [s]."""
         self.numbers.extend((time, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
     def rows(self) -> FloatArray:
@@ -70,7 +70,7 @@ class Frames:
         self.poses: dict[str, Stamped] = {}
         self.way: tuple[list[str], list[str]] | None = None
 
-    def add(self, time: float, transform: TransformStamped, *, static: bool) -> None:
+    def add(self, time: float, transform: Any, *, static: bool) -> None:
         """Add a TransformStamped.
 
         Raises
@@ -165,12 +165,7 @@ class Frames:
 
 def between(x: FloatArray, time: FloatArray) -> tuple[Rotation, FloatArray]:
     """Return stamped poses (M, 8) at times (N,) between them."""
-    way = Between.at(x[:, 0], time)
-    following = np.minimum(way.row + 1, len(x) - 1)
-    w = way.part[:, None]
-    first, last = Rotation.from_quat(x[way.row, 4:]), Rotation.from_quat(x[following, 4:])
-    turn = first * Rotation.from_rotvec(w * (first.inv() * last).as_rotvec())
-    return turn, (1.0 - w) * x[way.row, 1:4] + w * x[following, 1:4]
+    return Between.at(x[:, 0], time).of_quaternions(x[:, 4:], x[:, 1:4])
 
 
 def _chain(poses: list[tuple[Rotation, FloatArray]], count: int) -> tuple[Rotation, FloatArray]:

@@ -121,12 +121,11 @@ def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> It
     moves = inside & _moves(track, time)
     for index in np.unique(plane[moves]).tolist():
         read = ((moves & (plane == index))[:, None] & ~np.isnan(d)).T
-        alike: dict[
-            bytes, list[int]
-        ] = {}  # beams that read at the same times share their monomials
+        # Beams that read at the same times share their monomials.
+        alike: dict[bytes, list[int]] = {}
         for beam, mine in enumerate(read):
             alike.setdefault(mine.tobytes(), []).append(beam)
-        for beams in alike.values():
+        for beams in map(np.array, alike.values()):
             rows = np.flatnonzero(read[beams[0]])
             if len(rows) > AT_MOST:
                 rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
@@ -167,14 +166,9 @@ def _features(track: Track, part: _Part, lag: float) -> FloatArray:
     last = int(np.searchsorted(track.time, wanted[-1] + 1.0))
     q, p = track.quaternion[first:last], track.position[first:last]
     way = Between.at(track.time[first:last], wanted)
-    following = np.minimum(way.row + 1, len(p) - 1)
-    w = way.part[:, None]
-    position = (1.0 - w) * p[way.row] + w * p[following]
-    start = Rotation.from_quat(q[way.row])
-    step = (start.inv() * Rotation.from_quat(q[following])).as_rotvec()
+    turn, position = way.of_quaternions(q, p)
     middle = Rotation.from_quat(q[way.row[len(wanted) // 2]])
-    turn = (middle.inv() * start * Rotation.from_rotvec(w * step)).as_rotvec()
-    x = np.hstack((position - position.mean(axis=0), turn))
+    x = np.hstack((position - position.mean(axis=0), (middle.inv() * turn).as_rotvec()))
     x /= np.maximum(np.abs(x).max(axis=0), 1e-12)
     columns = [np.ones(len(x))]
     columns += [np.prod(x[:, list(one)], axis=1) for one in _exponents(part.degree)[1:]]

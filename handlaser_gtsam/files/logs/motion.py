@@ -109,6 +109,13 @@ class Between:
         w = self.part[:, None]
         return first @ step, (1.0 - w) * t[self.row] + w * t[following]
 
+    def of_quaternions(self, q: FloatArray, p: FloatArray) -> tuple[Rotation, FloatArray]:
+        """Return the same of quaternions (M, 4), scalar last, and positions (M, 3)."""
+        following = np.minimum(self.row + 1, len(p) - 1)
+        w, first = self.part[:, None], Rotation.from_quat(q[self.row])
+        step = (first.inv() * Rotation.from_quat(q[following])).as_rotvec()
+        return first * Rotation.from_rotvec(w * step), (1.0 - w) * p[self.row] + w * p[following]
+
     def narrowed(self, stations: IntArray) -> "tuple[IntArray, Between]":
         """Return the rows that some stations need, and how they get their poses from these."""
         rows = np.stack((self.row[stations], self.row[stations] + 1), axis=1).ravel()

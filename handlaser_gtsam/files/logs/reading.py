@@ -3,8 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from ...checks import require_kind
 from ...data.recording import Recording
 from ...errors import InputError
@@ -18,13 +16,11 @@ from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
 from .columns import columns_of, formats_in
 from .format import LogFormat
 from .format_checks import convention_of
-from .held import held_poses
 from .joining import Joined, by_station, one_table
 from .joining_time import by_time, lag_of_tables
-from .poses import hand_poses
 from .report import LogReport
 from .rows import LogRows, rows_of
-from .suspicion import Raw, refuse_wrong_convention
+from .suspicion import Raw
 from .tables import FOREIGN, WORKBOOKS, read_log_table
 
 
@@ -184,40 +180,22 @@ def _report(
     known: Known,
     lag: tuple[float, float | None],
 ) -> LogReport:
-    """Return the recording of stations, once their poses are believed."""
     assert poses.poses is not None
-    raw = Raw(poses.poses, convention_of(given), given.inverted, joined.way)
-    R, t = hand_poses(*raw.poses(), convention_of(given), given.tool, given.base)
-    second = () if readings is poses else readings.warnings
-    ignored = poses.ignored if readings is poses else (*poses.ignored, *readings.ignored)
+    both = (poses,) if readings is poses else (poses, readings)
     log = Stationed(
         path,
-        R,
-        t,
+        Raw(poses.poses, convention_of(given), given.inverted, joined.way),
         joined.names,
         joined.planes,
         joined.times,
         0.0 if poses.times is None else float(poses.times.min()),
         readings.beams,
         joined.samples,
-        tuple(dict.fromkeys(ignored)),
-        (*poses.warnings, *second, *joined.warnings),
+        tuple(dict.fromkeys(name for rows in both for name in rows.ignored)),
+        (*(warning for rows in both for warning in rows.warnings), *joined.warnings),
         tuple(line for line in (_words(given), joined.words) if line),
     )
-    report, chosen = assembled(log, given, known, lag)
-    held = held_poses(report.recording)
-    doubts = refuse_wrong_convention(
-        report.recording,
-        raw,
-        np.flatnonzero(chosen),
-        given.range_units,
-        path,
-        as_stated=given.as_stated,
-    )
-    if not held and not doubts:
-        return report
-    warnings = (*report.recording.warnings, *held, *doubts)
-    return replace(report, recording=replace(report.recording, warnings=warnings))
+    return assembled(log, given, known, lag)
 
 
 def _words(given: LogFormat) -> str:

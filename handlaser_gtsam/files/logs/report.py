@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from ...data.recording import Recording
 
@@ -23,6 +24,8 @@ class LogReport:
         Its standard deviation where it was estimated [s].
     lines : texts
         All of this for a person.
+    beside : paths
+        Files that were read beside the log itself.
     """
 
     recording: Recording
@@ -31,3 +34,4 @@ class LogReport:
     lag: float = 0.0
     lag_sigma: float | None = None
     lines: tuple[str, ...] = ()
+    beside: tuple[Path, ...] = ()

@@ -17,6 +17,10 @@ from ..json_text import Record
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Told apart by people who see no red or green, too."""
 SYMBOLS = ("circle", "diamond", "square", "triangle-up", "x", "star", "cross", "pentagon")
+AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
+"""Of x, y and z of the hand."""
+LEGEND = 8
+"""Up to so many beams have a legend."""
 GREY, LINE, INK = "#9aa3ad", "#e3e6ea", "#22303c"
 LONGEST = 26
 """Characters of a name in a picture."""

@@ -66,7 +66,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     calibration, recording = subject.calibration, subject.calibration.recording
     yield "date", _date(subject)
     yield "made by", f"handlaser_gtsam {__version__}"
-    for kind, path in _sources(subject):
+    for kind, path in subject.options.sources:
         yield kind, _name(path)
         yield "its SHA-256", sha256(path)
     yield "robot", _robot(subject)
@@ -104,13 +104,6 @@ def _date(subject: Subject) -> str:
 
 def _name(path: Path | str | None) -> str:
     return "" if path is None else printable(Path(path).name)
-
-
-def _sources(subject: Subject) -> list[tuple[str, Path | str]]:
-    """Return the files behind the calibration that are known, and what they are."""
-    options = subject.options
-    pairs = (("recording", options.recording_file), ("rig", options.rig_file))
-    return [(kind, path) for kind, path in pairs if path is not None]
 
 
 def _model(subject: Subject) -> str:
@@ -205,7 +198,7 @@ def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
         ("command", printable(options.command)),
         *(
             (f"{kind} file", f"{printable(str(path))}, SHA-256 {sha256(path)}")
-            for kind, path in _sources(subject)
+            for kind, path in options.sources
         ),
         (
             "range sigma",

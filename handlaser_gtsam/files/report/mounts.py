@@ -19,7 +19,9 @@ from .tables import (
     Column,
     Table,
     concise,
+    determined,
     digits_of,
+    more,
     name_cell,
     number,
     significant,
@@ -55,7 +57,7 @@ def mounts_table(subject: Subject) -> Table | None:
             Column("unit", number=False, wide=True),
         ),
         tuple(rows),
-        _more(len(beams) - MOST_BEAMS, "beam"),
+        more(len(beams) - MOST_BEAMS, "beam"),
     )
 
 
@@ -115,7 +117,7 @@ def spots_table(subject: Subject) -> Table | None:
             Column("direction deg"),
         ),
         tuple(rows),
-        _more(len(radii) - MOST_BEAMS, "beam"),
+        more(len(radii) - MOST_BEAMS, "beam"),
     )
 
 
@@ -131,10 +133,11 @@ def planes_table(subject: Subject) -> Table | None:
         turn = math.inf if turn is None else turn
         digits = digits_of([turn], 7)
         n = [
-            number(x, digits) if math.isfinite(s) else Cell(UNKNOWN, None, "care")
+            determined(x, s, digits)
             for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
         ]
-        row = (*n, significant(turn * DEG, 2), _determined(plane.offset, shift, MM, 4))
+        offset = determined(plane.offset * MM, shift, digits_of([shift * MM], 4))
+        row = (*n, significant(turn * DEG, 2), offset)
         rows.append((name_cell(plane.name), *row, significant(shift * MM, 2)))
     return Table(
         "planes",
@@ -149,18 +152,12 @@ def planes_table(subject: Subject) -> Table | None:
             Column("std dev mm"),
         ),
         tuple(rows),
-        _more(len(planes) - MOST_PLANES, "plane"),
+        more(len(planes) - MOST_PLANES, "plane"),
     )
 
 
 def _known(sigma: FloatArray | None) -> bool:
     return sigma is not None and bool(np.isfinite(sigma).any())
-
-
-def _determined(value: float, sigma: float, scale: float, most: int) -> Cell:
-    if not math.isfinite(sigma):
-        return Cell(UNKNOWN, None, "care")
-    return number(float(value) * scale, digits_of([sigma * scale], most))
 
 
 def limits_table(subject: Subject) -> Table | None:
@@ -187,11 +184,5 @@ def limits_table(subject: Subject) -> Table | None:
             Column("result", number=False),
         ),
         tuple(rows),
-        _more(len(checks) - 3 * MOST_BEAMS, "limit"),
+        more(len(checks) - 3 * MOST_BEAMS, "limit"),
     )
-
-
-def _more(count: int, noun: str) -> str:
-    if count <= 0:
-        return ""
-    return f"{count} more {noun}{'' if count == 1 else 's'}: the JSON of the calibration has all."

@@ -12,6 +12,7 @@ from ...data.recording import LARGEST
 from ...errors import InputError
 from ...planning.route import Plan
 from ...text import shown
+from ..logs.bag_messages import METADATA
 from ..rig_toml import Rig
 
 MOST_COMMAND = 2000
@@ -30,6 +31,8 @@ class ReportOptions:
         Working distance at which laser spots are judged [m]; the median reading where not given.
     recording_file, rig_file : Path, optional
         The files behind the calibration: their names and SHA-256 stand in the report.
+    beside : paths
+        Further files of a log: its readings, or its planes; likewise.
     command : str
         The command line, or the call, that made the calibration.
     day : datetime.date, optional
@@ -49,6 +52,7 @@ class ReportOptions:
     reading: float | None = None
     recording_file: Path | str | None = None
     rig_file: Path | str | None = None
+    beside: tuple[Path | str, ...] = ()
     command: str = ""
     day: date | None = None
     plan: Plan | None = None
@@ -64,14 +68,20 @@ class ReportOptions:
             require_kind("day", self.day, date, "datetime.date(...)")
         if self.plan is not None:
             require_kind("plan", self.plan, Plan)
-        for name in ("recording_file", "rig_file"):
-            path = getattr(self, name)
-            if path is not None and not isinstance(path, (str, Path)):
-                raise InputError(f"{shown(path)} as {name}", "the name of a file")
+        for name, path in self.sources:
+            if not isinstance(path, (str, Path)):
+                raise InputError(f"{shown(path)} as {name} file", "the name of a file")
+
+    @property
+    def sources(self) -> list[tuple[str, Path | str]]:
+        """The files behind the calibration that are known, and what they are."""
+        pairs = [("recording", self.recording_file)]
+        pairs += [("second", path) for path in self.beside] + [("rig", self.rig_file)]
+        return [(kind, path) for kind, path in pairs if path is not None]
 
 
 def sha256(path: Path | str) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits.
+    """Return the SHA-256 of a file, 64 hexadecimal digits; of the folder of a bag, that of those in it.
 
     Raises
     ------
@@ -80,6 +90,9 @@ def sha256(path: Path | str) -> str:
     """
     found = hashlib.sha256()
     try:
+        if (Path(path) / METADATA).is_file():
+            inside = sorted(one for one in Path(path).iterdir() if one.is_file())
+            return hashlib.sha256("\n".join(map(sha256, inside)).encode()).hexdigest()
         with Path(path).open("rb") as file:
             while block := file.read(1 << 20):
                 found.update(block)

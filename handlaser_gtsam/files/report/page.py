@@ -76,14 +76,17 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
     require_kind("options", options, ReportOptions)
     subject = subject_of(calibration, options)
     parts, drawn = _parts(subject)
-    environment = _environment()
-    content = environment.get_template("page.html.j2").render(
-        **parts,
-        figures={one.name: one for one in drawn},
-        data=safe_json({one.name: one.json() for one in drawn}),
-        result=_result(calibration, options.reading),
-        plotly=packed(get_plotlyjs()) if drawn else "",
-        plotly_version=get_plotlyjs_version(),
+    content = (
+        templates()
+        .get_template("page.html.j2")
+        .render(
+            **parts,
+            figures={one.name: one for one in drawn},
+            data=safe_json({one.name: one.json() for one in drawn}),
+            result=_result(calibration, options.reading),
+            plotly=packed(get_plotlyjs()) if drawn else "",
+            plotly_version=get_plotlyjs_version(),
+        )
     )
     return content + "\n"
 
@@ -117,12 +120,13 @@ def _parts(subject: Subject) -> tuple[dict[str, object], list[Figure]]:
     return found, drawn
 
 
-def _environment() -> "Environment":
-    """Return the templates of this folder: every text is escaped, and no name may be missing."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def templates(*wings: str) -> "Environment":
+    """Return the templates of `files.report` and other wings: all text is escaped, no name missing."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+    folders = [PackageLoader(f"handlaser_gtsam.files.{wing}", ".") for wing in ("report", *wings)]
     return Environment(
-        loader=PackageLoader("handlaser_gtsam.files.report", "."),
+        loader=ChoiceLoader(folders),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -14,10 +14,10 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
-from ..calibration_reading import CalibrationFile
+from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
 from .correlations import correlation_figure, correlations
-from .figure import GREY, INK, LINE, Figure, colour, short
+from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
 from .figures import flat_figures
 from .geometry import Geometry, in_hand, in_world, of_hand
 from .options import ReportOptions
@@ -39,8 +39,6 @@ MARKERS = {
     "cross": "P",
     "pentagon": "p",
 }
-LEGEND = 8
-AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
 
 
 def plot(

@@ -13,6 +13,7 @@ from ..json_text import Record
 from .figure import (
     COLOURS,
     GREY,
+    LEGEND,
     SYMBOLS,
     Figure,
     axis,
@@ -27,10 +28,8 @@ from .subject import ReadingRows, Subject
 MOST_POINTS = 1000
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
-LEGEND = 8
 ROOM = 48
 """Letters of all planes below a figure on a phone."""
-"""Up to so many beams have a legend."""
 SPREAD = 0.7
 """Of the distance between two planes, what the beams of one take up."""
 UPPER_MARGIN: Record = {"l": 58, "r": 14, "t": 34, "b": 48}

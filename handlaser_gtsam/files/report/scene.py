@@ -6,16 +6,25 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ..json_text import Record
-from .figure import FONT, GREY, INK, LINE, Figure, colour, harmless, label, numbers
+from .figure import (
+    AXIS_COLOURS,
+    FONT,
+    GREY,
+    INK,
+    LEGEND,
+    LINE,
+    Figure,
+    colour,
+    harmless,
+    label,
+    numbers,
+)
 from .geometry import Geometry
 
-AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
-"""Of x, y and z of the hand."""
 EYE = (1.15, -1.3, 0.75)
 """From where both are seen."""
 WIDTH, HEIGHT, ROOM = 760, 520, 28
 """Of the still picture, and the room around it."""
-LEGEND = 8
 LEGEND_ROW, LETTERS = 26, 19
 """On paper two pictures stand side by side, half as large."""
 

@@ -5,7 +5,7 @@ import numpy as np
 from ...arrays import IntArray
 from ...results.lines import MM
 from .subject import ReadingRows, Subject
-from .tables import NONE, Cell, Column, Table, digits_of, name_cell, number, significant, text
+from .tables import NONE, Cell, Column, Table, digits_of, more, name_cell, number, significant, text
 
 MOST_STATIONS, MOST_REJECTED = 400, 200
 """Rows that are listed: all, or the worst."""
@@ -96,7 +96,6 @@ def rejected_table(subject: Subject) -> Table | None:
         )
         for one in rejected[:MOST_REJECTED]
     )
-    more = len(rejected) - MOST_REJECTED
     return Table(
         "rejected",
         "",
@@ -107,5 +106,5 @@ def rejected_table(subject: Subject) -> Table | None:
             Column("residual mm"),
         ),
         rows,
-        f"{more} more: the JSON of the calibration has all." if more > 0 else "",
+        more(len(rejected) - MOST_REJECTED, "reading"),
     )

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ...results.lines import decimals
+from ...results.lines import count, decimals
 
 UNKNOWN = "undetermined"
 NONE = "\N{EN DASH}"
@@ -54,6 +54,17 @@ def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
     return Cell(concise(value, digits), float(value), mark)
+
+
+def determined(value: float, sigma: float, digits: int, unknown: str = UNKNOWN) -> Cell:
+    """Return a cell of so many decimals; what stands for it where its sigma is not finite."""
+    return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
+
+
+def more(left: int, noun: str) -> str:
+    """Return that so many are not listed; empty where all are."""
+    words = f"{count(left, f'more {noun}')}: the JSON of the calibration has all."
+    return words if left > 0 else ""
 
 
 def text(words: str, mark: str = "") -> Cell:

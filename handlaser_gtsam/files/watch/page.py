@@ -4,7 +4,7 @@ import base64
 import hashlib
 from dataclasses import dataclass
 
-from ..report.page import packed
+from ..report.page import packed, templates
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,18 +22,9 @@ def live_page() -> Page:
     The scripts that may run are told by their hashes: the page's own, and plotly.js, which is in the
     page compressed.
     """
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
-    wings = ("handlaser_gtsam.files.watch", "handlaser_gtsam.files.report")
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader(wing, ".") for wing in wings]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    library = get_plotlyjs()
+    environment, library = templates("watch"), get_plotlyjs()
     script = environment.get_template("live.js").render()
     template = environment.get_template("live.html.j2")
     parts = {

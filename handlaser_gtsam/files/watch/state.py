@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ...results.lines import DEG, MM, count
+from ...results.lines import DEG, MM
 from ...results.reports import Beam
 from ...results.spot_error import spot_radii
 from ..json_text import Record
@@ -24,10 +24,10 @@ from ..report.tables import (
     Cell,
     Column,
     Table,
-    concise,
+    determined,
     digits_of,
+    more,
     name_cell,
-    number,
     significant,
 )
 
@@ -42,8 +42,8 @@ def state_text(subject: Subject) -> str:
     """
     head = head_of(subject)
     space = in_world(subject)
-    more = len(head.warnings) - MOST_WARNINGS
-    warnings = [*head.warnings[:MOST_WARNINGS], *([f"{more} more."] if more > 0 else [])]
+    left = len(head.warnings) - MOST_WARNINGS
+    warnings = [*head.warnings[:MOST_WARNINGS], *([f"{left} more."] if left > 0 else [])]
     content: Record = {
         "verdict": {"mark": head.mark, "opening": head.opening, "findings": list(head.findings)},
         "counts": [list(one) for one in _counts(subject)],
@@ -74,7 +74,7 @@ def _counts(subject: Subject) -> list[tuple[str, str]]:
     found.append(("readings", str(read)))
     found.append(("rejected", str(len(fit.rejected))))
     if subject.solved and math.isfinite(fit.rms):
-        found.append(("rms residual", f"{concise(fit.rms * MM)} mm"))
+        found.append(("rms residual", significant(fit.rms * MM).text + " mm"))
     return found
 
 
@@ -82,13 +82,12 @@ def beams_table(subject: Subject) -> Table:
     """Return one row a beam: where it sits and points, and how well that is known."""
     beams = list(subject.calibration.beams.values())
     radii = spot_radii(subject.calibration, subject.reading) if subject.solved else {}
-    at = f" at a reading of {concise(subject.reading * MM, 4)} mm" if radii else ""
+    at = f" at a reading of {significant(subject.reading * MM, 4).text} mm" if radii else ""
     rows = tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
-    more, notes = len(beams) - MOST_BEAMS, []
+    notes = []
     if any(cell.mark == "care" for row in rows for cell in row):
         notes.append("A dash stands for what the stations do not determine yet.")
-    if more > 0:
-        notes.append(f"{count(more, 'more beam')}: the JSON of the calibration has all.")
+    notes.append(more(len(beams) - MOST_BEAMS, "beam"))
     return Table(
         "beams",
         "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
@@ -102,7 +101,7 @@ def beams_table(subject: Subject) -> Table:
             Column("95 % spot mm"),
         ),
         rows,
-        " ".join(notes),
+        " ".join(filter(None, notes)),
     )
 
 
@@ -112,7 +111,7 @@ def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     where = digits_of((sigma[:3] * MM).tolist(), 5)
     whither = digits_of(sigma[3:6].tolist(), 7)
     cells = [
-        _determined(value * scale, known, digits)
+        determined(value * scale, known, digits, NONE)
         for value, known, scale, digits in zip(
             beam.coordinates[:6].tolist(),
             sigma[:6].tolist(),
@@ -125,10 +124,6 @@ def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     spot = significant(None if radius is None else radius * MM, 2)
     direction = significant(turn * DEG, 2)
     return name_cell(beam.name), *cells[:3], location, *cells[3:], direction, spot
-
-
-def _determined(value: float, sigma: float, digits: int) -> Cell:
-    return number(value, digits) if math.isfinite(sigma) else Cell(NONE, None, "care")
 
 
 def _record(table: Table | None) -> Record | None:
