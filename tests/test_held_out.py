@@ -50,8 +50,11 @@ def test_it_is_what_calibrating_anew_gives(gripper, case):
             assert one.standardized == pytest.approx(other.standardized, rel=1e-4)
 
 
-def test_it_takes_a_tenth_of_the_time(gripper):
-    """Processor time of both in one run; about a fortieth on the machine where this was written."""
+def test_it_takes_a_fifth_of_the_time(gripper):
+    """Processor time of both in one run; about a tenth on the machine where this was written.
+
+    A fifth is less time than the tenth that was asked for before `validate` took a third as long.
+    """
     noise, options = CASES["exact poses"]
     calibration = hl.calibrate(gripper, noise, options)
     took = []
@@ -59,7 +62,7 @@ def test_it_takes_a_tenth_of_the_time(gripper):
         begin = time.process_time()
         run()
         took.append(time.process_time() - begin)
-    assert took[0] < 0.1 * took[1]
+    assert took[0] < 0.2 * took[1]
 
 
 def test_a_plane_that_was_moved_while_it_was_read_is_contradicted():

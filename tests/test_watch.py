@@ -218,6 +218,7 @@ def test_too_many_are_told_so(server, monkeypatch, look_on):
         {"Host": "127.0.0.1:1"},
         {"Host": "192.168.0.7:{port}"},
         {"Host": "user@127.0.0.1:{port}"},
+        {"Host": "127.0.0.1:{port}@evil.example"},
         {"Host": ""},
         {"Origin": "http://evil.example"},
         {"Origin": "http://localhost:3000"},

@@ -131,7 +131,7 @@ def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> It
                 rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
             for degree in (3, 2):
                 if len(rows) >= A_FEATURE * len(_exponents(degree)):
-                    yield _Part(time[rows], d[np.ix_(rows, beams)], degree)
+                    yield _Part(time[rows], d[rows][:, beams], degree)
                     break
 
 
