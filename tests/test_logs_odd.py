@@ -334,7 +334,7 @@ def kuka(tmp_path):
     return path, rig
 
 
-def test_plan_and_plot_take_a_log(kuka, tmp_path, handlaser):
+def test_plan_takes_a_log(kuka, handlaser):
     path, rig = kuka
     code, out, err = handlaser("plan", path, "--rig", rig, "--stations", "3", "--json")
     assert code == 0, err
@@ -344,6 +344,11 @@ def test_plan_and_plot_take_a_log(kuka, tmp_path, handlaser):
         json.loads(text)["forecast"][0]["location_sigma_m"] for text in (out, plain[1])
     )
     assert first == pytest.approx(second, rel=1e-6)
+
+
+def test_plot_takes_a_log(kuka, tmp_path, handlaser):
+    pytest.importorskip("matplotlib", reason="needs the extra plots")
+    path, _ = kuka
     options = ("--rotation", "xyzw", "--units", "mm", "--range-units", "mm")
     code, out, err = handlaser("plot", path, *options, "--out", tmp_path / "pictures")
     assert code == 0, err

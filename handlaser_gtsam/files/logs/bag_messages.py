@@ -80,6 +80,9 @@ def opened(path: Path) -> Iterator[Bag]:
     ------
     InputError
     """
+    if path.is_dir() and not (path / METADATA).is_file():
+        found = f"no bag that can be read (a folder without {METADATA})"
+        raise InputError(found, "a log, or the folder of a bag", path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -87,9 +90,6 @@ def opened(path: Path) -> Iterator[Bag]:
         raise InputError(
             "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
         ) from error
-    if path.is_dir() and not (path / METADATA).is_file():
-        found = f"no bag that can be read (a folder without {METADATA})"
-        raise InputError(found, "a log, or the folder of a bag", path)
     try:
         if path.suffix.lower() == ".bag":
             with path.open("rb") as file:
