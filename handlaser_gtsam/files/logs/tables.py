@@ -221,7 +221,10 @@ def _workbook(path: Path, given: LogFormat) -> pl.DataFrame:
             for kind in (None, "string")
         )
     truths = [name for name in texts.columns if texts[name].is_in(["true", "false"]).any()]
-    return found.with_columns(texts[name] for name in truths)  # read as 1 and 0 among numbers
+    table: pl.DataFrame = found.with_columns(
+        texts[name] for name in truths
+    )  # 1 and 0 among numbers
+    return table
 
 
 @contextmanager
