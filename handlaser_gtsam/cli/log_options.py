@@ -11,7 +11,7 @@ import typer
 from ..files.logs.format import LogFormat
 from .listed import listed, numbers
 
-FIELD = re.compile(r"(?m)^    (\w+) : .*\n((?:^        .*\n)+)")
+FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
 """A field in the section Attributes, and what is said of it."""
 PANEL = "Options for logs"
 
@@ -37,7 +37,10 @@ class Log:
 
 def _parameters() -> list[inspect.Parameter]:
     """Return an option for every field; None and False where nothing is given."""
-    texts = {name: " ".join(text.split()) for name, text in FIELD.findall(LogFormat.__doc__ or "")}
+    texts = {
+        name: " ".join(text.split())
+        for name, text in FIELD.findall(f"{inspect.getdoc(LogFormat)}\n")
+    }
     found = []
     for one in fields(LogFormat):
         kind: Any = one.type
