@@ -173,7 +173,8 @@ def run_ceres(path: Path, repeat: int) -> tuple[dict[str, Any], float]:
 def ceres_ratios(planes: int, together: int, repeat: int) -> tuple[float, float]:
     """Return the CPU time of the reduction over that of Ceres: alone, and a problem of many at once.
 
-    Both take turns; of Ceres the difference of two runs counts, which leaves out what it reads.
+    Both take turns. Of three shares of runs the first does not count: of Ceres it is taken off as the
+    time of a run of its own, with what the program reads.
     """
     readings = problem(planes).readings()
     start = closed_form(readings)
@@ -185,10 +186,12 @@ def ceres_ratios(planes: int, together: int, repeat: int) -> tuple[float, float]
         path.write_text(problem_text(readings, start))
         for _ in range(TURNS + 2):
             for count, each in ((1, alone), (together, many)):
-                begin = time.process_time()
-                for _ in range(repeat):
+                ends = []
+                for run in range(3 * repeat):
                     solve_together([readings] * count, [start] * count, TERMS, SIGMA)
-                each.append((time.process_time() - begin) / repeat / count)
+                    if run + 1 in (repeat, 3 * repeat):
+                        ends.append(time.process_time())
+                each.append((ends[1] - ends[0]) / (2 * repeat * count))
             short, long = run_ceres(path, repeat)[1], run_ceres(path, 3 * repeat)[1]
             peer.append((long - short) / (2 * repeat))
     median = statistics.median(peer)

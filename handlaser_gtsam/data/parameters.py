@@ -96,12 +96,9 @@ class Parameters(Value):
     ) -> "Parameters":
         """Return what fresh arrays of the right shapes hold, as solvers make them step after step."""
         found = object.__new__(cls)
-        for name, array in zip(
-            cls.__dataclass_fields__,
-            (locations, directions, range_errors, normals, offsets),
-            strict=True,
-        ):
-            array.flags.writeable = False
+        arrays = locations, directions, range_errors, normals, offsets
+        for name, array in zip(cls.__dataclass_fields__, arrays, strict=True):
+            array.setflags(write=False)
             object.__setattr__(found, name, array)
         return found
 

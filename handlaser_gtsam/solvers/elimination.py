@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import dposv, dpotri
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ..arrays import FloatArray
@@ -154,6 +154,29 @@ def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError:
         solved = np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ rhs
     return np.asarray(solved, dtype=np.float64)
+
+
+def inverse_stack(A: FloatArray) -> FloatArray:
+    """Return the inverses of symmetric matrices; pseudo-inverses where one is singular."""
+    try:
+        return np.asarray(np.linalg.inv(A))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True))
+
+
+def solve_definite(A: FloatArray, rhs: FloatArray) -> FloatArray:
+    """Return x (K, n) of A x = rhs for symmetric A (K, n, n), by Cholesky's roots where they exist.
+
+    The units of the unknowns make no difference.
+    """
+    found = np.empty_like(rhs)
+    for k, (matrix, right) in enumerate(zip(A, rhs, strict=True)):
+        _, found[k], failed = dposv(matrix.T, right)
+        if failed:
+            scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), 1e-300))
+            scaled = matrix * scale[:, None] * scale
+            found[k] = scale * solve_stack(scaled, (right * scale)[:, None])[:, 0]
+    return found
 
 
 def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:

@@ -1,9 +1,10 @@
 r"""Readings on a grid of beams and stations, and their rows at any parameters.
 
 Beams of a station share its hand pose R, t, and stations of a plane its normal n with the tangent basis
-u_1, u_2. All that a reading needs of its station are R'n, R'u_1, R'u_2 and the products of t with n,
-u_1 and u_2; all that it needs of its beam are products of the first three with r, v and the tangent
-basis of v. With the range s the spot lies at R'u_i . (r + s v) + u_i . t along u_i.
+u_1, u_2. All that a reading needs of its station are (R'a, t . a) for a = n, u_1, u_2: the axes in
+homogeneous coordinates of the hand. All that it needs of its beam are products of these with (r, 1),
+(v, 0) and the tangent basis of v likewise. With the range s the spot lies at (R'u_i, t . u_i) .
+(r + s v, 1) along u_i.
 
 Several problems of one shape are worked on together. The arrays are (problem, beam, cell): cells are
 the slots of chunks of stations of one plane, all chunks of one size, so that the normal equations are
@@ -48,16 +49,14 @@ class Rows:
     cosine: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Seen:
     """What the readings have in common at one point, (K, .., cells)."""
 
     turned: FloatArray
-    """R'n, R'u_1, R'u_2: (K, 3, 3, cells), the coordinates second."""
+    """(R'a, t . a) for a = n, u_1, u_2: (K, 3, 4, cells)."""
     along: FloatArray
-    """Products of these with r, then v: (K, 3, 2 B, cells)."""
-    off: FloatArray
-    """t along n, u_1, u_2: (K, 3, cells)."""
+    """Products of these with (r, 1), (v, 0) and what else is asked of a beam: (K, 3, m, B, cells)."""
     c: FloatArray
     s: FloatArray
     cosine: FloatArray
@@ -100,17 +99,15 @@ class Grid:
                 self.spread(np.array([each.level for each in own])),
             )
         self._by_k = np.array(model.range_error_derivatives(self.measured))
-        self.R = np.zeros((len(problems), 3, 3, self.cells))
-        self.t = np.zeros((len(problems), 3, self.cells))
-        self.R[..., place] = np.array([p.world_R_hand[rows] for p in problems]).transpose(
-            0, 2, 3, 1
-        )
-        self.t[..., place] = np.array([p.world_t_hand[rows] for p in problems]).transpose(0, 2, 1)
+        self.poses = np.zeros((len(problems), 3, 4, self.cells))
+        for k, problem in enumerate(problems):
+            self.poses[k, :, :3, place] = problem.world_R_hand[rows]
+            self.poses[k, :, 3, place] = problem.world_t_hand[rows]
 
     def picked(self, problems: IntArray) -> "Grid":
         """Return the grid of some of the problems."""
         new = copy(self)
-        new.distance, new.R, new.t = (a[problems] for a in (self.distance, self.R, self.t))
+        new.distance, new.poses = self.distance[problems], self.poses[problems]
         new.measured, new._by_k = self.measured[problems], self._by_k[:, problems]
         return new
 
@@ -130,7 +127,7 @@ class Grid:
 
         Parameters stand one problem after the other. Residuals of beams that graze mean nothing.
         """
-        seen = self._seen(at, at.normals[:, :, None], self.read)
+        seen = self._seen(at, at.normals[:, :, None], at.directions[:, None], self.read)
         return self._residual(seen, at), seen.cosine
 
     def facing(self, at: Parameters) -> Parameters:
@@ -152,21 +149,19 @@ class Grid:
             Readings that count; the others may graze their planes.
         """
         counted = self.read if counted is None else counted
-        bases = model.tangent_basis(np.concatenate((at.normals, at.directions)))
-        basis, v_basis = bases[: len(at.normals)], bases[len(at.normals) :]
-        v_basis = v_basis.reshape(-1, self.beams, 3, 2)
-        seen = self._seen(at, np.concatenate((at.normals[:, :, None], basis), axis=2), counted)
-        c, s, turned, along = seen.c, seen.s, seen.turned, seen.along
+        bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))
+        v_basis, basis = bases[: len(at.directions)], bases[len(at.directions) :]
+        axes = np.concatenate((at.normals[:, :, None], basis), axis=2)
+        turns = np.concatenate((at.directions[:, None], v_basis.swapaxes(1, 2)), axis=1)
+        seen = self._seen(at, axes, turns, counted)
+        c, s, along = seen.c, seen.s, seen.along
         copies, width = len(c), 5 + terms
         columns = np.empty((width + FREE, *c.shape))
-        np.multiply(c, turned[:, 0].transpose(1, 0, 2)[:, :, None], out=columns[:3])
-        v_along = v_basis.transpose(0, 1, 3, 2).reshape(copies, -1, 3) @ turned[:, 0]
-        across = v_along.reshape(copies, self.beams, 2, -1).transpose(2, 0, 1, 3)
-        np.multiply(s * c, across, out=columns[3:5])
+        np.multiply(c, seen.turned[:, 0, :3].transpose(1, 0, 2)[:, :, None], out=columns[:3])
+        np.multiply(s * c, along[:, 0, 2:].transpose(1, 0, 2, 3), out=columns[3:5])
         columns[5:width] = self._by_k[:terms]
-        spot = s[:, None] * along[:, 1:, self.beams :]
-        spot += along[:, 1:, : self.beams]
-        spot += seen.off[:, 1:, None]
+        spot = s[:, None] * along[:, 1:, 1]
+        spot += along[:, 1:, 0]
         spot = spot.transpose(1, 0, 2, 3)
         middle = self._plane_means(spot, counted)
         spot -= middle.take(self.plane, axis=-1)[:, :, None]
@@ -203,18 +198,24 @@ class Grid:
         k = at.range_errors.reshape(len(seen.c), self.beams, 1, 2)
         return seen.s - model.corrected(self.measured, k)
 
-    def _seen(self, at: Parameters, axes: FloatArray, counted: BoolArray | None) -> _Seen:
-        """Return what readings have in common for axes (K P, 3, q) of the planes, the normal first."""
-        copies = len(at.locations) // self.beams
+    def _seen(
+        self, at: Parameters, axes: FloatArray, turns: FloatArray, counted: BoolArray | None
+    ) -> _Seen:
+        """Return what readings have in common.
+
+        For axes (K P, 3, q) of the planes, the normal first, and turns (K B, m - 1, 3) of the beams,
+        the direction first.
+        """
+        copies, beams = len(at.locations) // self.beams, self.beams
         by_plane = axes.reshape(copies, self.planes, 3, -1).transpose(0, 2, 3, 1)
-        by_cell = by_plane.take(self.plane, axis=-1)
-        turned = np.einsum("kjic,kjac->kaic", self.R, by_cell)
-        off = np.einsum("kjc,kjac->kac", self.t, by_cell)
-        arms = np.concatenate(
-            (at.locations.reshape(copies, -1, 3), at.directions.reshape(copies, -1, 3)), axis=1
-        )
-        along = arms[:, None] @ turned
-        cosine = along[:, 0, self.beams :]
+        turned = np.einsum("kjic,kjac->kaic", self.poses, by_plane.take(self.plane, axis=-1))
+        arms = np.zeros((copies, turns.shape[1] + 1, beams, 4))
+        arms[:, 0, :, :3] = at.locations.reshape(copies, beams, 3)
+        arms[:, 0, :, 3] = 1.0
+        arms[:, 1:, :, :3] = turns.reshape(copies, beams, -1, 3).swapaxes(1, 2)
+        along = arms.reshape(copies, 1, -1, 4) @ turned
+        along = along.reshape(*turned.shape[:2], -1, beams, self.cells)
+        cosine = along[:, 0, 1]
         if counted is not None:
             cosine = np.where(counted, cosine, 1.0)
         steep = np.abs(cosine)
@@ -224,9 +225,9 @@ class Grid:
             # What grazes is told by its cosine; here it only has to stay finite.
             finite = np.where(steep < model.GRAZING_LIMIT, model.GRAZING_LIMIT, cosine)
         c = -1.0 / finite
-        height = off[:, 0] + at.offsets.reshape(copies, -1).take(self.plane, axis=1)
-        s = (along[:, 0, : self.beams] + height[:, None]) * c
-        return _Seen(turned, along, off, c, s, cosine, flattest)
+        height = at.offsets.reshape(copies, -1).take(self.plane, axis=1)
+        s = (along[:, 0, 0] + height[:, None]) * c
+        return _Seen(turned, along, c, s, cosine, flattest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +267,11 @@ def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
 def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:
     """Return a row of each pair of plane and station, its number for each row (N,), and its plane."""
     count = int(readings.station.max()) + 1
-    pairs, rows, number = np.unique(
-        readings.plane * count + readings.station, return_index=True, return_inverse=True
-    )
-    return rows, number, pairs // count
+    pairs = readings.plane * count + readings.station
+    order = np.argsort(pairs, kind="stable")
+    ordered = pairs[order]
+    new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
+    number = np.empty_like(pairs)
+    number[order] = np.cumsum(new) - 1
+    first = np.flatnonzero(new)
+    return order[first], number, ordered[first] // count

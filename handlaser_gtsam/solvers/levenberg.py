@@ -30,6 +30,8 @@ from .progress import Trial
 from .values import require_values
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
+FAIR, GOOD = 0.25, 0.75
+"""Steps that save less, and more, than these parts of what they promised raise and lower lambda."""
 LARGEST_DAMPING = 1e100
 """Products with an information matrix must not overflow."""
 
@@ -287,9 +289,9 @@ class _Search:
     def _adapt_damping(self, gain: float) -> bool:
         """Change lambda by how well the linear model did; False when there is no more to try."""
         options = self.options
-        if gain < 0.25:
+        if gain < FAIR:
             self.damping = max(self.damping * options.damping_factor, options.first_damping)
-        elif gain > 0.75:
+        elif gain > GOOD:
             lower = self.damping / options.damping_factor
             keep = lower >= options.first_damping
             self.damping = max(lower if keep else 0.0, options.least_damping)

@@ -18,12 +18,14 @@ from ..data.readings import Readings
 from ..data.value import Value
 from ..model.weighting import Whitening
 from .grid import Grid, Weighing, weighing_of
-from .levenberg import LevenbergOptions
+from .levenberg import FAIR, GOOD, LevenbergOptions
 from .normal_equations import NormalEquations, grid_normal_equations
 from .refine import joined, parted, picked
 from .steps import apply_step, damped_step
 from .stopping import COST_RESOLUTION
 
+EPSILON = float(np.finfo(float).eps)
+DEFAULT = LevenbergOptions()
 ROWS = 20_000
 """Readings worked on at once: more would leave the processor's cache."""
 Stacked = TypeVar("Stacked", Parameters, NormalEquations)
@@ -81,7 +83,7 @@ def solve_together(
         Of every problem.
     options : LevenbergOptions, optional
     """
-    options = LevenbergOptions() if options is None else options
+    options = DEFAULT if options is None else options
     share = max(ROWS // max(len(problems[0]), 1), 1)
     ended: list[tuple[IntArray, SolvedTogether]] = []
     for first in range(0, len(problems), share):
@@ -89,8 +91,17 @@ def solve_together(
         own = noise if isinstance(noise, float) else noise[some]
         task = _Task.of(problems[some], terms, own, prior)
         at = joined(starts[some])
-        at = replace(at, range_errors=at.range_errors * (np.arange(2) < terms))
-        ended += _Search(task, at, options, first).run()
+        if terms < 2:
+            at = replace(at, range_errors=at.range_errors * (np.arange(2) < terms))
+        with np.errstate(all="ignore"):  # beams may graze their planes
+            ended += _Search(task, at, options, first).run()
+    return _in_order(ended)
+
+
+def _in_order(ended: list[tuple[IntArray, SolvedTogether]]) -> SolvedTogether:
+    """Return the solutions of all problems in order, from parts of which each has some of them."""
+    if len(ended) == 1:
+        return ended[0][1]
     order = np.argsort(np.concatenate([index for index, _ in ended]))
     parts = [part for _, part in ended]
     parameters = [own for part in parts for own in part.parameters]
@@ -111,6 +122,7 @@ class _Task:
     terms: int
     weighing: Weighing
     sigma: FloatArray
+    variance: FloatArray
     prior: RangeErrorPrior | None
     rounding: FloatArray
     """What rounding of the residuals adds to each cost."""
@@ -129,28 +141,29 @@ class _Task:
             weighing, sigma = Weighing(), np.full(len(problems), noise)
         else:
             weighing, sigma = weighing_of(grid, noise), np.array([how.sigma for how in noise])
-        reach = np.abs(grid.t).max(axis=(1, 2)) + np.abs(grid.distance).max(axis=(1, 2))
-        rounding = len(one) * (4.0 * np.finfo(float).eps * reach / sigma) ** 2
+        reach = np.abs(grid.poses[:, :, 3]).max(axis=(1, 2)) + np.abs(grid.distance).max(
+            axis=(1, 2)
+        )
+        rounding = len(one) * (4.0 * EPSILON * reach / sigma) ** 2
         dof = max(len(one) - (5 + terms) * one.beams - 3 * one.planes, 1)
-        return cls(grid, terms, weighing, sigma, prior, rounding, dof)
+        return cls(grid, terms, weighing, sigma, sigma**2, prior, rounding, dof)
 
     def picked(self, rows: IntArray) -> "_Task":
         """Return some of the problems."""
         if len(rows) == len(self.sigma):
             return self
         grid, weighing = self.grid.picked(rows), self.weighing.picked(rows)
-        sigma, rounding = self.sigma[rows], self.rounding[rows]
-        return replace(self, grid=grid, weighing=weighing, sigma=sigma, rounding=rounding)
+        of = {name: getattr(self, name)[rows] for name in ("sigma", "variance", "rounding")}
+        return replace(self, grid=grid, weighing=weighing, **of)
 
     def normal(self, at: Parameters) -> tuple[NormalEquations, FloatArray]:
         """Return normal equations, and costs (K,): infinite where a beam grazes its plane."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            found, cosine = grid_normal_equations(self.grid, at, self.terms, self.weighing)
+        found, cosine = grid_normal_equations(self.grid, at, self.terms, self.weighing)
         if self.prior is not None:
             found = found.with_prior(self.prior, at.range_errors, self.sigma)
-        cost = 0.5 * found.squares / self.sigma**2
-        usable = (cosine >= model.GRAZING_LIMIT) & np.isfinite(cost)
-        return found, np.where(usable, cost, np.inf)
+        cost = 0.5 * found.squares / self.variance
+        usable = (cosine >= model.GRAZING_LIMIT) & (cost < np.inf)
+        return found, cost if usable.all() else np.where(usable, cost, np.inf)
 
 
 class _Search:
@@ -171,7 +184,7 @@ class _Search:
         self._leave(np.isinf(self.cost), np.zeros(len(self.cost), dtype=bool))
         for _ in range(self.options.max_iterations):
             if not self.index.size:
-                break
+                return self.ended
             self._advance()
         self._leave(np.ones(len(self.index), dtype=bool), np.zeros(len(self.index), dtype=bool))
         return self.ended
@@ -180,19 +193,24 @@ class _Search:
         """Try a step of every problem."""
         here, width = self.equations, 5 + self.task.terms
         beam, plane = damped_step(here, self.damping)
-        decrement = -(here.beam_gradient * beam).sum(axis=1)
-        decrement = (
-            decrement - (here.plane_gradient * plane).sum(axis=(1, 2))
-        ) / self.task.sigma**2
+        saved = np.einsum("ki,ki->k", here.beam_gradient, beam)
+        saved += np.einsum("kpi,kpi->k", here.plane_gradient, plane)
+        decrement = saved / -self.task.variance
         step = beam.reshape(-1, width), plane.reshape(-1, 3), here.centres.reshape(-1, 3)
         trial = apply_step(self.at, *step, self.task.terms)
         arrived = self._little_left(decrement)
-        last = arrived & (decrement <= self._resolution())
-        if last.any():
+        some = bool(arrived.any())
+        if some:
+            last = arrived & (decrement <= self._resolution())
             trial, decrement, arrived = self._finish(last, trial, decrement, arrived)
             if not self.index.size:
                 return
         equations, cost = self.task.normal(trial)
+        good = self.cost - cost >= 0.5 * FAIR * decrement
+        if good.all() and not (some or self.damping.any()):  # as most steps
+            self.at, self.equations, self.cost = trial, equations, cost
+            self.iterations += 1
+            return
         gain = self._gain(decrement, cost)
         better = gain > 0.0
         self.at = _chosen(better, trial, self.at)
@@ -209,11 +227,12 @@ class _Search:
 
         Returns what was given of the others.
         """
+        if not last.any():
+            return trial, decrement, arrived
         self.at = _chosen(last, trial, self.at)
         self.cost = np.where(last, self.cost - 0.5 * decrement, self.cost)
         self.iterations += last
-        self._leave(last, last)
-        rest = np.flatnonzero(~last)
+        rest = self._leave(last, last)
         if not rest.size:
             return trial, decrement[rest], arrived[rest]
         return picked(trial, self.task.grid, rest), decrement[rest], arrived[rest]
@@ -231,37 +250,38 @@ class _Search:
 
     def _little_left(self, decrement: FloatArray) -> BoolArray:
         """Tell which steps leave less than the tolerance; see `Stopping`."""
-        same = (self.damping == self.damped) & (decrement < self.before)
-        shrink = np.where(same, np.sqrt(decrement / self.before), 0.5)
-        left = np.sqrt(decrement) * shrink / (1.0 - shrink)
-        small = left <= self.options.step_tolerance * np.sqrt(2.0 * self.cost / self.task.dof)
+        length = np.sqrt(decrement)
+        same = (self.damping == self.damped) & (length < self.before)
+        left = np.where(same, decrement / (self.before - length), length)
+        small = left <= self.options.step_tolerance * np.sqrt(2.0 / self.task.dof * self.cost)
         small &= same | (self.damping <= self.options.least_damping)
-        self.before, self.damped = decrement, self.damping.copy()
+        self.before, self.damped = length, self.damping
         return np.asarray(small | (decrement <= self.task.rounding))
 
     def _adapt_damping(self, gain: FloatArray) -> None:
         """Change the damping by how well the linear model did; see `levenberg`."""
         options = self.options
-        if (gain >= 0.25).all() and (self.damping <= options.least_damping).all():
-            return  # as most steps of most problems do
         higher = np.maximum(self.damping * options.damping_factor, options.first_damping)
         lower = self.damping / options.damping_factor
         lower = np.where(lower >= options.first_damping, lower, 0.0)
         lower = np.maximum(lower, options.least_damping)
-        self.damping = np.where(gain < 0.25, higher, np.where(gain > 0.75, lower, self.damping))
+        self.damping = np.where(gain < FAIR, higher, np.where(gain > GOOD, lower, self.damping))
 
-    def _leave(self, which: BoolArray, converged: BoolArray) -> None:
-        """Let problems end."""
+    def _leave(self, which: BoolArray, converged: BoolArray) -> IntArray:
+        """Let problems end; return those that go on."""
         if not which.any():
-            return
+            return np.arange(len(which))
         rows, rest = np.flatnonzero(which), np.flatnonzero(~which)
+        at, equations = self.at, self.equations
+        if rest.size:
+            at, equations = picked(at, self.task.grid, rows), equations.picked(rows)
         ended = SolvedTogether(
-            tuple(parted(picked(self.at, self.task.grid, rows), self.task.grid)),
+            tuple(parted(at, self.task.grid)),
             self.cost[rows],
             converged[rows],
             self.iterations[rows],
             self.task.sigma[rows],
-            self.equations.picked(rows),
+            equations,
         )
         self.ended.append((self.index[rows], ended))
         if rest.size:
@@ -269,6 +289,7 @@ class _Search:
             self.task, self.equations = self.task.picked(rest), self.equations.picked(rest)
         for name in ("index", "cost", "damping", "before", "damped", "iterations"):
             setattr(self, name, getattr(self, name)[rest])
+        return rest
 
 
 def _chosen(which: BoolArray, new: Stacked, old: Stacked) -> Stacked:

@@ -68,11 +68,9 @@ class NormalEquations:
         if self.coupled is not None:
             return self.coupled
         copies, beams, width = self.blocks.shape[:3]
-        H = np.zeros((copies, beams * width, beams * width))
-        for i in range(beams):
-            own = slice(i * width, (i + 1) * width)
-            H[:, own, own] = self.blocks[:, i]
-        return H
+        H = np.zeros((copies, beams, width, beams, width))
+        np.einsum("kibic->kibc", H)[:] = self.blocks
+        return H.reshape(copies, beams * width, -1)
 
     @property
     def diagonal(self) -> FloatArray:

@@ -228,8 +228,11 @@ class _Search:
 
 def joined(copies: Sequence[Parameters]) -> Parameters:
     """Return the beams and planes of several candidates, one after the other."""
+    if len(copies) == 1:
+        return copies[0]
     names = Parameters.__dataclass_fields__
-    return Parameters(*(np.concatenate([getattr(p, name) for p in copies]) for name in names))
+    arrays = (np.concatenate([getattr(p, name) for p in copies]) for name in names)
+    return Parameters.unchecked(*arrays)
 
 
 def parted(at: Parameters, grid: Grid) -> list[Parameters]:

@@ -7,7 +7,7 @@ from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.weighting import Whitening
-from .elimination import solve_stack
+from .elimination import inverse_stack, solve_definite, solve_stack
 from .normal_equations import NormalEquations, normal_equations
 
 MANY_BEAMS = 4
@@ -24,23 +24,13 @@ def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArra
     if normal.coupled is None and size > MANY_BEAMS * 3 * planes:
         return _beams_first(normal, _lift(damping, normal.diagonal), plane)
     # All that the planes answer to: a unit of every unknown of the beams, and the gradients.
-    right = np.empty((copies, planes, 3, size + 1))
-    right[..., :size] = normal.border.swapaxes(2, 3)
-    right[..., size] = normal.plane_gradient
-    answer = solve_stack(plane, right).reshape(copies, -1, size + 1)
-    E = normal.border.swapaxes(1, 2).reshape(copies, size, -1)
-    taken, beam = E @ answer, normal.beam
-    diagonal = np.einsum("kii->ki", beam)
+    right = np.concatenate((normal.border.swapaxes(2, 3), normal.plane_gradient[..., None]), axis=3)
+    answer = (inverse_stack(plane) @ right).reshape(copies, -1, size + 1)
+    taken = right.reshape(answer.shape)[..., :size].swapaxes(1, 2) @ answer
+    S = normal.beam - taken[..., :size]
     if damped:
-        beam = beam.copy()
-        diagonal = diagonal + _lift(damping, diagonal)
-        np.einsum("kii->ki", beam)[:] = diagonal
-    scale = 1.0 / np.sqrt(diagonal)
-    S = beam - taken[..., :size]
-    S *= scale[:, :, None]  # one after the other: their product may overflow
-    S *= scale[:, None]
-    gradient = (normal.beam_gradient - taken[..., size]) * scale
-    step = -scale * solve_stack(S, gradient[..., None])[..., 0]
+        np.einsum("kii->ki", S)[:] += _lift(damping, normal.diagonal)
+    step = solve_definite(S, taken[..., size] - normal.beam_gradient)
     moved = answer[..., size] + (answer[..., :size] @ step[..., None])[..., 0]
     return step, -moved.reshape(copies, planes, 3)
 
@@ -103,7 +93,7 @@ def apply_step(
     k[:, :terms] += beam[:, 5:]
     normals = moved[len(v) :]
     # The offset at the centre moves by its own step alone.
-    turned = np.einsum("pi,pi->p", n, centres) - np.einsum("pi,pi->p", normals, centres)
+    turned = np.einsum("pi,pi->p", n - normals, centres)
     offsets = parameters.offsets + plane[:, 2] + turned
     locations = parameters.locations + beam[:, :3]
     return Parameters.unchecked(locations, moved[: len(v)], k, normals, offsets)
