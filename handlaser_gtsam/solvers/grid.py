@@ -42,11 +42,14 @@ class Rows:
         Where the offset of each plane is taken: amid its laser spots [m].
     cosine : (K,)
         Of the incidence closest to grazing.
+    bases : (K B + K P, 3, 2)
+        Tangents of the directions, then of the normals, that steps are along.
     """
 
     columns: FloatArray
     centres: FloatArray
     cosine: FloatArray
+    bases: FloatArray
 
 
 @dataclass(slots=True)
@@ -171,7 +174,7 @@ class Grid:
             columns *= counted
         centres = (basis @ middle.transpose(1, 2, 0).reshape(-1, 2, 1))[..., 0]
         centres -= at.offsets[:, None] * at.normals
-        return Rows(columns, centres.reshape(copies, -1, 3), seen.flattest)
+        return Rows(columns, centres.reshape(copies, -1, 3), seen.flattest, bases)
 
     def by_block(self, columns: FloatArray) -> FloatArray:
         """Return columns (q, K, B, cells) by chunk and beam: (K, chunks, B, q, slots)."""

@@ -156,14 +156,14 @@ class _Task:
         of = {name: getattr(self, name)[rows] for name in ("sigma", "variance", "rounding")}
         return replace(self, grid=grid, weighing=weighing, **of)
 
-    def normal(self, at: Parameters) -> tuple[NormalEquations, FloatArray]:
-        """Return normal equations, and costs (K,): infinite where a beam grazes its plane."""
-        found, cosine = grid_normal_equations(self.grid, at, self.terms, self.weighing)
+    def normal(self, at: Parameters) -> tuple[NormalEquations, FloatArray, FloatArray]:
+        """Return normal equations, costs (K,), infinite where a beam grazes, and tangent bases."""
+        found, rows = grid_normal_equations(self.grid, at, self.terms, self.weighing)
         if self.prior is not None:
             found = found.with_prior(self.prior, at.range_errors, self.sigma)
         cost = 0.5 * found.squares / self.variance
-        usable = (cosine >= model.GRAZING_LIMIT) & (cost < np.inf)
-        return found, cost if usable.all() else np.where(usable, cost, np.inf)
+        usable = (rows.cosine >= model.GRAZING_LIMIT) & (cost < np.inf)
+        return found, cost if usable.all() else np.where(usable, cost, np.inf), rows.bases
 
 
 class _Search:
@@ -171,7 +171,8 @@ class _Search:
 
     def __init__(self, task: _Task, at: Parameters, options: LevenbergOptions, first: int) -> None:
         self.task, self.at, self.options = task, at, options
-        self.equations, self.cost = task.normal(at)
+        self.equations, self.cost, bases = task.normal(at)
+        self.bases: FloatArray | None = bases
         count = len(self.cost)
         self.index: IntArray = np.arange(first, first + count)
         self.damping = np.full(count, options.least_damping)
@@ -181,7 +182,9 @@ class _Search:
 
     def run(self) -> list[tuple[IntArray, SolvedTogether]]:
         """Take steps until all problems have arrived, or no step helps; return which ended how."""
-        self._leave(np.isinf(self.cost), np.zeros(len(self.cost), dtype=bool))
+        if np.isinf(self.cost).any():
+            self._leave(np.isinf(self.cost), np.zeros(len(self.cost), dtype=bool))
+            self.bases = None
         for _ in range(self.options.max_iterations):
             if not self.index.size:
                 return self.ended
@@ -197,7 +200,8 @@ class _Search:
         saved += np.einsum("kpi,kpi->k", here.plane_gradient, plane)
         decrement = saved / -self.task.variance
         step = beam.reshape(-1, width), plane.reshape(-1, 3), here.centres.reshape(-1, 3)
-        trial = apply_step(self.at, *step, self.task.terms)
+        trial = apply_step(self.at, *step, self.task.terms, self.bases)
+        self.bases = None
         arrived = self._little_left(decrement)
         some = bool(arrived.any())
         if some:
@@ -205,10 +209,10 @@ class _Search:
             trial, decrement, arrived = self._finish(last, trial, decrement, arrived)
             if not self.index.size:
                 return
-        equations, cost = self.task.normal(trial)
+        equations, cost, bases = self.task.normal(trial)
         good = self.cost - cost >= 0.5 * FAIR * decrement
         if good.all() and not (some or self.damping.any()):  # as most steps
-            self.at, self.equations, self.cost = trial, equations, cost
+            self.at, self.equations, self.cost, self.bases = trial, equations, cost, bases
             self.iterations += 1
             return
         gain = self._gain(decrement, cost)

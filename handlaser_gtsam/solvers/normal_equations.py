@@ -28,7 +28,7 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.weighting import Whitening
 from .elimination import ReducedInformation, eliminated
-from .grid import FREE, Grid, Weighing, weighing_of
+from .grid import FREE, Grid, Rows, Weighing, weighing_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,8 +207,8 @@ def normal_equations(
         weighing = weighing_of(grid, [whitening])
     elif weights is not None:
         weighing = Weighing(np.sqrt(grid.spread(weights)))
-    found, cosine = grid_normal_equations(grid, parameters, terms, weighing)
-    worst = float(cosine.min())
+    found, rows = grid_normal_equations(grid, parameters, terms, weighing)
+    worst = float(rows.cosine.min())
     if not worst >= model.GRAZING_LIMIT:
         raise GrazingBeamError(worst, model.GRAZING_LIMIT)
     return found
@@ -216,10 +216,10 @@ def normal_equations(
 
 def grid_normal_equations(
     grid: Grid, at: Parameters, terms: int, weighing: Weighing
-) -> tuple[NormalEquations, FloatArray]:
-    """Return the normal equations of K problems, and the cosine (K,) of the flattest incidence."""
+) -> tuple[NormalEquations, Rows]:
+    """Return the normal equations of K problems, and the rows they are summed of."""
     rows = grid.rows(at, terms, None if weighing.root is None else weighing.root > 0.0)
-    return summed_equations(grid, rows.columns, rows.centres, weighing), rows.cosine
+    return summed_equations(grid, rows.columns, rows.centres, weighing), rows
 
 
 def summed_equations(

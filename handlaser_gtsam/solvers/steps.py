@@ -81,13 +81,25 @@ def _beams_first(
 
 
 def apply_step(
-    parameters: Parameters, beam: FloatArray, plane: FloatArray, centres: FloatArray, terms: int
+    parameters: Parameters,
+    beam: FloatArray,
+    plane: FloatArray,
+    centres: FloatArray,
+    terms: int,
+    bases: FloatArray | None = None,
 ) -> Parameters:
-    """Return `parameters` moved by beam (B, 5 + terms) and plane (P, 3) unknowns."""
+    """Return `parameters` moved by beam (B, 5 + terms) and plane (P, 3) unknowns.
+
+    Parameters
+    ----------
+    bases : (B + P, 3, 2), optional
+        Tangents of the directions, then of the normals, where they are at hand.
+    """
     v, n = parameters.directions, parameters.normals
     unit = np.concatenate((v, n))
     turn = np.concatenate((beam[:, 3:5], plane[:, :2]))
-    moved = unit + (model.tangent_basis(unit) @ turn[..., None])[..., 0]
+    bases = model.tangent_basis(unit) if bases is None else bases
+    moved = unit + (bases @ turn[..., None])[..., 0]
     moved /= np.sqrt(np.einsum("ni,ni->n", moved, moved))[:, None]
     k = parameters.range_errors.copy()
     k[:, :terms] += beam[:, 5:]
