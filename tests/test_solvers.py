@@ -6,13 +6,17 @@ import pytest
 from helpers import GRIPPER, bench, motion, recording_of, solved_by_gtsam
 
 from handlaser_gtsam import model
-from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.parameters import Parameters, RangeErrorPrior
 from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.files.recording_csv import read_recording
+from handlaser_gtsam.model.losses import GAUSSIAN, Loss
+from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt, linearize
+from handlaser_gtsam.solvers.linear import Unknowns
 from handlaser_gtsam.solvers.normal_equations import normal_equations
+from handlaser_gtsam.solvers.objectives import objective_of
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start
@@ -177,20 +181,71 @@ def test_a_trial_that_grazes_is_a_rejected_step(monkeypatch):
     readings = recording_of(truth, *motion("free", 15), [0] * 15, 1e-4).readings()
     graph = build_graph(readings, far_start(truth, 0.05), 0, 1e-4)
     calls = []
-    linear = model.linearize
+    rows = Unknowns.rows
 
-    def grazing(*args, **kwargs):
+    def grazing(*args):
         calls.append(1)
         if len(calls) == 2:
             raise GrazingBeamError(0.0, model.GRAZING_LIMIT)
-        return linear(*args, **kwargs)
+        return rows(*args)
 
-    monkeypatch.setattr(model, "linearize", grazing)
+    monkeypatch.setattr(Unknowns, "rows", grazing)
     result = levenberg_marquardt(graph)
     assert result.status == "converged"
     assert not result.history[0].accepted
     assert result.history[0].cost == np.inf
     assert result.history[1].damping > 0.0
+
+
+STEPS = {
+    "alike": {},
+    "some terms": {"terms": (2, 0)},
+    "incidence": {"incidence": 1e-5},
+    "poses": {"pose": True},
+    "huber": {"loss": Loss("huber")},
+    "cauchy, weighted": {"loss": Loss("cauchy"), "incidence": 1e-5},
+    "prior": {"prior": True},
+    "far from the origin": {"shift": 50.0},
+}
+
+
+@pytest.mark.parametrize("case", STEPS)
+def test_the_step_is_that_of_gtsams_elimination_of_all_factors(case):
+    """Factors that evaluate themselves, eliminated by GTSAM: nothing of that is shared."""
+    how = STEPS[case]
+    truth = bench(2)
+    R, t = motion("free", 30)
+    recording = recording_of(truth, R, t, [0] * 15 + [1] * 15, 1e-4)
+    readings = recording.readings()
+    if "shift" in how:
+        readings = readings.seen_from(np.full((2, 3), how["shift"]))
+        truth = truth.seen_from(np.full((2, 3), how["shift"]))
+    pose = np.diag([1e-4] * 3 + [1e-6] * 3) ** 2 if "pose" in how else None
+    noise = 1e-4
+    if "pose" in how or "incidence" in how:
+        poses = None if pose is None else np.tile(pose, (30, 1, 1))
+        variances = Variances(np.full(2, 1e-4), how.get("incidence", 0.0), poses)
+        noise = whitening(truth, readings, variances)
+    prior = RangeErrorPrior(np.tile([1e-3, 0.02], (2, 1))) if "prior" in how else None
+    start = far_start(truth, 1e-3)
+    problem = build_graph(
+        readings, start, how.get("terms", 2), noise, how.get("loss", GAUSSIAN), range_errors=prior
+    )
+    point = objective_of(problem).evaluate(problem.values)
+    assert problem.graph.error(problem.values) == pytest.approx(point.cost, rel=1e-12)
+    step = point.linearized().solved(0.0)
+    linear = problem.graph.linearize(problem.values)
+    theirs = linear.optimize(problem.ordering)
+    assert step.decrement == pytest.approx(-linear.gradientAtZero().dot(theirs), rel=1e-9)
+    off = step.delta.subtract(theirs)
+    information = linear.hessian(problem.ordering)[0]
+    x = np.concatenate([off.at(key) for key in keys_of(problem.ordering)])
+    assert np.sqrt(x @ information @ x) < 1e-7  # standard deviations, of a step of five and more
+    assert np.sqrt(step.decrement) > 5.0
+
+
+def keys_of(ordering: gtsam.Ordering) -> list[int]:
+    return [ordering.at(i) for i in range(ordering.size())]
 
 
 def test_a_start_that_grazes_raises():

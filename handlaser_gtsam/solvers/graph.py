@@ -7,7 +7,7 @@ from functools import cache
 import gtsam
 import numpy as np
 
-from ..arrays import IntArray, frozen_indices
+from ..arrays import FloatArray, IntArray, frozen_indices
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
@@ -211,19 +211,33 @@ def parameters_of(
     values: gtsam.Values, beams: Sequence[BeamKeys], planes: Sequence[int]
 ) -> Parameters:
     """Return the beams and planes under the given keys as arrays."""
+    return with_tangents(values, beams, planes)[0]
+
+
+def with_tangents(
+    values: gtsam.Values, beams: Sequence[BeamKeys], planes: Sequence[int]
+) -> tuple[Parameters, FloatArray]:
+    """Return the beams and planes under the given keys, and GTSAM's tangents (B + P, 3, 2).
+
+    These are of the directions, then of the normals.
+    """
     k = np.zeros((len(beams), 2))
     for i, beam in enumerate(beams):
         if beam.range_error is not None:
             own = values.atVector(beam.range_error)
             k[i, : own.size] = own
     found = [values.atOrientedPlane3(key) for key in planes]
-    return Parameters(
+    units = [values.atUnit3(beam.direction) for beam in beams]
+    units += [plane.normal() for plane in found]
+    vectors = np.array([unit.point3() for unit in units]).reshape(-1, 3)
+    parameters = Parameters.unchecked(
         np.array([values.atPoint3(beam.location) for beam in beams]),
-        np.array([values.atUnit3(beam.direction).point3() for beam in beams]),
+        vectors[: len(beams)],
         k,
-        np.array([plane.normal().point3() for plane in found]).reshape(-1, 3),
+        vectors[len(beams) :],
         np.array([plane.distance() for plane in found]),
     )
+    return parameters, np.array([unit.basis() for unit in units]).reshape(-1, 3, 2)
 
 
 def _blocks_by_beam(

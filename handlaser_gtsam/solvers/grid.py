@@ -141,7 +141,13 @@ class Grid:
         sign = np.where(ahead.ravel() < 0.0, -1.0, 1.0)
         return replace(at, normals=at.normals * sign[:, None], offsets=at.offsets * sign)
 
-    def rows(self, at: Parameters, terms: int, counted: BoolArray | None = None) -> Rows:
+    def rows(
+        self,
+        at: Parameters,
+        terms: int,
+        counted: BoolArray | None = None,
+        bases: FloatArray | None = None,
+    ) -> Rows:
         """Return the rows of all readings at parameters of K problems, one after the other.
 
         Parameters
@@ -150,9 +156,12 @@ class Grid:
         terms : int
         counted : (K, B, cells), optional
             Readings that count; the others may graze their planes.
+        bases : (K B + K P, 3, 2), optional
+            Tangents of the directions, then of the normals; `model.tangent_basis` where not given.
         """
         counted = self.read if counted is None else counted
-        bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))
+        if bases is None:
+            bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))
         v_basis, basis = bases[: len(at.directions)], bases[len(at.directions) :]
         axes = np.concatenate((at.normals[:, :, None], basis), axis=2)
         turns = np.concatenate((at.directions[:, None], v_basis.swapaxes(1, 2)), axis=1)
@@ -175,6 +184,12 @@ class Grid:
         centres = (basis @ middle.transpose(1, 2, 0).reshape(-1, 2, 1))[..., 0]
         centres -= at.offsets[:, None] * at.normals
         return Rows(columns, centres.reshape(copies, -1, 3), seen.flattest, bases)
+
+    def reach(self) -> FloatArray:
+        """Return the largest coordinate of a hand plus the largest reading [m] of each problem (K,)."""
+        positions = np.abs(self.poses[:, :, 3]).max(axis=(1, 2))
+        reach: FloatArray = positions + np.abs(self.distance).max(axis=(1, 2))
+        return reach
 
     def by_block(self, columns: FloatArray) -> FloatArray:
         """Return columns (q, K, B, cells) by chunk and beam: (K, chunks, B, q, slots)."""

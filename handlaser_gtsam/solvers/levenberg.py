@@ -25,7 +25,7 @@ from ..factors import SharedEvaluation
 from ..text import count
 from .graph import CalibrationGraph
 from .linear import Step
-from .objectives import BatchObjective, GraphObjective, Objective, Point
+from .objectives import GraphObjective, Objective, Point, objective_of
 from .progress import Trial
 from .values import require_values
 
@@ -122,8 +122,7 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    search = _Search(BatchObjective(problem), options or LevenbergOptions(), progress)
-    return search.result(lambda rows: _of_readings(problem, rows))
+    return _Search(objective_of(problem), options or LevenbergOptions(), progress).result()
 
 
 def optimize(
@@ -159,8 +158,8 @@ def optimize(
         An empty graph, a variable without a start, or numbers beyond sense.
     """
     _require_startable(graph, values)
-    search = _Search(GraphObjective(graph, values), options or LevenbergOptions(), progress)
-    return search.result(lambda _: np.empty(0))
+    objective = GraphObjective(graph, values)
+    return _Search(objective, options or LevenbergOptions(), progress).result()
 
 
 def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -181,9 +180,8 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem` as a result: what somebody else has solved."""
-    point = BatchObjective(problem).evaluate(problem.values)
-    residual, white = (_of_readings(problem, e) for e in (point.at.residual, point.at.white))
-    return LevenbergResult(point.values, "converged", message, point.cost, 0, (), residual, white)
+    at = objective_of(problem).evaluate(problem.values)
+    return LevenbergResult(at.values, "converged", message, at.cost, 0, (), at.residual, at.white)
 
 
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
@@ -191,13 +189,6 @@ def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.Gaussian
     shared = SharedEvaluation(problem.blocks, problem.whitening)
     with shared.handed_out(shared.evaluate(values)):
         return problem.graph.linearize(values)
-
-
-def _of_readings(problem: CalibrationGraph, rows: FloatArray) -> FloatArray:
-    """Return rows of the blocks in the order of the readings."""
-    sorted_rows = np.empty_like(rows)
-    sorted_rows[problem.rows] = rows
-    return sorted_rows
 
 
 class _Search:
@@ -216,11 +207,8 @@ class _Search:
         self.point = objective.evaluate(gtsam.Values(objective.start))
         self.stopping = objective.stopping(options.step_tolerance, options.least_damping)
 
-    def result(self, of_readings: Callable[[FloatArray], FloatArray]) -> LevenbergResult:
-        """Run to the end; Ctrl-C ends it with the best values so far.
-
-        Rows of the blocks are given in the order of the readings by `of_readings`.
-        """
+    def result(self) -> LevenbergResult:
+        """Run to the end; Ctrl-C ends it with the best values so far."""
         try:
             status, message = self.run()
         except KeyboardInterrupt:
@@ -228,15 +216,13 @@ class _Search:
                 "interrupted",
                 f"stopped by Ctrl-C after {count(self.accepted, 'step')}",
             )
-        point = self.point
-        residual, white = of_readings(point.at.residual), of_readings(point.at.white)
-        history = tuple(self.history)
+        at, history = self.point, tuple(self.history)
         return LevenbergResult(
-            point.values, status, message, point.cost, self.accepted, history, residual, white
+            at.values, status, message, at.cost, self.accepted, history, at.residual, at.white
         )
 
     def run(self) -> tuple[Status, str]:
-        linear = self.objective.linearize(self.point)
+        linear = self.point.linearized()
         while len(self.history) < self.options.max_iterations:
             step = linear.solved(self.damping)
             trial = self._try(step)
@@ -253,7 +239,7 @@ class _Search:
             if not self._adapt_damping(gain):
                 return "stalled", f"no step lowers the cost after {count(self.accepted, 'step')}"
             if accepted:
-                linear = self.objective.linearize(self.point)
+                linear = self.point.linearized()
         return "max_iterations", f"not converged within {count(len(self.history), 'trial step')}"
 
     def _try(self, step: Step | None) -> Point | None:

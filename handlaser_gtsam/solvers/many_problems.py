@@ -141,10 +141,7 @@ class _Task:
             weighing, sigma = Weighing(), np.full(len(problems), noise)
         else:
             weighing, sigma = weighing_of(grid, noise), np.array([how.sigma for how in noise])
-        reach = np.abs(grid.poses[:, :, 3]).max(axis=(1, 2)) + np.abs(grid.distance).max(
-            axis=(1, 2)
-        )
-        rounding = len(one) * (4.0 * EPSILON * reach / sigma) ** 2
+        rounding = len(one) * (4.0 * EPSILON * grid.reach() / sigma) ** 2
         dof = max(len(one) - (5 + terms) * one.beams - 3 * one.planes, 1)
         return cls(grid, terms, weighing, sigma, sigma**2, prior, rounding, dof)
 

@@ -1,13 +1,15 @@
 """What Levenberg-Marquardt works on: a calibration, or a graph of somebody else."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..factors import Evaluation, SharedEvaluation
+from ..errors import SolverError
+from ..factors import SharedEvaluation
 from .graph import CalibrationGraph
 from .linear import CalibrationSystem, LinearGraph, LinearSystem, Unknowns, squared_columns
 from .stopping import Stopping
@@ -18,11 +20,23 @@ ROUNDING_SIGMAS = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """Values with the rows of their readings, if known, and their cost."""
+    """Values with their cost.
+
+    Attributes
+    ----------
+    values : gtsam.Values
+    cost : float
+    residual, white : (N,)
+        Residuals of the readings [m], plain and whitened, in their order; none where they are unknown.
+    linearized : callable
+        Returns the linear system here.
+    """
 
     values: gtsam.Values
-    at: Evaluation
     cost: float
+    residual: FloatArray
+    white: FloatArray
+    linearized: Callable[[], LinearSystem]
 
 
 class Objective(ABC):
@@ -32,54 +46,77 @@ class Objective(ABC):
 
     @abstractmethod
     def evaluate(self, values: gtsam.Values) -> Point:
-        """Return the cost at `values`."""
-
-    @abstractmethod
-    def linearize(self, point: Point) -> LinearSystem:
-        """Return the linear system at a point."""
+        """Return the cost at `values`; raises GrazingBeamError."""
 
     @abstractmethod
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
         """Return what tells when to stop."""
 
 
-class BatchObjective(Objective):
-    """A calibration: all readings are evaluated together."""
+def objective_of(problem: CalibrationGraph) -> Objective:
+    """Return what is minimised for a calibration: on a grid, unless something ties poses or planes."""
+    others = gtsam.NonlinearFactorGraph()
+    for index in range(len(problem.blocks), problem.graph.size()):
+        others.push_back(problem.graph.at(index))
+    unknowns = Unknowns.of(problem, others)
+    return SharedObjective(problem, others) if unknowns is None else GridObjective(unknowns)
 
-    def __init__(self, problem: CalibrationGraph) -> None:
-        self.problem, self.start = problem, problem.values
+
+class GridObjective(Objective):
+    """A calibration whose readings are summed up to normal equations on a grid."""
+
+    def __init__(self, unknowns: Unknowns) -> None:
+        self.unknowns, self.start = unknowns, unknowns.problem.values
+
+    def evaluate(self, values: gtsam.Values) -> Point:
+        """Evaluate all readings at once."""
+        unknowns, problem, how = self.unknowns, self.unknowns.problem, self.unknowns.whitening
+        rows = unknowns.rows(values)
+        residual = unknowns.grid.gathered(rows.columns[-1])[0]
+        if not np.isfinite(residual).all():
+            raise SolverError("residual of a range factor is not finite; expected finite values")
+        white = residual if how is None else how.apply(residual)
+        cost = float(problem.loss.cost(white / problem.range_sigma).sum())
+
+        def linearized() -> LinearSystem:
+            others = unknowns.others.linearize(values)
+            return CalibrationSystem(unknowns, rows, unknowns.equations(rows, white, others))
+
+        return Point(values, cost + unknowns.others.error(values), residual, white, linearized)
+
+    def stopping(self, tolerance: float, least_damping: float) -> Stopping:
+        """Take the rounding of positions and readings into account."""
+        reach = float(self.unknowns.grid.reach()[0])
+        return _stopping(self.unknowns.problem, reach, tolerance, least_damping)
+
+
+class SharedObjective(Objective):
+    """A calibration with poses or ties as variables: its factors share one evaluation of readings."""
+
+    def __init__(self, problem: CalibrationGraph, others: gtsam.NonlinearFactorGraph) -> None:
+        self.problem, self.start, self.others = problem, problem.values, others
         self.shared = SharedEvaluation(problem.blocks, problem.whitening)
-        self.others = gtsam.NonlinearFactorGraph()
-        for index in range(len(problem.blocks), problem.graph.size()):
-            self.others.push_back(problem.graph.at(index))
-        self.unknowns = Unknowns.of(problem, self.others)
 
     def evaluate(self, values: gtsam.Values) -> Point:
         """Evaluate all readings at once."""
         at, problem = self.shared.evaluate(values), self.problem
         cost = float(problem.loss.cost(at.white / problem.range_sigma).sum())
-        return Point(values, at, cost + self.others.error(values))
-
-    def linearize(self, point: Point) -> LinearSystem:
-        """Sum up the rows that were evaluated; factors that tie planes or poses need the graph."""
-        problem, at = self.problem, point.at
+        residual, white = np.empty_like(at.residual), np.empty_like(at.white)
+        residual[problem.rows], white[problem.rows] = at.residual, at.white
 
         def squares() -> dict[int, FloatArray]:
             columns = self.shared.squared_columns(at)
             return {key: one / problem.range_sigma**2 for key, one in columns.items()}
 
-        if self.unknowns is not None:
-            others = self.others.linearize(point.values)
-            return CalibrationSystem(self.unknowns, at, others, squares)
-        with self.shared.handed_out(at):
-            return LinearGraph(problem.graph.linearize(point.values), problem.ordering, squares)
+        def linearized() -> LinearSystem:
+            with self.shared.handed_out(at):
+                return LinearGraph(problem.graph.linearize(values), problem.ordering, squares)
+
+        return Point(values, cost + self.others.error(values), residual, white, linearized)
 
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
         """Take the rounding of positions and readings into account."""
-        problem, rows = self.problem, len(self.shared.distance)
-        rounding = 4.0 * np.finfo(float).eps * self.shared.reach() / problem.range_sigma
-        free = max(rows + problem.prior_rows - problem.values.dim(), 1)
-        return Stopping(tolerance, least_damping, rows * float(rounding) ** 2, free)
+        return _stopping(self.problem, self.shared.reach(), tolerance, least_damping)
 
 
 class GraphObjective(Objective):
@@ -88,16 +125,15 @@ class GraphObjective(Objective):
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.graph, self.start = graph, values
         self.ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-        self._none = Evaluation(*[np.empty(0)] * 3)
 
     def evaluate(self, values: gtsam.Values) -> Point:
         """Ask the graph."""
-        return Point(values, self._none, self.graph.error(values))
 
-    def linearize(self, point: Point) -> LinearSystem:
-        """Ask the graph."""
-        linear = self.graph.linearize(point.values)
-        return LinearGraph(linear, self.ordering, lambda: squared_columns(linear))
+        def linearized() -> LinearSystem:
+            linear = self.graph.linearize(values)
+            return LinearGraph(linear, self.ordering, lambda: squared_columns(linear))
+
+        return Point(values, self.graph.error(values), np.empty(0), np.empty(0), linearized)
 
     def stopping(self, tolerance: float, least_damping: float) -> Stopping:
         """Guess the rounding."""
@@ -105,3 +141,13 @@ class GraphObjective(Objective):
         rows = sum(factor.dim() for factor in factors)
         free = max(rows - self.start.dim(), 1)
         return Stopping(tolerance, least_damping, rows * ROUNDING_SIGMAS**2, free)
+
+
+def _stopping(
+    problem: CalibrationGraph, reach: float, tolerance: float, least_damping: float
+) -> Stopping:
+    """Return what tells when to stop, for coordinates and readings up to `reach` [m]."""
+    rows = len(problem.readings)
+    rounding = 4.0 * np.finfo(float).eps * reach / problem.range_sigma
+    free = max(rows + problem.prior_rows - problem.values.dim(), 1)
+    return Stopping(tolerance, least_damping, rows * rounding**2, free)
