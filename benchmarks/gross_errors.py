@@ -13,8 +13,8 @@ A run is `solved` when its status is converged and every coordinate of every bea
 its standard deviations and within 20 mm and 2 degrees of the truth, with no more than one good
 reading of 25 rejected. Wrong labels are `named` when the warnings name these stations, each with the
 plane that it sees, and no other. A `wrong hint` is a way to read the file or a label that is wrong.
-Runs `within 5 sigma` are those without the limits of 20 mm and 2 degrees, which a recording may miss
-because its motion does not tell more. Of the runs that are not right it is counted in how many the gross
+Runs `within 5 sigma` are those without the limits of 20 mm and 2 degrees, which a recording misses
+where its motion tells no more. Of the runs that are not right it is counted in how many the gross
 errors have no part: the result is that of the same recording with the bad readings taken out by hand.
 """
 
