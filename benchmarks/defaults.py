@@ -28,14 +28,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.robot_arm import pose_covariance
 from benchmarks.robot_cell import MOTION, Scene, Truth, cell
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.estimation.options import RangeError
 from handlaser_gtsam.validation.scenes import SCENES, SENSORS, Layout

@@ -13,12 +13,10 @@ import sys
 from dataclasses import dataclass, replace
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.results.calibration import Calibration
 from handlaser_gtsam.validation.scenes import SCENES, Layout

@@ -26,13 +26,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.right_angles import Scene, Truth, coded, exchanged, plates, relabelled, stations_of
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import BoolArray, FloatArray
 
 FAR = 5.0

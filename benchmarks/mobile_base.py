@@ -14,13 +14,11 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import gtsam  # isort: skip
-import numpy as np  # isort: skip
+import gtsam
+import numpy as np
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam import model
 
 PLACES, FIX_EVERY, DRIFT = 90, 10, 0.01

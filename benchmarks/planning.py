@@ -27,15 +27,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.defaults import nees, rms
 from benchmarks.planned_cell import SENSOR, Cell, cell, errors_of
 from benchmarks.planned_loop import Loop, loop, random_plan
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
 from handlaser_gtsam.planning.information import told

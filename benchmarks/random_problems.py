@@ -15,12 +15,10 @@ import sys
 import time
 from dataclasses import dataclass
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters

@@ -13,12 +13,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 from benchmarks.solve import SIGMA, TERMS, closed_form, problem
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.readings import Readings
 from handlaser_gtsam.solvers.many_problems import solve_together

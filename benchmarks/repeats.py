@@ -14,16 +14,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
-from scipy.spatial.transform import Rotation  # isort: skip
+import numpy as np
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.defaults import FAR, judge
 from benchmarks.odd_readings import logged
 from benchmarks.robot_cell import Scene, cell
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray
 
 JITTER = 1e-7

@@ -14,13 +14,11 @@ import math
 from collections import Counter
 from dataclasses import replace
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import gtsam  # isort: skip
-import numpy as np  # isort: skip
+import gtsam
+import numpy as np
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.factors import Evaluation, RangeBlock
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate

@@ -16,9 +16,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Generic, Self, TypeVar
 
-# One thread a process: they are as many as the processors. NumPy reads this when it is imported.
-os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
-
 from rich.progress import Progress
 
 from handlaser_gtsam.validation.study_executor import executor_of

@@ -28,14 +28,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.defaults import stated_noise
 from benchmarks.robot_cell import CODES, MOTION, Scene, cell
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.model.weighting import Variances, Whitening, whitening
 

@@ -14,12 +14,10 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
+from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.options import Poses

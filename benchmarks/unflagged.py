@@ -17,13 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-# The number of threads of NumPy is limited there, before it is imported.
-from benchmarks.studies import Studies, add_options
-
-import numpy as np  # isort: skip
+import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.odd_readings import KINDS, SIGMA, OddScene, odd_scene
+from benchmarks.studies import Studies, add_options
 
 FAR = 5.0
 """Standard deviations that no error of an honest result exceeds in a few hundred recordings."""

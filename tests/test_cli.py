@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import __version__
+from handlaser_gtsam.cli import main
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -358,3 +360,14 @@ def test_a_cross_check_that_disagrees_is_no_calibration(handlaser, monkeypatch):
     code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--cross-check", "--quiet")
     assert code == 3
     assert "SciPy disagrees by 2.5 standard deviations" in err
+
+
+def test_linear_algebra_has_one_thread_unless_somebody_says_so(monkeypatch):
+    """Of small matrices further threads take twice the processor time and save nothing."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.setattr(sys, "argv", ["handlaser", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "3"

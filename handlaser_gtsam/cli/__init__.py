@@ -7,10 +7,14 @@ import sys
 from .stopping import INTERRUPTED, WORDS, Stopping
 
 BAD_INPUT, UNDETERMINED = 2, 3
+THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"
+"""Environment variables of the linear algebra under NumPy, which reads them when it is imported."""
 
 
 def main() -> None:
     """Run the command line; errors made on purpose and Ctrl-C end in one line and an exit code."""
+    for name in THREADS:  # on small matrices further threads take processor time and save none
+        os.environ.setdefault(name, "1")
     try:
         with Stopping() as stopping:
             code, words = _stoppable(stopping)
