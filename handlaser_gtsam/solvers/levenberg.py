@@ -1,8 +1,8 @@
 r"""Levenberg-Marquardt on a factor graph whose Values belong to Python.
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
-the square of the problem. Here each step evaluates all readings at once, sums their rows up into one
-linear factor a plane (`linear`), eliminates in GTSAM with planes first, and solves
+the square of the problem. Here each step evaluates all readings at once, sums their rows up to normal
+equations (`linear`), eliminates planes first, and solves
 
     (H + lambda diag(H)) delta = -g.
 
