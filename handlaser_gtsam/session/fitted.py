@@ -26,6 +26,9 @@ from .reference import Reference, plane_information
 
 MOST_SIGMA = 0.1
 """A plane is determined when all its standard deviations are below this part of their units."""
+PASSES = 2
+"""Of weighing a plane: what its readings hold of noise is judged by the plane that the weights make,
+which is not the one through the laser spots."""
 DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 CUT = 4.5
@@ -214,15 +217,16 @@ def fit_plane(
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
     variances = config.variances(len(recording.plane_labels))
-    at = _through_spots(beams, readings)
+    at, terms = _through_spots(beams, readings), max(config.terms)
     try:
-        readings, how = weighed(readings, at, variances, max(config.terms))
-        normal = normal_equations(at, readings, 2, whitening=how)
-        at, normal = _stepped(at, normal, readings)
-        e = model.residuals(model.scene(at, readings), readings.distance)
+        for _ in range(PASSES if terms and config.weights_depend else 1):
+            own, how = weighed(readings, at, variances, terms)
+            normal = normal_equations(at, own, 2, whitening=how)
+            at, normal = _stepped(at, normal, own)
+        e = model.residuals(model.scene(at, own), own.distance)
     except GrazingBeamError:
         return None
-    return FittedPlane(config, readings, at, e, how, normal, origin)
+    return FittedPlane(config, own, at, e, how, normal, origin)
 
 
 def _through_spots(beams: Beams, readings: Readings) -> Parameters:
