@@ -3,7 +3,6 @@
 import inspect
 import json
 import math
-import time
 import zipfile
 from dataclasses import fields
 from typing import get_args
@@ -682,24 +681,3 @@ def test_poses_that_were_held_are_warned_of(tmp_path):
     found = hl.read_log(path, hl.LogFormat(pose_format="kuka", as_stated=True))
     (held,) = [one for one in found.warnings if one.code == "held-poses"]
     assert held.values["stations"] in (3, 4)  # station 22 is before another plane than the first
-
-
-def test_a_long_table_is_read_and_checked_in_time(tmp_path):
-    """20,000 rows in a tenth of the 2 s that 200,000 may take, and twice that for other machines."""
-    rng = np.random.default_rng(0)
-    rows = 20_000
-    x = np.column_stack(
-        (rng.uniform(-200.0, 200.0, (rows, 3)), rng.uniform(-20.0, 20.0, (rows, 3)))
-    )
-    table = pl.DataFrame(np.round(x, 6), schema=list(KUKA), orient="row")
-    table = table.with_columns(plane=pl.lit("A"), range_1=100.0 + pl.col("X") * 0.1)
-    table.write_csv(tmp_path / "log.csv")
-    given = hl.LogFormat(pose_format="kuka", range_units="mm", as_stated=True)
-    seconds = []
-    for _ in range(3):
-        begin = time.process_time()
-        found = hl.read_log(tmp_path / "log.csv", given)
-        seconds.append(time.process_time() - begin)
-    assert len(found.ranges) == rows
-    # The check of the convention takes a second at most, whatever the table's length.
-    assert min(seconds) < 0.4 + 1.2

@@ -226,20 +226,26 @@ def test_a_stand_is_before_the_plane_of_its_middle(tmp_path, driven, part, plane
 # --- the lag -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("put", [0.1, -0.07, 0.0])
-@pytest.mark.parametrize("noise", [0.0, 2e-3])
-def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
-    drive, _ = example(noise=noise, seed=3)
-    write_poses(tmp_path / "poses.csv", drive)
-    write_readings(tmp_path / "readings.csv", drive, lag=put)
+def with_lag(folder, drive, put, **more):
+    """Return what is said of a drive whose readings are late."""
+    write_poses(folder / "poses.csv", drive)
+    write_readings(folder / "readings.csv", drive, lag=put)
     given = hl.LogFormat(
-        readings=tmp_path / "readings.csv",
+        readings=folder / "readings.csv",
         tolerance_s=0.02,
         interpolate=True,
         estimate_lag=True,
         plane_ranges=planes(drive),
+        **more,
     )
-    report = hl.describe_log(tmp_path / "poses.csv", given)
+    return hl.describe_log(folder / "poses.csv", given)
+
+
+@pytest.mark.parametrize("put", [0.1, -0.07, 0.0])
+@pytest.mark.parametrize("noise", [0.0, 2e-3])
+def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
+    drive, _ = example(noise=noise, seed=3)
+    report = with_lag(tmp_path, drive, put)
     assert abs(report.lag - put) < 0.01
     assert abs(report.lag - put) < 4.0 * report.lag_sigma
     assert any("estimated to" in line for line in report.lines)
@@ -248,19 +254,7 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
 def test_lags_between_the_steps_of_the_search_differ_by_what_they_do(tmp_path, driven):
     """The steps are 2 ms; what the polynomials leave out moves both lags alike."""
     drive, _ = driven
-    write_poses(tmp_path / "poses.csv", drive)
-    found = []
-    for put in (0.1, 0.1007):
-        write_readings(tmp_path / "readings.csv", drive, lag=put)
-        given = hl.LogFormat(
-            readings=tmp_path / "readings.csv",
-            tolerance_s=0.02,
-            interpolate=True,
-            estimate_lag=True,
-            plane_ranges=planes(drive),
-            as_stated=True,
-        )
-        found.append(hl.describe_log(tmp_path / "poses.csv", given).lag)
+    found = [with_lag(tmp_path, drive, put, as_stated=True).lag for put in (0.1, 0.1007)]
     assert found[1] - found[0] == pytest.approx(0.0007, abs=1e-4)
 
 

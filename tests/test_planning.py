@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -210,16 +209,6 @@ def test_planned_stations_beat_random_ones(belief, pool):
         for _ in range(20)
     ]
     assert chosen.value[-1] < min(drawn)
-
-
-def test_the_choice_is_quick():
-    """44 of 1,200 candidates, 4 beams and 4 planes, at the mean and 4 draws: a second of CPU time."""
-    rng = np.random.default_rng(0)
-    rows = rng.standard_normal((5, 1200, 4, 40))
-    weight = np.eye(40)[:20]
-    begin = time.process_time()
-    choose(rows, np.eye(40), weight, 44, exchange=False)
-    assert time.process_time() - begin < 1.0  # 0.2 s, also where other processes run
 
 
 # --- margins -----------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Recordings as files: what is read, and one clear refusal for every fault."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -356,21 +355,6 @@ def test_nothing_is_left_beside_a_file_that_cannot_be_written(tmp_path):
 def test_the_shipped_recording_reads():
     recording = read_recording(GRIPPER / "recording.csv")
     assert recording.ranges.shape == (44, 4)
-
-
-@pytest.mark.slow
-def test_the_time_to_read_grows_with_the_rows(tmp_path):
-    """Ten times as many rows take about ten times as long; what is quadratic takes a hundred times."""
-    row = "{0},s{1},0.123456789,0.223456789,0.323456789,0,0,0,1,0.0212345,0.0312345\n"
-    seconds, path = [], tmp_path / "large.csv"
-    for size in (15_000, 150_000):
-        with path.open("w") as file:
-            file.write(HEADER + "\n")
-            file.writelines(row.format("AB"[j % 2], j) for j in range(size))
-        since = time.process_time()
-        assert len(read_recording(path).station_names) == size
-        seconds.append(time.process_time() - since)
-    assert seconds[1] < 40.0 * seconds[0]
 
 
 def test_line_ends_of_an_old_mac_are_read(tmp_path):
