@@ -7,8 +7,11 @@ are. So, with the poses x(t) and readings d_i stamped t_i, the right lag tau is 
 
 leaves the smallest sum of squares S(tau), added over planes and beams. Motion that stops, turns back
 or changes its speed identifies the lag; a sweep at constant speed does not, for a shift of it is
-another polynomial. The curvature at the minimum says how well: with residuals of variance s^2, the
-variance of tau is 2 s^2 / S''(tau). Nothing of mounts, planes or starts is needed.
+another polynomial. Nothing of mounts, planes or starts is needed for that.
+
+What a polynomial leaves out moves the minimum by milliseconds. Near it S(tau) is therefore taken of
+the calibration itself, solved for each of a few lags. The curvature at the minimum says how well it is
+known: with residuals of variance s^2, the variance of tau is 2 s^2 / S''(tau).
 """
 
 from collections.abc import Iterator
@@ -18,8 +21,12 @@ from itertools import combinations_with_replacement
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.readings import Readings
 from ...errors import InputError
+from ...solvers.levenberg import LevenbergOptions
+from ...solvers.many_problems import solve_together
+from ...starts import find_start
 from .motion import Between
 from .stands import Track
 
@@ -29,13 +36,19 @@ COARSE, FINE = 0.02, 0.002
 """Steps of the search [s]."""
 WORST = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
-TRUNCATED = 5e-4
-"""What the polynomial leaves out may move the minimum by so much [s]."""
+TRUNCATED, BETWEEN = 3e-3, 1e-4
+"""What the polynomial leaves out, and what the way between two poses is off, may move the minimum by so
+much [s]."""
+UNLIKE = 2.0
+"""A calibration that leaves so many times the squares of the polynomials is none."""
+TERMS = 2
+"""Range-error terms of the calibration."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
 """Readings count where the hand moves by so much within `MOST` before or after."""
+OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 A_FEATURE = 12
 """So many readings for every coefficient of the polynomial."""
-AT_MOST = 6000
+AT_MOST = 3000
 """Readings of one plane and beam that are looked at, evenly spread."""
 
 
@@ -51,6 +64,8 @@ class Lag:
 class _Part:
     """Readings d (N, b) of beams before a plane, at times (N,) [s], and the polynomials' degree."""
 
+    plane: int
+    beams: IntArray
     time: FloatArray
     d: FloatArray
     degree: int
@@ -96,29 +111,84 @@ def estimated_lag(track: Track, time: FloatArray, d: FloatArray, plane: IntArray
 def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
     """Return the minimum of a parabola through the sums of squares near a lag."""
     steps = round(COARSE / FINE)
-    lags = near + FINE * np.arange(-steps, steps + 1)
+    lags = np.asarray(near + FINE * np.arange(-steps, steps + 1), dtype=np.float64)
     sums = np.array([_squares(track, parts, lag) for lag in lags])
     low = np.clip(int(sums.argmin()), 3, len(lags) - 4)
     rows = slice(low - 3, low + 4)
-    both = [(one.d, one.degree) for one in parts]
-    bend, slope, _ = np.polyfit(lags[rows] - lags[low], sums[rows], 2)
-    count = sum((len(d) - len(_exponents(k))) * d.shape[1] for d, k in both)
-    variance = float(sums.min()) / max(count, 1)
-    if bend > 0.0:
-        shift = float(np.clip(-0.5 * slope / bend, -3 * FINE, 3 * FINE))
-        sigma = float(np.hypot(np.sqrt(variance / bend), TRUNCATED))
-        if sigma <= WORST:
-            return Lag(float(lags[low]) + shift, sigma)
-    raise InputError(
-        "a motion that does not tell the lag of the readings",
-        "a log with stops, turns and changes of speed before a plane; or state --lag-s",
-    )
+    count = sum((len(one.d) - len(_exponents(one.degree))) * one.d.shape[1] for one in parts)
+    rough, squares = _lowest(lags[rows], sums[rows], count, TRUNCATED)
+    found = None if rough is None else _calibrated(track, parts, rough.value, UNLIKE * squares)
+    found = rough if found is None else found
+    if found is None or found.sigma > WORST:
+        raise InputError(
+            "a motion that does not tell the lag of the readings",
+            "a log with stops, turns and changes of speed before a plane; or state --lag-s",
+        )
+    return found
+
+
+def _lowest(
+    lags: FloatArray, sums: FloatArray, count: int, least: float
+) -> tuple[Lag | None, float]:
+    """Return the minimum of a parabola through seven sums of squares, and the least of them.
+
+    None where there is no minimum; `count` are the degrees of freedom, `least` is added to sigma.
+    """
+    middle, squares = lags[3], float(sums.min())
+    if not np.isfinite(sums).all():
+        return None, squares
+    bend, slope, _ = np.polyfit(lags - middle, sums, 2)
+    if bend <= 0.0:
+        return None, squares
+    shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
+    sigma = float(np.hypot(np.sqrt(squares / max(count, 1) / bend), least))
+    return Lag(float(middle) + shift, sigma), squares
+
+
+def _calibrated(track: Track, parts: list[_Part], near: float, most: float) -> Lag | None:
+    """Return the lag at which a calibration of beams and planes fits best.
+
+    None where none is found that leaves less than `most` of squares.
+    """
+    readings = _readings(track, parts, near)
+    origins = readings.plane_means(readings.world_t_hand)
+    start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
+    count = len(readings) - readings.unknowns(TERMS)
+    found, squares = None, np.inf
+    for step in (2.0 * FINE, FINE):
+        lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
+        problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
+        solved = solve_together(problems, [start] * 7, TERMS, 1.0, options=OPTIONS)
+        found, squares = _lowest(lags, 2.0 * solved.cost, count, BETWEEN)
+        if found is None:
+            return None
+        near, start = found.value, solved.parameters[3]
+    return found if squares <= most else None
+
+
+def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
+    """Return all readings with the poses of their times less the lag, each time a station."""
+    columns, first = [], 0
+    for part in parts:
+        rotation, position, _ = _poses(track, part, lag)
+        R = rotation.as_matrix()
+        station = np.arange(first, first + len(part.time))
+        first += len(part.time)
+        for beam, d in zip(part.beams.tolist(), part.d.T, strict=True):
+            same = np.full((2, len(d)), [[part.plane], [beam]])
+            columns.append((*same, station, d, R, position))
+    plane, beam, station, d, R, t = (np.concatenate(own) for own in zip(*columns, strict=True))
+    order = np.lexsort((station, beam, plane))
+    beams, beam = np.unique(beam[order], return_inverse=True)
+    planes, plane = np.unique(plane[order], return_inverse=True)
+    rows = d[order], R[order], t[order]
+    return Readings(station[order], beam, plane, *rows, len(beams), len(planes))
 
 
 def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> Iterator[_Part]:
     """Yield the readings of each plane and beam that tell something."""
     inside = (time - MOST >= track.time[0]) & (time + MOST <= track.time[-1]) & (plane >= 0)
-    moves = inside & _moves(track, time)
+    moves = inside & _moves(track, time) & _settled(time, plane)
     for index in np.unique(plane[moves]).tolist():
         read = ((moves & (plane == index))[:, None] & ~np.isnan(d)).T
         # Beams that read at the same times share their monomials.
@@ -131,11 +201,22 @@ def _parts(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> It
                 rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
             for degree in (3, 2):
                 if len(rows) >= A_FEATURE * len(_exponents(degree)):
-                    yield _Part(time[rows], d[rows][:, beams], degree)
+                    yield _Part(index, beams, time[rows], d[rows][:, beams], degree)
                     break
 
 
-def _moves(track: Track, time: FloatArray) -> np.ndarray:
+def _settled(time: FloatArray, plane: IntArray) -> BoolArray:
+    """Tell which readings (N,) are before one plane whatever the lag: labels may go by their stamps."""
+    order = np.argsort(time, kind="stable")
+    stamps, label = time[order], plane[order]
+    settled = np.empty(len(time), dtype=bool)
+    first = np.searchsorted(stamps, stamps - MOST)
+    last = np.searchsorted(stamps, stamps + MOST, side="right") - 1
+    settled[order] = (label[first] == label) & (label[last] == label)
+    return settled
+
+
+def _moves(track: Track, time: FloatArray) -> BoolArray:
     """Tell at which times (N,) the hand moves, a little before or after."""
     rows = [
         np.clip(np.searchsorted(track.time, time + shift), 0, len(track.time) - 1)
@@ -161,18 +242,23 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
 
 def _features(track: Track, part: _Part, lag: float) -> FloatArray:
     """Return the monomials (N, F) of the poses at the times of readings less the lag."""
+    turn, position, middle = _poses(track, part, lag)
+    x = np.hstack((position - position.mean(axis=0), (middle.inv() * turn).as_rotvec()))
+    x /= np.maximum(np.abs(x).max(axis=0), 1e-12)
+    columns = [np.ones(len(x))]
+    columns += [np.prod(x[:, list(one)], axis=1) for one in _exponents(part.degree)[1:]]
+    return np.column_stack(columns)
+
+
+def _poses(track: Track, part: _Part, lag: float) -> tuple[Rotation, FloatArray, Rotation]:
+    """Return rotations and positions (N, 3) at the times of readings less the lag, and a rotation."""
     wanted = part.time - lag
     first = int(np.searchsorted(track.time, wanted[0] - 1.0))
     last = int(np.searchsorted(track.time, wanted[-1] + 1.0))
     q, p = track.quaternion[first:last], track.position[first:last]
     way = Between.at(track.time[first:last], wanted)
     turn, position = way.of_quaternions(q, p)
-    middle = Rotation.from_quat(q[way.row[len(wanted) // 2]])
-    x = np.hstack((position - position.mean(axis=0), (middle.inv() * turn).as_rotvec()))
-    x /= np.maximum(np.abs(x).max(axis=0), 1e-12)
-    columns = [np.ones(len(x))]
-    columns += [np.prod(x[:, list(one)], axis=1) for one in _exponents(part.degree)[1:]]
-    return np.column_stack(columns)
+    return turn, position, Rotation.from_quat(q[way.row[len(wanted) // 2]])
 
 
 def _exponents(degree: int) -> list[tuple[int, ...]]:
