@@ -191,14 +191,15 @@ def moved(at):
     return replace(at, locations=at.locations + 0.003)
 
 
-def test_a_step_uphill_is_no_arrival(monkeypatch):
+@pytest.mark.parametrize("wrong", [-1.0, np.nan])
+def test_a_step_uphill_is_no_arrival(monkeypatch, wrong):
     """As rounding may make of a singular system: damping rises, and the next one leads down."""
-    calls = []
+    dampings = []
 
-    def stepped(*arguments):
-        calls.append(1)
-        sign = -1.0 if len(calls) == 1 else 1.0
-        beam, plane = damped_step(*arguments)
+    def stepped(normal, damping):
+        dampings.append(damping[0])
+        sign = wrong if len(dampings) == 1 else 1.0
+        beam, plane = damped_step(normal, damping)
         return sign * beam, sign * plane
 
     readings, truth = local(*scene(0))
@@ -207,3 +208,4 @@ def test_a_step_uphill_is_no_arrival(monkeypatch):
     found = solve_together([readings], [moved(truth)], 2, SIGMA)
     assert found.converged.all()
     assert found.cost[0] == pytest.approx(expected.cost[0], rel=1e-9)
+    assert dampings[1] > dampings[0]
