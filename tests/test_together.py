@@ -11,11 +11,13 @@ from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.covariance import covariance
 from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.solvers import many_problems
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.grid import Grid
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.normal_equations import jacobian_columns
+from handlaser_gtsam.solvers.steps import damped_step
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -159,3 +161,51 @@ def test_rows_on_the_grid_are_those_of_the_model():
     assert np.array_equal(grid.gathered(residual)[0], mine[-1])
     x = model.scene(at, readings)
     assert np.abs(grid.gathered(cosine)[0] - model.cosines(x)).max() < 1e-15
+
+
+@pytest.mark.parametrize("sizes", [(15, 15, 1), (15, 15, 1, 1), (15, 15, 2)])
+@pytest.mark.parametrize("terms", [0, 2])
+def test_a_plane_with_fewer_readings_than_unknowns_changes_nothing(sizes, terms):
+    """It bends to its readings: the minimum is that of the others, found in as many steps."""
+    truth = bench(len(sizes))
+    planes = np.repeat(np.arange(len(sizes)), sizes)
+    recording = recording_of(truth, *motion("free", len(planes)), planes.tolist(), SIGMA)
+    ranges = recording.ranges.copy()
+    if sizes[2] == 2:
+        ranges[-2:, 1] = np.nan  # one beam reads it
+    few = replace(recording, ranges=ranges)
+    rest, start = local(few.part(np.arange(30)), truth.part([0, 1], [0, 1]))
+    alone = solve_together([rest], [moved(start)], terms, SIGMA)
+    readings, start = local(few, truth)
+    found = solve_together([readings], [moved(start)], terms, SIGMA)
+    assert alone.converged.all()
+    assert found.converged.all()
+    assert found.cost[0] == pytest.approx(alone.cost[0], rel=1e-9)
+    result = levenberg_marquardt(build_graph(readings, moved(start), terms, SIGMA))
+    assert result.cost == pytest.approx(alone.cost[0], rel=1e-9)
+    assert all(trial.accepted for trial in result.history)
+    assert result.iterations <= alone.iterations[0] + 2
+
+
+def moved(at):
+    return replace(at, locations=at.locations + 0.003)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.nan])
+def test_a_step_uphill_is_no_arrival(monkeypatch, wrong):
+    """As rounding may make of a singular system: damping rises, and the next one leads down."""
+    dampings = []
+
+    def stepped(normal, damping):
+        dampings.append(damping[0])
+        sign = wrong if len(dampings) == 1 else 1.0
+        beam, plane = damped_step(normal, damping)
+        return sign * beam, sign * plane
+
+    readings, truth = local(*scene(0))
+    expected = solve_together([readings], [moved(truth)], 2, SIGMA)
+    monkeypatch.setattr(many_problems, "damped_step", stepped)
+    found = solve_together([readings], [moved(truth)], 2, SIGMA)
+    assert found.converged.all()
+    assert found.cost[0] == pytest.approx(expected.cost[0], rel=1e-9)
+    assert dampings[1] > dampings[0]

@@ -16,6 +16,8 @@ NEARLY = 1e-2
 """The relative accuracy of the extreme eigenvalues of so many unknowns."""
 RANK = 1e-12
 """Information of a plane below this part of its largest is rounding."""
+NEARLY_TOLD = 1e6
+"""Where the others leave less than one such part of an unknown, a plain inverse loses many digits."""
 CERTAIN = 1e3
 """Where all pivots exceed what is needed so many times, all eigenvalues do exceed it."""
 
@@ -157,11 +159,27 @@ def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
 
 
 def inverse_stack(A: FloatArray) -> FloatArray:
-    """Return the inverses of symmetric matrices; pseudo-inverses where one is singular."""
+    """Return the inverses of symmetric matrices (..., n, n), without the axes that are rounding.
+
+    An unknown that the others nearly tell, as where a plane has one station, makes the plain inverse
+    useless. The units of the unknowns make no difference.
+    """
     try:
-        return np.asarray(np.linalg.inv(A))
+        inverse = np.asarray(np.linalg.inv(A))
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True))
+        inverse = np.full_like(A, np.nan)
+    # What an unknown has of information, over what the others leave of it.
+    alone = np.einsum("...ii,...ii->...i", A, inverse)
+    if alone.min() > 0.0 and alone.max() < NEARLY_TOLD:
+        return inverse
+    poor = ~((alone > 0.0) & (alone < NEARLY_TOLD)).all(axis=-1)
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", A[poor]), 1e-300))
+    values, axes = np.linalg.eigh(A[poor] * scale[..., :, None] * scale[..., None, :])
+    known = values > RANK
+    weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
+    own = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    inverse[poor] = own * scale[..., :, None] * scale[..., None, :]
+    return inverse
 
 
 def solve_definite(A: FloatArray, rhs: FloatArray) -> FloatArray:

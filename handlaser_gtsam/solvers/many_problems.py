@@ -207,7 +207,7 @@ class _Search:
             if not self.index.size:
                 return
         equations, cost, bases = self.task.normal(trial)
-        good = self.cost - cost >= 0.5 * FAIR * decrement
+        good = (decrement >= 0.0) & (self.cost - cost >= 0.5 * FAIR * decrement)
         if good.all() and not (some or self.damping.any()):  # as most steps
             self.at, self.equations, self.cost, self.bases = trial, equations, cost, bases
             self.iterations += 1
@@ -243,11 +243,12 @@ class _Search:
         return COST_RESOLUTION * self.cost + self.task.rounding
 
     def _gain(self, decrement: FloatArray, cost: FloatArray) -> FloatArray:
-        """Return what part of the promised saving each step achieved; see `levenberg`."""
+        """Return what part of the promised saving each step achieved, -1 of none; see `levenberg`."""
         resolution = self._resolution()
         saved = self.cost - cost
-        level = (decrement <= resolution) & (saved > -resolution)
-        return np.where(level, 0.5, saved / np.maximum(0.5 * decrement, 1e-300))
+        level = (np.abs(decrement) <= resolution) & (saved > -resolution)
+        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, 1e-300), -1.0)
+        return np.where(level, 0.5, gain)
 
     def _little_left(self, decrement: FloatArray) -> BoolArray:
         """Tell which steps leave less than the tolerance; see `Stopping`."""
@@ -257,7 +258,7 @@ class _Search:
         small = left <= self.options.step_tolerance * np.sqrt(2.0 / self.task.dof * self.cost)
         small &= same | (self.damping <= self.options.least_damping)
         self.before, self.damped = length, self.damping
-        return np.asarray(small | (decrement <= self.task.rounding))
+        return np.asarray(small | (np.abs(decrement) <= self.task.rounding))
 
     def _adapt_damping(self, gain: FloatArray) -> None:
         """Change the damping by how well the linear model did; see `levenberg`."""

@@ -6,7 +6,8 @@ couples it to the beams; the reduced system of the beams is
     S = H_bb - sum_p E_p inv(H_pp) E_p'
 
 and costs time linear in the number of planes. Beam unknowns are ordered (r, v, k) a beam, 5 + terms
-each, directions in the basis of `model.tangent_basis`; plane unknowns are (tangent of n, b).
+each, directions and normals along the tangents of the rows, those of `model.tangent_basis` or GTSAM's;
+plane unknowns are (tangent of n, b).
 
 Several problems of one shape are worked on together, or several candidates for one, as copies: their
 parameters stand one after the other, and every array of the normal equations has the copies first.
@@ -119,13 +120,8 @@ class NormalEquations:
             self, blocks=blocks, beam_gradient=gradient, squares=squares, coupled=coupled
         )
 
-    def plus(
-        self,
-        beams: FloatArray,
-        beam_gradient: FloatArray | float = 0.0,
-        planes: FloatArray | float = 0.0,
-    ) -> "NormalEquations":
-        """Return the only copy with more information of single beams (B, w, w) and planes (P, 3, 3)."""
+    def plus(self, beams: FloatArray, beam_gradient: FloatArray) -> "NormalEquations":
+        """Return the only copy with more information (B, w, w) of single beams, and gradient (nb,)."""
         coupled = self.coupled
         if coupled is not None:
             coupled, each = coupled.copy(), np.arange(len(beams))
@@ -134,7 +130,6 @@ class NormalEquations:
             self,
             blocks=self.blocks + beams,
             beam_gradient=self.beam_gradient + beam_gradient,
-            plane=self.plane + planes,
             coupled=coupled,
         )
 

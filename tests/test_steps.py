@@ -1,0 +1,77 @@
+"""Single steps: against dense equations, and what they do to beams and planes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import bench, motion, recording_of
+
+from handlaser_gtsam import model
+from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.solvers.elimination import inverse_stack, solve_definite
+from handlaser_gtsam.solvers.normal_equations import jacobian_columns, normal_equations
+from handlaser_gtsam.solvers.steps import apply_step, damped_step
+
+DAMPED = {"planes first": (3, 3, False), "beams first": (1, 9, False), "coupled": (1, 9, True)}
+
+
+@pytest.mark.parametrize("case", DAMPED)
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
+def test_a_damped_step_solves_the_dense_equations(case, damping):
+    """(J'WJ + lambda diag(J'WJ)) x = -J'We, from the rows of the model, whichever side goes first."""
+    planes, beams, coupled = DAMPED[case]
+    truth, count = bench(planes, beams), 12 * planes
+    labels = np.repeat(np.arange(planes), 12).tolist()
+    readings = recording_of(truth, *motion("free", count), labels, 1e-4).readings()
+    pose = np.tile(np.diag([1e-3] * 3 + [1e-4] * 3) ** 2, (count, 1, 1)) if coupled else None
+    how = whitening(truth, readings, Variances(np.full(beams, 1e-4), 1e-5, pose))
+    at = replace(truth, locations=truth.locations + 1e-3, offsets=truth.offsets + 1e-3)
+    normal = normal_equations(at, readings, 1, whitening=how)
+    columns, _ = jacobian_columns(at, readings, 1, normal.centres[0])
+    J = np.zeros((len(readings), 6 * beams + 3 * planes))
+    for row, (i, p) in enumerate(zip(readings.beam, readings.plane, strict=True)):
+        J[row, 6 * i : 6 * i + 6] = columns[:6, row]
+        J[row, 6 * beams + 3 * p : 6 * beams + 3 * p + 3] = columns[6:9, row]
+    white, e = how.apply_rows(J), how.apply(columns[-1])
+    H = white.T @ white
+    dense = np.linalg.solve(H + damping * np.diag(np.diagonal(H)), -white.T @ e)
+    beam, plane = damped_step(normal, np.array([damping]))
+    off = np.concatenate((beam[0], plane[0].ravel())) - dense
+    assert np.sqrt(off @ H @ off) < 1e-6 * np.sqrt(dense @ H @ dense)
+
+
+def test_a_step_turns_a_plane_about_its_centre():
+    """Along tangents that are given: at the centre, the height of the plane changes by its own step."""
+    rng = np.random.default_rng(0)
+    at = bench(3, 2)
+    centres, beam, plane = rng.normal(size=(3, 3)), rng.normal(size=(2, 6)), rng.normal(size=(3, 3))
+    bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))[..., ::-1]
+    new = apply_step(at, beam, plane, centres, 1, bases)
+    heights = [(one.normals * centres).sum(axis=1) + one.offsets for one in (at, new)]
+    assert np.allclose(heights[1] - heights[0], plane[:, 2])
+    turned = np.concatenate((new.directions, new.normals))
+    along = np.einsum("nij,ni->nj", bases, turned)
+    steps = np.concatenate((beam[:, 3:5], plane[:, :2]))
+    assert np.allclose(along[:, 0] * steps[:, 1], along[:, 1] * steps[:, 0])
+    assert np.allclose((turned**2).sum(axis=1), 1.0)
+    assert (np.sum(along * steps, axis=1) > 0.0).all()
+    assert np.allclose(new.locations - at.locations, beam[:, :3])
+    assert np.allclose(new.range_errors, np.column_stack((beam[:, 5], np.zeros(2))))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_a_singular_matrix_is_solved_along_what_it_tells(unit):
+    """In any units, beside one that is definite and one that rounding made indefinite."""
+    rng = np.random.default_rng(1)
+    J, units = rng.normal(size=(8, 4)), np.array([1.0, unit, 1.0, 1.0 / unit])
+    whole = J.T @ J
+    J[:, 3] = J[:, :3].sum(axis=1)
+    lost = J.T @ J
+    bent = lost - 1e-9 * np.eye(4)
+    A = np.array([whole, lost, bent]) * units[:, None] * units
+    rhs = np.einsum("kij,j->ki", A, rng.normal(size=4) / units)
+    found = solve_definite(A, rhs)
+    assert np.allclose(np.einsum("kij,kj->ki", A, found) / units, rhs / units, rtol=1e-6)
+    inverse = inverse_stack(A[:2]) * units[:, None] * units
+    assert np.allclose(inverse[0] @ whole, np.eye(4))
+    assert np.allclose(lost @ inverse[1] @ lost, lost)
