@@ -60,6 +60,10 @@ def test_the_minimum_is_that_of_the_graph(kind, gaps):
     assert found.converged.all()
     assert found.cost[0] == pytest.approx(result.cost, rel=1e-12)
     mine, theirs = found.parameters[0], read_parameters(graph, result.values)
+    residual = jacobian_columns(theirs, readings, 2)[0][-1]
+    assert np.allclose(result.residual, residual, rtol=0.0, atol=1e-13)
+    white = residual if isinstance(how, float) else how.apply(residual)
+    assert np.allclose(result.white, white, rtol=0.0, atol=1e-12)
     joint = covariance(graph, result.values)
     for i, own in enumerate(joint.all_beams()):
         sigma = np.sqrt(np.diagonal(own))
@@ -191,9 +195,9 @@ def moved(at):
     return replace(at, locations=at.locations + 0.003)
 
 
-@pytest.mark.parametrize("wrong", [-1.0, np.nan])
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, 5.0])
 def test_a_step_uphill_is_no_arrival(monkeypatch, wrong):
-    """As rounding may make of a singular system: damping rises, and the next one leads down."""
+    """As rounding may make of a singular system: damping rises, the next one leads down, it falls."""
     dampings = []
 
     def stepped(normal, damping):
@@ -205,7 +209,47 @@ def test_a_step_uphill_is_no_arrival(monkeypatch, wrong):
     readings, truth = local(*scene(0))
     expected = solve_together([readings], [moved(truth)], 2, SIGMA)
     monkeypatch.setattr(many_problems, "damped_step", stepped)
-    found = solve_together([readings], [moved(truth)], 2, SIGMA)
+    options = LevenbergOptions(first_damping=10.0)
+    found = solve_together([readings], [moved(truth)], 2, SIGMA, None, options)
     assert found.converged.all()
     assert found.cost[0] == pytest.approx(expected.cost[0], rel=1e-9)
+    assert found.iterations[0] <= expected.iterations[0] + 2
     assert dampings[1] > dampings[0]
+
+
+def test_it_ends_after_as_many_steps_as_on_the_graph():
+    """Whose rule of arrival is another piece of code: from starts near and far."""
+    for seed, by in enumerate((1e-5, 1e-4, 1e-3, 1e-2)):
+        readings, truth = local(*scene(seed))
+        start = replace(truth, locations=truth.locations + by)
+        found = solve_together([readings], [start], 2, SIGMA)
+        result = levenberg_marquardt(build_graph(readings, start, 2, SIGMA))
+        assert found.converged.all()
+        assert found.iterations[0] == result.iterations
+
+
+def test_readings_without_noise_end_where_rounding_is_all_that_is_left():
+    truth = bench(2)
+    recording = recording_of(truth, *motion("free", 30), [0] * 15 + [1] * 15, 0.0)
+    readings, start = local(recording, truth)
+    found = solve_together([readings], [moved(start)], 2, SIGMA)
+    assert found.converged.all()
+    assert found.cost[0] < 1e-12
+    assert found.iterations[0] < 8
+
+
+def test_a_short_step_that_damping_made_is_no_arrival(monkeypatch):
+    """After a step that fails, damping is so high that the next one hardly moves."""
+    calls = []
+
+    def stepped(normal, damping):
+        calls.append(1)
+        beam, plane = damped_step(normal, damping)
+        return (-beam, -plane) if len(calls) == 1 else (beam, plane)
+
+    monkeypatch.setattr(many_problems, "damped_step", stepped)
+    readings, truth = local(*scene(0))
+    options = LevenbergOptions(first_damping=1e6, step_tolerance=0.1)
+    found = solve_together([readings], [moved(truth)], 2, SIGMA, None, options)
+    alone = levenberg_marquardt(build_graph(readings, truth, 2, SIGMA))
+    assert found.cost[0] < 1.01 * alone.cost
