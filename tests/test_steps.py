@@ -75,3 +75,12 @@ def test_a_singular_matrix_is_solved_along_what_it_tells(unit):
     inverse = inverse_stack(A[:2]) * units[:, None] * units
     assert np.allclose(inverse[0] @ whole, np.eye(4))
     assert np.allclose(lost @ inverse[1] @ lost, lost)
+
+
+def test_a_plane_of_which_no_reading_counts_stays():
+    """What damping adds to nothing is no information."""
+    empty = 1e-311 * np.eye(3)
+    full = np.diag([4.0, 1.0, 2.0])
+    found = inverse_stack(np.array([[empty, full]]))
+    assert (found[0, 0] == 0.0).all()
+    assert np.allclose(found[0, 1], np.diag([0.25, 1.0, 0.5]))

@@ -16,6 +16,8 @@ NEARLY = 1e-2
 """The relative accuracy of the extreme eigenvalues of so many unknowns."""
 RANK = 1e-12
 """Information of a plane below this part of its largest is rounding."""
+NOTHING = 1e-280
+"""Information of an unknown below this is none, as where no reading of a plane counts."""
 NEARLY_TOLD = 1e6
 """Where the others leave less than one such part of an unknown, a plain inverse loses many digits."""
 CERTAIN = 1e3
@@ -173,12 +175,14 @@ def inverse_stack(A: FloatArray) -> FloatArray:
     if alone.min() > 0.0 and alone.max() < NEARLY_TOLD:
         return inverse
     poor = ~((alone > 0.0) & (alone < NEARLY_TOLD)).all(axis=-1)
-    scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", A[poor]), 1e-300))
+    own = np.einsum("...ii->...i", A[poor])
+    some = own > NOTHING
+    scale = np.where(some, 1.0 / np.sqrt(np.where(some, own, 1.0)), 0.0)
     values, axes = np.linalg.eigh(A[poor] * scale[..., :, None] * scale[..., None, :])
     known = values > RANK
     weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
-    own = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    inverse[poor] = own * scale[..., :, None] * scale[..., None, :]
+    found = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    inverse[poor] = found * scale[..., :, None] * scale[..., None, :]
     return inverse
 
 
