@@ -1,13 +1,14 @@
 """Whether the defaults are honest: Monte Carlo over the simulated robot cell.
 
     python -m benchmarks.defaults [--runs 200] [--jobs 2] [--beams 4 1] [--a 0 0.1 0.3 1 3 10]
-                                  [--motion 0.16] [--given]
+                                  [--motion 0.16] [--given] [--kind each]
     python -m benchmarks.defaults --scene-check [--runs 100]
 
 Every recording has 6 planes x 13 stations, joint errors of 0.004 deg, readings that err by 0.1 mm, and
-range errors k1 ~ N(0, 0.01 a), k2 ~ N(0, 0.2/m a) of every beam. It is calibrated with nothing given
-(with --given: the range sigma, and the covariance of every hand pose), and for comparison with both
-range-error terms, and without any at a = 0.
+range errors k1 ~ N(0, 0.01 a), k2 ~ N(0, 0.2/m a) of every beam (--kind alike: the same of all beams;
+--kind k1: no k2). It is calibrated with nothing given (with --given: the range sigma, and the
+covariance of every hand pose), and for comparison with both range-error terms, and without any at
+a = 0.
 
 NEES is the squared error of all beams in their joint covariance over the number of unknowns, of all of
 them and of r and v alone, the mounts: its limits are on these. Range errors of exactly zero (a = 0)
@@ -32,7 +33,7 @@ import numpy as np
 
 import handlaser_gtsam as hl
 from benchmarks.robot_arm import pose_covariance
-from benchmarks.robot_cell import MOTION, Scene, Truth, cell
+from benchmarks.robot_cell import KINDS, MOTION, Scene, Truth, cell
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.estimation.options import RangeError
@@ -52,12 +53,13 @@ CHECKED = {
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Beams, size of the range errors, whether the noise is given, and how much the hand moves."""
+    """Beams, size and kind of the range errors, whether the noise is given, and the hand's motion."""
 
     beams: int
     a: float
     given: bool
     motion: float = MOTION
+    kind: str = "each"
 
     @property
     def ways(self) -> tuple[RangeError, ...]:
@@ -100,7 +102,7 @@ def stated_noise(scene: Scene, truth: Truth) -> hl.Noise:
 
 def run_once(case: Case, seed: int) -> dict[RangeError, Judged | None]:
     """Calibrate one recording in every way; None where one of them has no result."""
-    scene = Scene(beams=case.beams, motion=case.motion, a=case.a)
+    scene = Scene(beams=case.beams, motion=case.motion, a=case.a, kind=case.kind)
     recording, truth = cell(scene, np.random.default_rng(seed))
     noise = stated_noise(scene, truth) if case.given else hl.Noise()
     true = np.hstack((truth.locations, truth.directions, truth.range_errors))
@@ -244,10 +246,11 @@ def main() -> None:
     parser.add_argument("--a", type=float, nargs="+", default=A)
     parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     parser.add_argument("--given", action="store_true")
+    parser.add_argument("--kind", choices=KINDS, default="each", help="see robot_cell.Scene")
     parser.add_argument("--scene-check", action="store_true")
     arguments = parser.parse_args()
     cases = [
-        Case(beams, a, arguments.given, arguments.motion)
+        Case(beams, a, arguments.given, arguments.motion, arguments.kind)
         for beams in arguments.beams
         for a in arguments.a
     ]

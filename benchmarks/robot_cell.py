@@ -53,6 +53,13 @@ without range errors and 0.4 deg with both terms free; at 1, of 0.055 and 0.065 
 LEAST_SLOPE = 0.5
 """Range errors with which a reading grows less than the range, or not at all, are drawn again: the
 true range must grow by this much with the reading at every reading up to the farthest."""
+UNITS = {
+    "each": np.array([0.01, 0.2]),
+    "alike": np.array([0.01, 0.2]),
+    "k1": np.array([0.01, 0.0]),
+}
+"""Standard deviations of k1 and k2 [1/m], by what kind of range errors the beams have."""
+KINDS = tuple(UNITS)
 CODES = (
     "incidence",
     "cubic",
@@ -89,6 +96,9 @@ class Scene:
     subject : (int, int), optional
         (plane, first displaced station of that plane) for `displaced`, (plane, beam) for
         `beam-on-plane`; random where not given.
+    kind : str
+        Of the range errors, one of `KINDS`: every beam has its own, all beams have the same, or every
+        beam has a k1 of its own and no k2.
     """
 
     beams: int = 4
@@ -101,6 +111,7 @@ class Scene:
     code: str = ""
     size: float = 0.0
     subject: tuple[int, int] | None = None
+    kind: str = "each"
 
     def __post_init__(self) -> None:
         if self.code and self.code not in CODES:
@@ -176,7 +187,8 @@ def _range_errors(scene: Scene, rng: np.random.Generator) -> FloatArray:
     k = np.zeros((scene.beams, 2))
     todo = np.arange(scene.beams)
     while todo.size:
-        k[todo] = scene.a * np.array([0.01, 0.2]) * rng.standard_normal((todo.size, 2))
+        count = 1 if scene.kind == "alike" else todo.size
+        k[todo] = scene.a * UNITS[scene.kind] * rng.standard_normal((count, 2))
         slope = 1.0 + k[todo, 0]
         far = slope**2 + 4.0 * k[todo, 1] * FARTHEST
         todo = todo[(slope < LEAST_SLOPE) | (far < LEAST_SLOPE**2)]

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers import simulated
+from scipy import stats
 
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
@@ -228,13 +229,18 @@ def test_noise_scales_are_integrated_over():
 
 
 def shared_prior(*logarithms, linearity=0.01):
-    """Return the log density of the logarithms of scales: half-Cauchy about s, s about linearity."""
-    s = np.exp(np.linspace(-15.0, 15.0, 1001))  # over the linearity
-    density = 2.0 / math.pi * s / (1.0 + s**2)
-    for one in logarithms:
-        x = math.exp(one) / linearity / s
-        density = density * 2.0 / math.pi * x / (1.0 + x**2)
-    return math.log(density.sum() * 0.03)
+    """Return the log density of the logarithms of s1, s2 and S.
+
+    The last is half-Cauchy about the linearity, the others F(2, 2) in their squares about the square of
+    a scale that is half-Cauchy about the linearity.
+    """
+    t = np.exp(np.linspace(-15.0, 15.0, 1001))  # over the linearity
+    density = 2.0 / math.pi * t / (1.0 + t**2)
+    for one in logarithms[:-1]:
+        F = (math.exp(one) / linearity / t) ** 2
+        density = density * 2.0 * stats.f.pdf(F, 2, 2) * F
+    alone = math.exp(logarithms[-1]) / linearity
+    return math.log(density.sum() * 0.03 * 2.0 / math.pi * alone / (1.0 + alone**2))
 
 
 def prior_covariance(own, common, beams=2):

@@ -4,10 +4,10 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
     k1_i = m1 + d1_i,  k2_i D = m2 + d2_i,  d1 ~ N(0, s1^2),  d2 ~ N(0, s2^2),  m1, m2 ~ N(0, S^2):
 
-sensors of one kind err alike, and the robot's scale does so to all of them. s1, s2 and S are
-half-Cauchy (see `scales`) about a scale that they share, itself half-Cauchy about the linearity of
-the sensor: where one is far larger than expected, so may the others be. The mean over the beams and
-the contrasts between them make the prior diagonal. From the solution with a wide prior, k^ with
+sensors of one kind err alike, and the robot's scale does so to all of them. s1 and s2 have a scale in
+common, which like S is learned (`range_error_grid`): where k1 is far larger than expected, so may k2
+be; what the beams share does not follow from how they differ. The mean over the beams and the
+contrasts between them make the prior diagonal. From the solution with a wide prior, k^ with
 covariance V, a narrower prior is a linear update: with the precision E that it adds, R = E^(1/2) and
 Z = R inv(1 + R V R) R,
 

@@ -1,6 +1,10 @@
 """The prior of range errors: the scales at which it is integrated over, and in what coordinates.
 
 The means over all beams and the contrasts between them make the prior of `mixture` diagonal.
+
+With L the linearity of the sensor, S is half-Cauchy about L; s1 and s2 are drawn about a scale t that
+they share and that is half-Cauchy about L: 1 / (1 + s^2 / t^2), by which a range error that is known
+as well as t would be drawn to zero, is uniform (Daniels, Canadian Journal of Statistics 27(3), 1999).
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,7 @@ from ..data.value import Value
 SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
 SHARED, SHARED_STEP = 10.0, 0.1
-"""The scale that the terms share is integrated over within exp(+-SHARED) of the linearity."""
+"""The scale t that the terms share is integrated over within exp(+-SHARED) of the linearity."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
@@ -88,18 +92,27 @@ def _grid(sides: Sequence[FloatArray], linearity: float, terms: int) -> RangeErr
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
     shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
-    density = SHARED_STEP * _density(shared)
-    for side in sides:  # what is shared stays the last axis
-        density = density[..., None, :] * _density(side[:, None] - shared)
-    log_prior = np.log(density.sum(axis=-1)).ravel()
+    density = SHARED_STEP * _half_cauchy(shared)
+    for side in sides[:terms]:  # what is shared stays the last axis
+        density = density[..., None, :] * _uniform_shrinkage(side[:, None] - shared)
+    density = density.sum(axis=-1)
+    for side in sides[terms:]:
+        density = density[..., None] * _half_cauchy(side)
+    log_prior = np.log(density).ravel()
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     return RangeErrorGrid(scale[:, :terms], common, log_prior + cell)
 
 
-def _density(x: FloatArray) -> FloatArray:
+def _half_cauchy(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
     density: FloatArray = 1.0 / (np.pi * np.cosh(x))
+    return density
+
+
+def _uniform_shrinkage(x: FloatArray) -> FloatArray:
+    """Return the density of the logarithm x of a scale for which 1 / (1 + scale^2) is uniform."""
+    density: FloatArray = 0.5 / np.cosh(x) ** 2
     return density
 
 
