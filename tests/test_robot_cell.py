@@ -207,6 +207,13 @@ def test_the_study_of_the_defaults_judges_by_the_stated_covariance():
     assert max(one.farthest for one in found) < defaults.FAR
 
 
+@pytest.mark.parametrize("seed", [41, 104, 109])
+def test_range_errors_that_all_beams_share_are_not_explained_away(seed):
+    """Beams that hardly differ say nothing of what they share, and k was up to 7 sigma off."""
+    one = defaults.run_once(defaults.Case(4, 1.0, given=True, kind="alike"), seed)["auto"]
+    assert one.farthest < 4.5
+
+
 def test_a_regression_finds_the_ratio():
     rng = np.random.default_rng(2)
     stated = rng.standard_normal((50, 2, 4, 3))
