@@ -76,9 +76,9 @@ def main() -> None:
             largest = max(largest, found.largest)
             largest_sigma = max(largest_sigma, found.largest_sigma)
         near = any(0 <= number - plane - 1 < TIMED for number in shown)
-        if session.started and near and plane % 3 == 0:
+        if session.started and ((near and plane % 3 == 0) or plane + 1 in shown):
             batches.append(batch_seconds(session, noise, options))
-        if plane + 1 in shown:
+        if plane + 1 in shown and batches:
             one, batch = statistics.median(seconds[-TIMED:]), statistics.median(batches)
             rows.append((plane + 1, one, statistics.mean(seconds[-LONG:]), batch))
             batches = []
@@ -87,10 +87,10 @@ def main() -> None:
             f"{planes:5} planes: add {1e3 * one:.2f} ms (mean {1e3 * mean:.2f}), batch "
             f"{1e3 * batch:.1f} ms, batch / add {batch / one:.1f}"
         )
-    slope = np.polyfit([row[0] for row in rows], [row[1] for row in rows], 1)[0]
-    print(
-        f"slope {1e6 * slope:.1f} us a plane; of the batch {1e6 * rows[-1][3] / rows[-1][0]:.0f} us"
-    )
+    if len(rows) > 1:
+        slope = np.polyfit([row[0] for row in rows], [row[1] for row in rows], 1)[0]
+        of_batch = 1e6 * rows[-1][3] / rows[-1][0]
+        print(f"slope {1e6 * slope:.1f} us a plane; of the batch {of_batch:.0f} us")
     print(
         f"largest difference {largest:.1e} standard deviations, standard deviations differ by "
         f"{100.0 * largest_sigma:.2f} % at most"
