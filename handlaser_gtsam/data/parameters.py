@@ -111,7 +111,7 @@ class Parameters(Value):
         """Return some beams and some planes, by their indices."""
         i, p = np.asarray(beams), np.asarray(planes)
         r, v, k = self.beams
-        return Parameters(r[i], v[i], k[i], self.normals[p], self.offsets[p])
+        return Parameters.unchecked(r[i], v[i], k[i], self.normals[p], self.offsets[p])
 
     def seen_from(self, origins: FloatArray) -> "Parameters":
         """Return the parameters with every plane in a frame whose origin is at `origins` (P, 3)."""

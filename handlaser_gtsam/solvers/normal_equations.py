@@ -86,6 +86,15 @@ class NormalEquations:
         arrays: list[Any] = [a if a is None else a[copies] for a in self._arrays()]
         return NormalEquations(*arrays)
 
+    def put(self, copies: IntArray, others: "NormalEquations") -> "NormalEquations":
+        """Return `others` at the places of some copies; those here may be written to for it."""
+        if len(copies) == len(self.squares):
+            return others
+        for mine, new in zip(self._arrays(), others._arrays(), strict=True):
+            if mine is not None:
+                mine[copies] = new
+        return self
+
     @classmethod
     def joined(cls, several: Sequence["NormalEquations"]) -> "NormalEquations":
         """Return the copies of several, one after the other."""

@@ -15,7 +15,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN, Loss
 from .grid import Grid
-from .normal_equations import normal_equations
+from .normal_equations import NormalEquations, normal_equations
 from .progress import tell
 from .steps import apply_step, damped_step
 
@@ -138,13 +138,20 @@ class _Search:
         self.cost = self._costs(self.residual, self.scale)
         self.tightening = np.zeros(len(starts), dtype=bool)
         self.active: BoolArray = np.isfinite(self.cost)
+        self.moved = self.active.copy()
+        """Candidates whose normal equations are those of where they were before."""
+        self.place = np.cumsum(self.active) - 1
+        """Where the normal equations of a candidate stand among those of all that began."""
+        self.normal: NormalEquations | None = None
 
     def run(self, iterations: int) -> list[Refined | None]:
-        for _ in range(iterations):
+        left = np.full(len(self.cost), iterations)
+        while True:
+            self.active &= left > 0
             rows = np.flatnonzero(self.active)
             if not rows.size:
                 break
-            self._advance(rows)
+            left[self._advance(rows)] -= 1
         self.at = self.grid.facing(self.at)  # a beam may have come from behind
         ends = zip(parted(self.at, self.grid), self.cost, self.scale, strict=True)
         return [
@@ -152,39 +159,41 @@ class _Search:
             for parameters, cost, scale in ends
         ]
 
-    def _advance(self, rows: IntArray) -> None:
-        """Try one step of candidates `rows`; those that fail raise their damping and try again."""
-        here = picked(self.at, self.grid, rows)
-        weights = None
-        if self.loss.name != "gaussian":
-            weights = self._tighten(rows)
-        normal = normal_equations(here, self.grid, self.terms, weights)
-        waiting = np.arange(len(rows))
-        while waiting.size:
-            own = rows[waiting]
-            part = normal if len(waiting) == len(rows) else normal.picked(waiting)
-            beam, plane = damped_step(part, self.damping[own])
-            trial = apply_step(
-                picked(self.at, self.grid, own),
-                beam.reshape(-1, 5 + self.terms),
-                plane.reshape(-1, 3),
-                part.centres.reshape(-1, 3),
-                self.terms,
-            )
-            residual = self._residuals(trial)
-            cost = self._costs(residual, self.scale[own])
-            better = cost < self.cost[own]
-            gain = self.cost[own] - cost
-            self._take(own[better], picked(trial, self.grid, np.flatnonzero(better)))
-            self.residual[own[better]] = residual[better]
-            arrived = better & (gain <= LEVEL * cost) & ~self.tightening[own]
-            self.cost[own[better]] = cost[better]
-            self.active[own[arrived]] = False
-            self.damping[own[better]] = np.maximum(self.damping[own[better]] / 10.0, LEAST_DAMPING)
-            self.damping[own[~better]] *= 10.0
-            hopeless = self.damping[own] > MOST_DAMPING
-            self.active[own[hopeless]] = False
-            waiting = waiting[~better & ~hopeless]
+    def _advance(self, rows: IntArray) -> IntArray:
+        """Try one step of candidates `rows`, and return those that took it; others raise their damping."""
+        normal = self._linearized(rows)
+        beam, plane = damped_step(normal, self.damping[rows])
+        trial = apply_step(
+            picked(self.at, self.grid, rows),
+            beam.reshape(-1, 5 + self.terms),
+            plane.reshape(-1, 3),
+            normal.centres.reshape(-1, 3),
+            self.terms,
+        )
+        residual = self._residuals(trial)
+        cost = self._costs(residual, self.scale[rows])
+        better = cost < self.cost[rows]
+        gain = self.cost[rows] - cost
+        arrived = better & (gain <= LEVEL * cost) & ~self.tightening[rows]
+        own = rows[better]
+        self._take(own, picked(trial, self.grid, np.flatnonzero(better)))
+        self.residual[own], self.cost[own], self.moved[own] = residual[better], cost[better], True
+        self.damping[own] = np.maximum(self.damping[own] / 10.0, LEAST_DAMPING)
+        self.damping[rows[~better]] *= 10.0
+        self.active[rows[arrived | (self.damping[rows] > MOST_DAMPING)]] = False
+        return own
+
+    def _linearized(self, rows: IntArray) -> NormalEquations:
+        """Return the normal equations of candidates `rows`, formed anew where they have moved."""
+        moved = rows[self.moved[rows]]
+        if moved.size:
+            weights = None if self.loss.name == "gaussian" else self._tighten(moved)
+            here = picked(self.at, self.grid, moved)
+            fresh = normal_equations(here, self.grid, self.terms, weights)
+            self.normal = fresh if self.normal is None else self.normal.put(self.place[moved], fresh)
+            self.moved[moved] = False
+        assert self.normal is not None  # every candidate begins as one that has moved
+        return self.normal.picked(self.place[rows])
 
     def _tighten(self, rows: IntArray) -> FloatArray:
         """Let the scale of candidates `rows` follow their residuals; return the weights."""
@@ -223,7 +232,7 @@ class _Search:
             array = getattr(self.at, name).copy()
             array[planes if name in ("normals", "offsets") else beams] = getattr(new, name)
             arrays.append(array)
-        self.at = Parameters(*arrays)
+        self.at = Parameters.unchecked(*arrays)
 
 
 def joined(copies: Sequence[Parameters]) -> Parameters:
