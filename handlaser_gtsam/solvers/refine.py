@@ -160,7 +160,7 @@ class _Search:
         ]
 
     def _advance(self, rows: IntArray) -> IntArray:
-        """Try one step of candidates `rows`, and return those that took it; others raise their damping."""
+        """Try a step of candidates `rows`; return those that took it, the others raise their damping."""
         normal = self._linearized(rows)
         beam, plane = damped_step(normal, self.damping[rows])
         trial = apply_step(
@@ -190,9 +190,10 @@ class _Search:
             weights = None if self.loss.name == "gaussian" else self._tighten(moved)
             here = picked(self.at, self.grid, moved)
             fresh = normal_equations(here, self.grid, self.terms, weights)
-            self.normal = fresh if self.normal is None else self.normal.put(self.place[moved], fresh)
+            before = fresh if self.normal is None else self.normal
+            self.normal = before.put(self.place[moved], fresh)
             self.moved[moved] = False
-        assert self.normal is not None  # every candidate begins as one that has moved
+        assert self.normal is not None  # in the first round all have moved
         return self.normal.picked(self.place[rows])
 
     def _tighten(self, rows: IntArray) -> FloatArray:
