@@ -160,7 +160,7 @@ class _Search:
         ]
 
     def _advance(self, rows: IntArray) -> IntArray:
-        """Try a step of candidates `rows`, and return those that took it; others raise their damping."""
+        """Try a step of candidates `rows`; return those that took it. Others raise their damping."""
         normal = self._linearized(rows)
         beam, plane = damped_step(normal, self.damping[rows])
         trial = apply_step(
