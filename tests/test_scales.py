@@ -15,7 +15,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
-from handlaser_gtsam.estimation.range_error_grid import SPAN, refined_grid, widest_grid
+from handlaser_gtsam.estimation.range_error_grid import SPAN, STEP, refined_grid, widest_grid
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS
@@ -241,6 +241,15 @@ def shared_prior(*logarithms, linearity=0.01):
         density = density * 2.0 * stats.f.pdf(F, 2, 2) * F
     alone = math.exp(logarithms[-1]) / linearity
     return math.log(density.sum() * 0.03 * 2.0 / math.pi * alone / (1.0 + alone**2))
+
+
+@pytest.mark.parametrize("linearity", [0.001, 0.01])
+def test_the_prior_of_the_scales_is_what_it_is_said_to_be(linearity):
+    grid = widest_grid(linearity, 2, 4)
+    cell = 3.0 * math.log(STEP)
+    for own, common, value in list(zip(grid.own, grid.common, grid.log_prior, strict=True))[::7]:
+        points = np.log([*own, common])
+        assert value == pytest.approx(shared_prior(*points, linearity=linearity) + cell, abs=1e-9)
 
 
 def prior_covariance(own, common, beams=2):
