@@ -6,9 +6,9 @@
 
 Every recording has 6 planes x 13 stations, joint errors of 0.004 deg, readings that err by 0.1 mm, and
 range errors k1 ~ N(0, 0.01 a), k2 ~ N(0, 0.2/m a) of every beam (--kind alike: the same of all beams;
---kind k1: no k2). It is calibrated with nothing given (with --given: the range sigma, and the
-covariance of every hand pose), and for comparison with both range-error terms, and without any at
-a = 0.
+--kind k1: no k2; --kind parabola: k2 = -k1 / 0.6 m). It is calibrated with nothing given (with --given:
+the range sigma, and the covariance of every hand pose), and for comparison with both range-error terms,
+and without any at a = 0.
 
 NEES is the squared error of all beams in their joint covariance over the number of unknowns, of all of
 them and of r and v alone, the mounts: its limits are on these. Range errors of exactly zero (a = 0)
@@ -246,7 +246,7 @@ def main() -> None:
     parser.add_argument("--a", type=float, nargs="+", default=A)
     parser.add_argument("--motion", type=float, default=MOTION, help="see robot_cell.Scene")
     parser.add_argument("--given", action="store_true")
-    parser.add_argument("--kind", choices=KINDS, default="each", help="see robot_cell.Scene")
+    parser.add_argument("--kind", choices=list(KINDS), default="each", help="see robot_cell.Scene")
     parser.add_argument("--scene-check", action="store_true")
     arguments = parser.parse_args()
     cases = [

@@ -53,13 +53,13 @@ without range errors and 0.4 deg with both terms free; at 1, of 0.055 and 0.065 
 LEAST_SLOPE = 0.5
 """Range errors with which a reading grows less than the range, or not at all, are drawn again: the
 true range must grow by this much with the reading at every reading up to the farthest."""
-UNITS = {
-    "each": np.array([0.01, 0.2]),
-    "alike": np.array([0.01, 0.2]),
-    "k1": np.array([0.01, 0.0]),
+KINDS = {
+    "each": np.diag([0.01, 0.2]),
+    "alike": np.diag([0.01, 0.2]),
+    "k1": np.diag([0.01, 0.0]),
+    "parabola": np.array([[0.01, -0.01 / 0.6], [0.0, 0.0]]),
 }
-"""Standard deviations of k1 and k2 [1/m], by what kind of range errors the beams have."""
-KINDS = tuple(UNITS)
+"""What two standard normal numbers add to k1 and k2 [1/m], a row each, by the kind of range errors."""
 CODES = (
     "incidence",
     "cubic",
@@ -97,8 +97,8 @@ class Scene:
         (plane, first displaced station of that plane) for `displaced`, (plane, beam) for
         `beam-on-plane`; random where not given.
     kind : str
-        Of the range errors, one of `KINDS`: every beam has its own, all beams have the same, or every
-        beam has a k1 of its own and no k2.
+        Of the range errors, one of `KINDS`: every beam has its own, all beams have the same, every beam
+        has a k1 of its own and no k2, or every beam has a parabola of its own, zero at 0 and 0.6 m.
     """
 
     beams: int = 4
@@ -188,7 +188,7 @@ def _range_errors(scene: Scene, rng: np.random.Generator) -> FloatArray:
     todo = np.arange(scene.beams)
     while todo.size:
         count = 1 if scene.kind == "alike" else todo.size
-        k[todo] = scene.a * UNITS[scene.kind] * rng.standard_normal((count, 2))
+        k[todo] = scene.a * rng.standard_normal((count, 2)) @ KINDS[scene.kind]
         slope = 1.0 + k[todo, 0]
         far = slope**2 + 4.0 * k[todo, 1] * FARTHEST
         todo = todo[(slope < LEAST_SLOPE) | (far < LEAST_SLOPE**2)]

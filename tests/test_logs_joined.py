@@ -251,10 +251,8 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
     assert any("estimated to" in line for line in report.lines)
 
 
-@pytest.mark.parametrize(
-    ("noise", "most", "seed"),
-    [*((0.0, 1e-4, seed) for seed in (0, 2, 6, 14)), *((2e-3, 2e-3, seed) for seed in (0, 14))],
-)
+@pytest.mark.parametrize("seed", [0, 2, 6, 14])
+@pytest.mark.parametrize(("noise", "most"), [(0.0, 1e-4), (2e-3, 2e-3)])
 def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     """The polynomials alone were 6 ms off in these, with a standard deviation of one.
 

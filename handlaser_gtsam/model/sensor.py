@@ -28,8 +28,8 @@ class Sensor:
     max_incidence : float
         Largest angle between beam and plane normal at which a reading counts [rad].
     linearity : float
-        What its data sheet calls linearity, as a part of the reading: the scale of the half-Cauchy
-        prior of what range errors typically are.
+        What its data sheet calls linearity, as a part of the reading: the scale about
+        which those of the range errors are learned.
     """
 
     range_min: float = 0.0

@@ -141,7 +141,6 @@ def _parts(
     found = (
         OpenPart(kind, name, quantity, _span(rows, share))
         for kind, name, quantity, rows in _rows(space, parameters, names)
-        if np.linalg.norm(rows) > share  # no singular value is larger than that
     )
     return tuple(part for part in found if part.axes.shape[1])
 

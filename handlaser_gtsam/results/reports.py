@@ -225,7 +225,7 @@ class RangeErrorScales(Value):
     k1, k2_per_m : float
         Standard deviations of the zero-mean prior of k1 [1] and k2 [1/m]: posterior means.
     linearity : float
-        Scale of the half-Cauchy prior of both, as a part of the reading.
+        About which both are learned, as a part of the reading: see `Sensor`.
     """
 
     k1: float
