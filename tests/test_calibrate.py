@@ -206,9 +206,8 @@ def test_the_learned_scale_follows_the_truth(scale):
     learned = calibration.range_error_scales.k1
     assert abs(math.log(learned / k[:, 0].std())) < 0.6
     sigma = np.array([beam.range_error_sigma[0] for beam in calibration.beams.values()])
-    large = (
-        np.abs(k[:, 0]) > 4.0 * sigma
-    )  # two for the interval, and two for what the estimate is off
+    # Two sigmas for the interval, and two for what the estimate is off.
+    large = np.abs(k[:, 0]) > 4.0 * sigma
     assert large.sum() >= 5
     assert excluded(calibration)[large, 0].all()
     assert calibration.range_error_scales.k2_per_m < 0.02
@@ -236,8 +235,9 @@ def test_readings_that_do_not_determine_range_errors_leave_nothing_undetermined(
     assert calibration.status == "converged"
     assert not excluded(calibration).any()
     beam = calibration.beams["1"]
-    # What is expected of range errors, 1 % of the reading, bounds them and all that hangs on them.
-    assert (beam.range_error_sigma * np.array([1.0, 0.2]) < 0.03).all()
+    # What is expected of range errors, 1 % of the reading, bounds them and all that hangs on them. Of
+    # what is not known at all the tails are long: about half is within 1 %, about a tenth beyond 3 %.
+    assert (beam.range_error_sigma * np.array([1.0, 0.2]) < 0.04).all()
     assert (beam.range_error_sigma * np.array([1.0, 0.2]) > 0.001).all()
     assert (np.abs(beam.location - truth.locations[0]) < 3.0 * beam.location_sigma).all()
     assert beam.location_sigma.max() < 0.02

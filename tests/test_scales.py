@@ -15,7 +15,13 @@ from handlaser_gtsam import model
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
-from handlaser_gtsam.estimation.range_error_grid import SPAN, STEP, refined_grid, widest_grid
+from handlaser_gtsam.estimation.range_error_grid import (
+    ALIGNED,
+    SPAN,
+    STEP,
+    refined_grid,
+    widest_grid,
+)
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS
@@ -243,19 +249,51 @@ def shared_prior(*logarithms, linearity=0.01):
     return math.log(density.sum() * 0.03 * 2.0 / math.pi * alone / (1.0 + alone**2))
 
 
+def prior_on_turned_axes(worst, best, alone, linearity=0.01):
+    """Return the log density of the logarithms of the scales of what is known worst and best, and of S.
+
+    The last two are half-Cauchy about the linearity; the square of the first is F(2, 2) about the sum
+    of the squares of the linearity and of the second.
+    """
+    F = math.exp(2.0 * worst) / (linearity**2 + math.exp(2.0 * best))
+    value = math.log(2.0 * stats.f.pdf(F, 2, 2) * F)
+    for one in (best, alone):
+        value += float(stats.halfcauchy.logpdf(math.exp(one), scale=linearity)) + one
+    return value
+
+
 @pytest.mark.parametrize("linearity", [0.001, 0.01])
 def test_the_prior_of_the_scales_is_what_it_is_said_to_be(linearity):
-    grid = widest_grid(linearity, 2, 4)
     cell = 3.0 * math.log(STEP)
-    for own, common, value in list(zip(grid.own, grid.common, grid.log_prior, strict=True))[::7]:
-        points = np.log([*own, common])
-        assert value == pytest.approx(shared_prior(*points, linearity=linearity) + cell, abs=1e-9)
+    aligned, both = (widest_grid(linearity, 2, 4, angle) for angle in (None, 0.3))
+    for grid in (aligned, both):
+        share = 1.0 if grid is aligned else ALIGNED
+        densities = {
+            0.0: (shared_prior, math.log(share)),
+            0.3: (prior_on_turned_axes, math.log(1.0 - ALIGNED)),
+        }
+        rows = zip(grid.own, grid.common, grid.angle.tolist(), grid.log_prior, strict=True)
+        for own, common, angle, value in list(rows)[::7]:
+            density, more = densities[angle]
+            points = np.log([*own, common])
+            expected = density(*points, linearity=linearity) + more + cell
+            assert value == pytest.approx(expected, abs=1e-9)
+    assert set(both.angle.tolist()) == {0.0, 0.3}
 
 
-def prior_covariance(own, common, beams=2):
+def prior_covariance(own, common, beams=2, angle=0.0):
     """Return the covariance (K, K), beam after beam, of range errors with a mean that all share."""
-    each = np.kron(np.eye(beams), np.diag(np.square(own)))
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    each = np.kron(np.eye(beams), turn.T @ np.diag(np.square(own)) @ turn)
     return each + np.kron(np.ones((beams, beams)), common**2 * np.eye(2))
+
+
+def worst_known(covariance, beams=2):
+    """Return the angle of what k1 and k2 D are known worst by, from a covariance (K, K) of theirs."""
+    each = [np.linalg.inv(covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]) for i in range(beams)]
+    angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 20001)
+    along = np.stack((np.cos(angles), np.sin(angles)))
+    return angles[np.argmin(np.einsum("an,ab,bn->n", along, sum(each), along))]
 
 
 @pytest.mark.parametrize("k", [(0.0, 0.0), (0.03, 0.1)])
@@ -274,12 +312,20 @@ def test_scales_of_range_errors_are_integrated_over(k):
     dense = Dense(truth, readings, 2)
     C = dense.covariance(np.full(2, 1e-4), np.zeros(6))
     side = np.log(0.01) + np.linspace(-SPAN, SPAN, 13)
+    alone = dense.posterior(C, 0.9**2 * np.eye(4))[2]
+    found_angle = worst_known(alone[np.ix_(dense.at_k, dense.at_k)])
+    assert found_angle == pytest.approx(learned.grid.angle.min(), abs=1e-3)
 
-    def evidence(a, b, c):
-        value, mean, S = dense.posterior(C, prior_covariance(np.exp([a, b]), math.exp(c)))
-        return value + shared_prior(a, b, c) + 3.0 * math.log(side[1] - side[0]), mean, S
+    def evidence(angle, a, b, c):
+        prior = prior_covariance(np.exp([a, b]), math.exp(c), angle=angle)
+        value, mean, S = dense.posterior(C, prior)
+        if angle:
+            value += prior_on_turned_axes(a, b, c) + math.log(1.0 - ALIGNED)
+        else:
+            value += shared_prior(a, b, c) + math.log(ALIGNED)
+        return value, mean, S
 
-    points = list(product(side, side, side))
+    points = list(product((0.0, found_angle), side, side, side))
     w, mean, S = averaged(points, evidence)
     sigma = np.sqrt(np.diag(S))
     # Half as many scales an axis stand for the posterior.
@@ -289,9 +335,8 @@ def test_scales_of_range_errors_are_integrated_over(k):
     kept = np.sqrt(mixture.weight @ (mixture.sigmas**2 + mixture.means**2))
     assert np.allclose(kept, np.sqrt(np.diag(mixture.covariance)), rtol=0.03)
     scale = problem.range_error_scales(learned.mode)
-    all_of_it = np.exp(np.array(points))
-    total = np.log(np.hypot(all_of_it[:, :2], all_of_it[:, 2:]))
-    assert np.allclose(np.log(scale), w @ total, atol=0.25)
+    total = [np.diag(prior_covariance(np.exp([a, b]), math.exp(c), 1, x)) for x, a, b, c in points]
+    assert np.allclose(np.log(scale), w @ np.log(np.sqrt(total)), atol=0.25)
 
 
 def model_powers(d):

@@ -159,23 +159,27 @@ class ScaleProblem:
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known."""
+        grid, w = self._weighed(mode)
+        found: FloatArray = np.exp(w @ np.log(grid.total()))
+        return found
+
+    def _weighed(self, mode: FloatArray) -> tuple[RangeErrorGrid, FloatArray]:
+        """Return scales of the range errors, and their posterior weights (G,), noise known."""
         many = self.readings.beams > MOST_BEAMS
         if many and self._part.readings.beams < self.readings.beams:
-            return self._part.range_error_scales(mode)
+            return self._part._weighed(mode)
         grid, beams = self._grid(mode)
-        if grid.own.shape[1] == 0:
-            return np.empty(0)
         value = beams.log_evidence_of(grid)[0] + grid.log_prior
         w = np.exp(value - value.max())
-        found: FloatArray = np.exp(w @ np.log(grid.total()) / w.sum())
-        return found
+        return grid, w / w.sum()
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
         around, grid = Design(mode[None], np.zeros(1)), self._grid(mode)[0]
         scale = self.range_error_scales(mode)
         if self.linearity is not None and self.readings.beams > MOST_BEAMS:
-            grid = RangeErrorGrid(scale[None], np.zeros(1), np.zeros(1))
+            few, weight = self._weighed(mode)
+            grid = few.typical(weight)
         if len(self.readings) <= MOST_READINGS:
             around = design(self._log_posterior, mode, self.scales.bounds)
         return LearnedScales(
@@ -224,12 +228,11 @@ class ScaleProblem:
         part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
-    def _widest(self, beams: int) -> RangeErrorGrid:
+    def _widest(self, beams: int, angle: float | None = None) -> RangeErrorGrid:
         """Return a grid for so many beams, or for those that have the prior."""
         count = beams if self.members is None else len(self.members)
-        return widest_grid(
-            self.linearity or 1.0, 0 if self.linearity is None else self.terms, count
-        )
+        terms = 0 if self.linearity is None else self.terms
+        return widest_grid(self.linearity or 1.0, terms, count, angle)
 
     def _beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
         information, planes = self.rows.information([self.scales.noise(u) for u in points])
@@ -246,8 +249,8 @@ class ScaleProblem:
         if self._last is not None and np.array_equal(self._last[0], mode):
             return self._last[1]
         beams, planes = self._beams(mode[None])
-        evidence = beams.log_evidence_of(self.wide)[0]
-        fine = refined_grid(self.wide, evidence, self.linearity or 1.0)
+        wide = self._widest(self.readings.beams, beams.worst_known())
+        fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
         found = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
         self._last = mode, found, planes
         return found

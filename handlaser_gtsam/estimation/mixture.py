@@ -26,8 +26,9 @@ from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray
 from ..solvers.elimination import inverse_and_log_det
+from .contrasts import Contrasts
 from .information import Information
-from .range_error_grid import Contrasts, RangeErrorGrid
+from .range_error_grid import RangeErrorGrid
 
 LOST = 1e-4
 """The smallest components, which have this weight together, are not kept for quantiles."""
@@ -147,41 +148,36 @@ class BeamPosterior:
         own = self.mean[:, few.at] + k[beams[chosen]].ravel()
         return few, _semidefinite(V), own @ few.turn.T
 
-    def narrowed(self, own: FloatArray, sets: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return Z (C, K, K) and Z k^ (C, K) for priors (C, K), each of one of the sets (C,)."""
-        if not self.has_prior:
-            zero = np.zeros((*own.shape, own.shape[1]))
-            return zero, zero.sum(axis=2)
-        R, inner = _narrowing(own, self.every.widest, self.V[sets])
-        Z = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
+    def narrowed(
+        self, grid: RangeErrorGrid, sets: IntArray, scales: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return Z (C, K, K) and Z k^ (C, K) for pairs (C,) of a set and a point of the grid."""
+        Z = np.zeros((len(sets), *self.V.shape[1:]))
+        if self.has_prior:
+            for angle, points in grid.bases():
+                turn = self.every.turned(angle)
+                rows = np.flatnonzero(np.isin(scales, points))
+                own = self.every.spread(grid.part(scales[rows]))
+                R = _roots(own, self.every.widest)
+                inner = R[:, :, None] * (turn @ self.V @ turn.T)[sets[rows]] * R[:, None, :]
+                inner[:, range(len(turn)), range(len(turn))] += 1.0
+                Z[rows] = turn.T @ (R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]) @ turn
         return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        of, V, k = self.telling
-        own, count = of.spread(grid), len(k)
-        if not self.has_prior:
-            return np.broadcast_to(self.log_evidence[:, None], (count, len(own)))
-        found = np.empty((count, len(own)))
-        R, size = _roots(own, of.widest), own.shape[1]
-        RR, rows = R[:, :, None] * R[:, None, :], np.arange(size)
-        share = max(LARGEST_CHUNK // max(RR.size, 1), 1)
-        for a in range(0, count, share):
-            some = slice(a, a + share)
-            right = R * k[some, None]
-            # The last row of the factor of 1 + R V R bordered by R k solves for R k.
-            inner = np.empty((*right.shape[:2], size + 1, size + 1))
-            np.multiply(V[some, None], RR, out=inner[..., :size, :size])
-            inner[..., rows, rows] += 1.0
-            inner[..., size, :size] = right
-            inner[..., size, size] = 1.0 + (right**2).sum(axis=2)
-            root = np.linalg.cholesky(inner)
-            squares = (root[..., size, :size] ** 2).sum(axis=2)
-            log_root = np.log(root[..., rows, rows]).sum(axis=2)
-            found[some] = -0.5 * squares - log_root
-        log_evidence: FloatArray = self.log_evidence[:, None] + found
-        log_evidence -= np.log(own / of.widest).sum(axis=1)
-        return log_evidence
+        found = np.repeat(self.log_evidence[:, None], len(grid.angle), axis=1)
+        if self.has_prior:
+            of, V, k = self.telling
+            for angle, points in grid.bases():
+                turn, own = of.turned(angle), of.spread(grid.part(points))
+                found[:, points] += _log_evidence(turn @ V @ turn.T, k @ turn.T, own, of.widest)
+        return found
+
+    def worst_known(self) -> float | None:
+        """Return the angle of what the first set knows worst of k1 and k2 D, see `Contrasts`."""
+        of, V, _ = self.telling
+        return of.worst_known(V[0]) if self.has_prior else None
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
@@ -190,7 +186,8 @@ class BeamPosterior:
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
-        Z, Zk = self.narrowed(scale[None, self.every.terms], np.zeros(1, dtype=np.intp))
+        first = np.zeros(1, dtype=np.intp)
+        Z, Zk = self.narrowed(RangeErrorGrid.at(scale), first, first)
         U = self.U[0]
         return self.mean[0] - U @ Zk[0], self.covariance[0] - U @ Z[0] @ U.T
 
@@ -209,9 +206,7 @@ class BeamPosterior:
         w /= w.sum()
         members = np.argwhere(w)
         weight = w[w > 0.0]
-        means, within, covariance = self._components(
-            self.every.spread(grid)[members[:, 1]], weight, members[:, 0], coordinates
-        )
+        means, within, covariance = self._components(grid, weight, members, coordinates)
         mean = weight @ means
         off = means - mean
         covariance = covariance + (weight[:, None] * off).T @ off
@@ -230,13 +225,14 @@ class BeamPosterior:
         )
 
     def _components(
-        self, own: FloatArray, weight: FloatArray, sets: IntArray, coordinates: FloatArray
+        self, grid: RangeErrorGrid, weight: FloatArray, members: IntArray, coordinates: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return means and sigmas of components (C,), and their mean covariance.
 
-        For priors (C, K), each of one of the sets (C,), in ascending order.
+        For members (C, 2), a set and a point of the grid each, in ascending order.
         """
-        Z, Zk = self.narrowed(own, sets)
+        sets = members[:, 0]
+        Z, Zk = self.narrowed(grid, sets, members[:, 1])
         U, S = self.U, self.covariance
         seen, first = np.unique(sets, return_index=True)
         Zbar = np.add.reduceat(weight[:, None, None] * Z, first)
@@ -252,10 +248,26 @@ class BeamPosterior:
         return means, np.sqrt(np.maximum(variances, 0.0)), within
 
 
-def _narrowing(own: FloatArray, widest: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R (C, K) and 1 + R V R (C, K, K) for priors (C, K) and covariances V (C, K, K)."""
-    R = _roots(own, widest)
-    return R, np.eye(own.shape[1]) + R[:, :, None] * V * R[:, None, :]
+def _log_evidence(V: FloatArray, k: FloatArray, own: FloatArray, widest: FloatArray) -> FloatArray:
+    """Return what priors (G, K) add to the log evidence (J,) of estimates (J, K) under the widest."""
+    found = np.empty((len(k), len(own)))
+    R, size = _roots(own, widest), own.shape[1]
+    RR, rows = R[:, :, None] * R[:, None, :], np.arange(size)
+    share = max(LARGEST_CHUNK // max(RR.size, 1), 1)
+    for a in range(0, len(k), share):
+        some = slice(a, a + share)
+        right = R * k[some, None]
+        # The last row of the factor of 1 + R V R bordered by R k solves for R k.
+        inner = np.empty((*right.shape[:2], size + 1, size + 1))
+        np.multiply(V[some, None], RR, out=inner[..., :size, :size])
+        inner[..., rows, rows] += 1.0
+        inner[..., size, :size] = right
+        inner[..., size, size] = 1.0 + (right**2).sum(axis=2)
+        root = np.linalg.cholesky(inner)
+        squares = (root[..., size, :size] ** 2).sum(axis=2)
+        found[some] = -0.5 * squares - np.log(root[..., rows, rows]).sum(axis=2)
+    found -= np.log(own / widest).sum(axis=1)
+    return found
 
 
 def _roots(own: FloatArray, widest: FloatArray) -> FloatArray:
