@@ -214,6 +214,14 @@ def test_range_errors_that_all_beams_share_are_not_explained_away(seed):
     assert one.farthest < 4.5
 
 
+@pytest.mark.parametrize("seed", [0, 1, 6])
+def test_range_errors_that_cancel_are_not_explained_away(seed):
+    """The motion sees the sum of both terms, which is nothing, and k was up to 10 sigma off."""
+    one = defaults.run_once(defaults.Case(4, 1.0, given=True, kind="parabola"), seed)["auto"]
+    assert one.farthest < 4.5
+    assert one.mount_nees < 2.5
+
+
 def test_a_regression_finds_the_ratio():
     rng = np.random.default_rng(2)
     stated = rng.standard_normal((50, 2, 4, 3))

@@ -12,6 +12,7 @@ from scipy import stats
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
+from handlaser_gtsam.estimation.contrasts import Contrasts
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
@@ -294,6 +295,26 @@ def worst_known(covariance, beams=2):
     angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 20001)
     along = np.stack((np.cos(angles), np.sin(angles)))
     return angles[np.argmin(np.einsum("an,ab,bn->n", along, sum(each), along))]
+
+
+def test_axes_are_those_of_what_readings_know():
+    """Of a beam that they hardly see they know nothing, and that says nothing of the others."""
+    angle = 0.4
+    worst = np.array([math.cos(angle), math.sin(angle)])
+    long, round_one = np.outer(worst, worst) + 1e-4 * np.eye(2), np.eye(2)
+    contrasts = Contrasts.of(np.arange(3), 2, 7, 1.0)
+
+    def found(*each):
+        V = np.zeros((6, 6))
+        for beam, block in enumerate(each):
+            V[2 * beam : 2 * beam + 2, 2 * beam : 2 * beam + 2] = block
+        return contrasts.worst_known(contrasts.turn @ V @ contrasts.turn.T)
+
+    assert found(long, long, long) == pytest.approx(angle)
+    assert found(long, 100.0 * round_one, long) == pytest.approx(angle)
+    assert found(round_one, round_one, round_one) is None
+    one_term = Contrasts.of(np.arange(3), 1, 6, 1.0)
+    assert one_term.worst_known(np.eye(3)) is None
 
 
 @pytest.mark.parametrize("k", [(0.0, 0.0), (0.03, 0.1)])

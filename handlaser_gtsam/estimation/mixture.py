@@ -4,12 +4,11 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
     k1_i = m1 + d1_i,  k2_i D = m2 + d2_i,  d1 ~ N(0, s1^2),  d2 ~ N(0, s2^2),  m1, m2 ~ N(0, S^2):
 
-sensors of one kind err alike, and the robot's scale does so to all of them. s1 and s2 have a scale in
-common, which like S is learned (`range_error_grid`): where k1 is far larger than expected, so may k2
-be; what the beams share does not follow from how they differ. The mean over the beams and the
-contrasts between them make the prior diagonal. From the solution with a wide prior, k^ with
-covariance V, a narrower prior is a linear update: with the precision E that it adds, R = E^(1/2) and
-Z = R inv(1 + R V R) R,
+sensors of one kind err alike, and the robot's scale does so to all of them. s1 and s2 may stand along
+other axes than those of k1 and k2 D; scales and axes have priors, too (`range_error_grid`). The means
+over the beams and the contrasts between them make the prior diagonal (`contrasts`). From the solution
+with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
+it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
 
     mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
 
