@@ -222,6 +222,17 @@ def test_range_errors_that_cancel_are_not_explained_away(seed):
     assert one.mount_nees < 2.5
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_sensor_may_be_far_worse_than_its_data_sheet(seed):
+    """300 times here; with scales up to 90 times the linearity k was 11 and 12 sigma off."""
+    scene = robot_cell.Scene(beams=4, motion=robot_cell.MOTION, a=10.0)
+    recording, truth = robot_cell.cell(scene, np.random.default_rng(seed))
+    options = hl.CalibrationOptions(sensor=hl.Sensor(linearity=3e-4))
+    result = hl.calibrate(recording, defaults.stated_noise(scene, truth), options)
+    true = np.hstack((truth.locations, truth.directions, truth.range_errors))
+    assert defaults.judge(result, true).farthest < 4.5
+
+
 def test_a_regression_finds_the_ratio():
     rng = np.random.default_rng(2)
     stated = rng.standard_normal((50, 2, 4, 3))

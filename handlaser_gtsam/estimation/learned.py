@@ -13,7 +13,7 @@ from ..data.value import Value
 from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
 from .mixture import MOST_BEAMS, BeamPosterior
-from .range_error_grid import SPAN, RangeErrorGrid, refined_grid, widest_grid
+from .range_error_grid import RangeErrorGrid, farthest, refined_grid, widest_grid
 from .scales import Design, Scales, design, find_mode, with_scales
 
 ENOUGH = 3000
@@ -94,7 +94,7 @@ class LearnedScales(Value):
 
 def widest_scale(linearity: float | None) -> float:
     """Return the widest scale of a range error's prior; infinite where there is none."""
-    return np.inf if linearity is None else float(linearity * np.exp(SPAN))
+    return np.inf if linearity is None else float(linearity * np.exp(farthest(linearity)))
 
 
 _Last = tuple[FloatArray, tuple[RangeErrorGrid, BeamPosterior], PlaneResponse]

@@ -8,6 +8,7 @@ known is half-Cauchy about L, and that of the other is drawn likewise about the 
 both squares: where readings find nothing, that says nothing of what they hardly see.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,8 +19,10 @@ from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 
 SPAN, STEP = 4.5, 1.5
-"""The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps."""
-SHARED, SHARED_STEP = 10.0, 0.1
+"""The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps,"""
+LARGEST = 0.9
+"""and at least up to this part of the reading, however good a sensor is said to be."""
+SHARED, SHARED_STEP = 14.0, 0.1
 """The scale t that the terms share is integrated over within exp(+-SHARED) of the linearity."""
 ALIGNED = 0.2
 """Prior probability of the axes of k1 and k2 D beside others."""
@@ -91,6 +94,11 @@ def axes(angle: float, terms: int) -> FloatArray:
     return np.array([[cosine, sine], [-sine, cosine]])
 
 
+def farthest(linearity: float) -> float:
+    """Return the logarithm of the largest scale of range errors, as a multiple of the linearity."""
+    return max(SPAN, STEP * math.ceil(math.log(LARGEST / linearity) / STEP))
+
+
 def widest_grid(
     linearity: float, terms: int, beams: int, angle: float | None = None
 ) -> RangeErrorGrid:
@@ -105,7 +113,7 @@ def refined_grid(
     grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
 ) -> RangeErrorGrid:
     """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms, found = grid.own.shape[1], {}
+    terms, most, found = grid.own.shape[1], farthest(linearity), {}
     if terms == 0:
         return grid
     kept = grid.near(log_evidence + grid.log_prior)
@@ -114,7 +122,7 @@ def refined_grid(
         points = np.column_stack((some.own, some.common))[:, : terms + int(some.common.any())]
         near = np.log(points / linearity)
         sides = [
-            np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, SPAN), POINTS)
+            np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, most), POINTS)
             for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
         ]
         found[angle] = _grid(sides, linearity, terms, turned=angle != 0.0)
@@ -125,8 +133,7 @@ def refined_grid(
 def _widest(linearity: float, terms: int, beams: int, *, turned: bool) -> RangeErrorGrid:
     if terms == 0:
         return RangeErrorGrid.at(np.ones(0))
-    steps = round(SPAN / STEP)
-    side = np.arange(-steps, steps + 1, dtype=np.float64) * STEP
+    side = np.arange(-SPAN, farthest(linearity) + 0.5 * STEP, STEP)
     return _grid([side] * (terms + int(beams > 1)), linearity, terms, turned=turned)
 
 
