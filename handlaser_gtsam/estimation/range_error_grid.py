@@ -24,7 +24,7 @@ LARGEST = 0.9
 """and at least up to this part of the reading, however good a sensor is said to be."""
 SHARED, SHARED_STEP = 14.0, 0.1
 """The scale t that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-ALIGNED = 0.2
+ALIGNED = 1.0 / 3.0
 """Prior probability of the axes of k1 and k2 D beside others."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
