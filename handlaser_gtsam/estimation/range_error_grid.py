@@ -71,6 +71,14 @@ class RangeErrorGrid(Value):
         own = np.log(np.hypot(self.own[rows], self.common[rows, None]))
         return RangeErrorGrid.at(np.exp(weight[rows] @ own / weight[rows].sum()), angle)
 
+    def drawn(self, point: int, beams: int, rng: np.random.Generator) -> FloatArray:
+        """Return range errors (B, T) of some beams, drawn from the prior at a point."""
+        terms = self.own.shape[1]
+        own = self.own[point] * rng.standard_normal((beams, terms))
+        shared = self.common[point] * rng.standard_normal(terms)
+        found: FloatArray = own @ axes(float(self.angle[point]), terms) + shared
+        return found
+
     def bases(self) -> Iterator[tuple[float, IntArray]]:
         """Yield every angle with its points."""
         for angle in np.unique(self.angle).tolist():
