@@ -20,6 +20,7 @@ from handlaser_gtsam.estimation.range_error_grid import (
     ALIGNED,
     SPAN,
     STEP,
+    RangeErrorGrid,
     refined_grid,
     widest_grid,
 )
@@ -295,6 +296,18 @@ def worst_known(covariance, beams=2):
     angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 20001)
     along = np.stack((np.cos(angles), np.sin(angles)))
     return angles[np.argmin(np.einsum("an,ab,bn->n", along, sum(each), along))]
+
+
+def test_what_is_drawn_has_the_covariance_of_the_prior():
+    own, common, angle = np.array([0.02, 0.005]), 0.01, 0.6
+    grid = RangeErrorGrid(own[None], np.array([common]), np.array([angle]), np.zeros(1))
+    rng, count = np.random.default_rng(2), 4000
+    drawn = np.array([grid.drawn(0, 2, rng).ravel() for _ in range(count)])
+    expected = prior_covariance(own, common, 2, angle)
+    sigma = np.sqrt(np.diag(expected))
+    assert np.allclose(grid.total()[0], sigma[:2], rtol=1e-12)
+    off = (drawn.T @ drawn / count - expected) / np.outer(sigma, sigma)
+    assert np.abs(off).max() < 4.5 * math.sqrt(2.0 / count)
 
 
 def test_axes_are_those_of_what_readings_know():
