@@ -23,7 +23,7 @@ from handlaser_gtsam.results.beam_rows import beam_rows
 from handlaser_gtsam.results.lines import WIDTH, as_many
 
 RECORDING = GRIPPER / "recording.csv"
-QUICK = ("--poses", "exact", "--range-error", "k1k2", "--range-sigma-mm", "0.03")
+QUICK = "handlaser calibrate recording.csv --poses exact --range-error k1k2 --verbose"
 RUN = [sys.executable, "-m", "handlaser_gtsam.cli"]
 
 
@@ -65,8 +65,10 @@ SCREENS = [
 """An export without --out is for copying, and not wrapped."""
 
 
-@pytest.mark.parametrize("columns", [50, 80])
-@pytest.mark.parametrize("example", SCREENS)
+@pytest.mark.parametrize(
+    ("example", "columns"),
+    [*((example, 50) for example in SCREENS), (ENDING["calibrate"], 80), (ENDING["validate"], 80)],
+)
 def test_no_screen_is_wider_than_the_terminal(handlaser, folder, monkeypatch, example, columns):
     monkeypatch.chdir(folder)
     monkeypatch.setenv("COLUMNS", str(columns))
@@ -177,7 +179,7 @@ def on_a_terminal(*arguments, **environment):
 
 
 def test_colours_are_for_terminals_that_want_them():
-    arguments = ("calibrate", RECORDING, *QUICK, "--verbose")
+    arguments = ("check", RECORDING)
     piped = subprocess.run([*RUN, *map(str, arguments)], capture_output=True, text=True, check=True)
     assert "\x1b" not in piped.stdout
     styled = on_a_terminal(*arguments)
@@ -191,8 +193,10 @@ def test_colours_are_for_terminals_that_want_them():
 # --- encodings ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-@pytest.mark.parametrize("example", [*ENDING.values(), *FURTHER])
+@pytest.mark.parametrize(
+    ("example", "encoding"),
+    [*((one, "ascii") for one in (*ENDING.values(), *FURTHER)), (ENDING["calibrate"], "latin-1")],
+)
 def test_every_verb_speaks_any_encoding(folder, monkeypatch, example, encoding):
     monkeypatch.chdir(folder)
     shutil.copy(ROOT / "examples" / "planned" / "rig.toml", "planned.toml")
@@ -216,7 +220,7 @@ def test_every_verb_speaks_any_encoding(folder, monkeypatch, example, encoding):
     "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}]
 )
 def test_the_environment_decides_the_encoding(folder, environment):
-    for example in ("handlaser check recording.csv", FURTHER[0]):
+    for example in ("handlaser check recording.csv", QUICK):
         run = subprocess.run(
             [*RUN, *words_of(example)],
             cwd=folder,
