@@ -1,5 +1,6 @@
 """Range errors as means over all beams and contrasts between them, which make their prior diagonal."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +67,9 @@ class Contrasts:
         values, vectors = np.linalg.eigh(information.mean(axis=0))
         if values[1] < LEAST_ELONGATION**2 * values[0]:
             return None
-        return float(np.arctan(vectors[1, 0] / vectors[0, 0]))
+        along, across = vectors[:, 0].tolist()
+        # No angle is another than none: axes that are those of k1 and k2 D have that part of the prior.
+        return math.atan2(across, along) % math.pi or None
 
     def spread(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""

@@ -146,9 +146,9 @@ class _Source:
             j, g = mixture.members[c]
             variances, shift = _variances(learned, variances, learned.points[j]), mixture.means[c]
             if learned.linearity is not None:
-                unit, beams = np.array([1.0, learned.length]), self.readings.beams
-                spread = np.tile(learned.grid.total()[g] / unit, (beams, 1))
-                mean = self.at.range_errors + learned.grid.drawn(g, beams, rng) / unit
+                unit, count = np.array([1.0, learned.length]), self.readings.beams
+                spread = np.tile(learned.grid.total()[g] / unit, (count, 1))
+                mean = self.at.range_errors + learned.grid.drawn(g, count, rng) / unit
                 prior = RangeErrorPrior(spread, mean)
         pose = variances.pose
         exact = 0.0 if pose is None else None
