@@ -179,7 +179,7 @@ def on_a_terminal(*arguments, **environment):
 
 
 def test_colours_are_for_terminals_that_want_them():
-    arguments = ("check", RECORDING)
+    arguments = ("calibrate", RECORDING, "--poses", "exact", "--range-error", "k1k2", "--verbose")
     piped = subprocess.run([*RUN, *map(str, arguments)], capture_output=True, text=True, check=True)
     assert "\x1b" not in piped.stdout
     styled = on_a_terminal(*arguments)
