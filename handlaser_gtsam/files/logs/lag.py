@@ -39,6 +39,8 @@ WORST = 0.01
 TRUNCATED, BETWEEN = 3e-3, 1e-4
 """What the polynomial leaves out, and what the way between two poses is off, may move the minimum by so
 much [s]."""
+BENT = 3.0
+"""A parabola through sums of squares bends by so many standard deviations of its curvature."""
 UNLIKE = 2.0
 """A calibration that leaves so many times the squares of the polynomials is none."""
 TERMS = 2
@@ -117,8 +119,9 @@ def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
     rows = slice(low - 3, low + 4)
     count = sum((len(one.d) - len(_exponents(one.degree))) * one.d.shape[1] for one in parts)
     rough, squares = _lowest(lags[rows], sums[rows], count, TRUNCATED)
-    found = None if rough is None else _calibrated(track, parts, rough.value, UNLIKE * squares)
-    found = rough if found is None else found
+    found = rough
+    if rough is not None and rough.sigma < MOST:
+        found = _calibrated(track, parts, rough.value, UNLIKE * squares) or rough
     if found is None or found.sigma > WORST:
         raise InputError(
             "a motion that does not tell the lag of the readings",
@@ -132,16 +135,18 @@ def _lowest(
 ) -> tuple[Lag | None, float]:
     """Return the minimum of a parabola through seven sums of squares, and the least of them.
 
-    None where there is no minimum; `count` are the degrees of freedom, `least` is added to sigma.
+    None where no minimum stands out from how rough the sums are; `count` are the degrees of
+    freedom, `least` is added to sigma.
     """
     middle, squares = lags[3], float(sums.min())
     if not np.isfinite(sums).all():
         return None, squares
-    bend, slope, _ = np.polyfit(lags - middle, sums, 2)
-    if bend <= 0.0:
+    (bend, slope, _), spread = np.polyfit(lags - middle, sums, 2, cov=True)
+    if bend <= BENT * np.sqrt(spread[0, 0]):
         return None, squares
     shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
-    sigma = float(np.hypot(np.sqrt(squares / max(count, 1) / bend), least))
+    fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
+    sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, least]))
     return Lag(float(middle) + shift, sigma), squares
 
 
