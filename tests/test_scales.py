@@ -7,17 +7,16 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers import simulated
-from scipy import stats
+from scipy import linalg, stats
 
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.estimation.contrasts import Contrasts
+from handlaser_gtsam.estimation.contrasts import worst_known
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.range_error_grid import (
-    ALIGNED,
     SPAN,
     STEP,
     RangeErrorGrid,
@@ -242,23 +241,25 @@ def shared_prior(*logarithms, linearity=0.01):
     The last is half-Cauchy about the linearity, the others F(2, 2) in their squares about the square of
     a scale that is half-Cauchy about the linearity.
     """
-    t = np.exp(np.linspace(-15.0, 15.0, 1001))  # over the linearity
+    t = np.exp(np.linspace(-16.0, 16.0, 1601))  # over the linearity
     density = 2.0 / math.pi * t / (1.0 + t**2)
     for one in logarithms[:-1]:
         F = (math.exp(one) / linearity / t) ** 2
         density = density * 2.0 * stats.f.pdf(F, 2, 2) * F
     alone = math.exp(logarithms[-1]) / linearity
-    return math.log(density.sum() * 0.03 * 2.0 / math.pi * alone / (1.0 + alone**2))
+    return math.log(density.sum() * 0.02 * 2.0 / math.pi * alone / (1.0 + alone**2))
 
 
 def prior_on_turned_axes(worst, best, alone, linearity=0.01):
     """Return the log density of the logarithms of the scales of what is known worst and best, and of S.
 
-    The last two are half-Cauchy about the linearity; the square of the first is F(2, 2) about the sum
-    of the squares of the linearity and of the second.
+    The last two are half-Cauchy about the linearity; the first shrinks by Beta(1/2, 1) about the root
+    mean square of the linearity and of the second.
     """
-    F = math.exp(2.0 * worst) / (linearity**2 + math.exp(2.0 * best))
-    value = math.log(2.0 * stats.f.pdf(F, 2, 2) * F)
+    square = 0.5 * (linearity**2 + math.exp(2.0 * best))
+    total = square + math.exp(2.0 * worst)
+    shrunk, rest = square / total, math.exp(2.0 * worst) / total
+    value = math.log(2.0 * stats.beta.pdf(shrunk, 0.5, 1.0) * shrunk * rest)
     for one in (best, alone):
         value += float(stats.halfcauchy.logpdf(math.exp(one), scale=linearity)) + one
     return value
@@ -267,68 +268,75 @@ def prior_on_turned_axes(worst, best, alone, linearity=0.01):
 @pytest.mark.parametrize("linearity", [0.001, 0.01])
 def test_the_prior_of_the_scales_is_what_it_is_said_to_be(linearity):
     cell = 3.0 * math.log(STEP)
-    aligned, both = (widest_grid(linearity, 2, 4, angle) for angle in (None, 0.3))
+    angles = np.array([0.3, 0.2, 0.3, 0.4])
+    aligned, both = (widest_grid(linearity, 2, 4, one) for one in (None, angles))
     for grid in (aligned, both):
-        share = 1.0 if grid is aligned else ALIGNED
-        densities = {
-            0.0: (shared_prior, math.log(share)),
-            0.3: (prior_on_turned_axes, math.log(1.0 - ALIGNED)),
-        }
-        rows = zip(grid.own, grid.common, grid.angle.tolist(), grid.log_prior, strict=True)
-        for own, common, angle, value in list(rows)[::7]:
-            density, more = densities[angle]
-            points = np.log([*own, common])
-            expected = density(*points, linearity=linearity) + more + cell
+        densities = (shared_prior, math.log(1.0 if grid is aligned else 0.5))
+        turned = (prior_on_turned_axes, math.log(0.5))
+        rows = zip(grid.own, grid.common, grid.turned.tolist(), grid.log_prior, strict=True)
+        for own, common, is_turned, value in list(rows)[::7]:
+            density, share = turned if is_turned else densities
+            expected = density(*np.log([*own, common]), linearity=linearity) + share + cell
             assert value == pytest.approx(expected, abs=1e-9)
-    assert set(both.angle.tolist()) == {0.0, 0.3}
+    assert set(both.turned.tolist()) == {False, True}
+    assert np.array_equal(both.angles, angles)
 
 
-def prior_covariance(own, common, beams=2, angle=0.0):
+def axes(angles):
+    """Return the matrix (K, K) from range errors, beam after beam, to what they are on turned axes."""
+    turns = [[[math.cos(x), math.sin(x)], [-math.sin(x), math.cos(x)]] for x in angles]
+    return linalg.block_diag(*turns)
+
+
+def prior_covariance(own, common, angles=(0.0, 0.0)):
     """Return the covariance (K, K), beam after beam, of range errors with a mean that all share."""
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    each = np.kron(np.eye(beams), turn.T @ np.diag(np.square(own)) @ turn)
-    return each + np.kron(np.ones((beams, beams)), common**2 * np.eye(2))
+    beams = len(angles)
+    alike = np.kron(np.ones((beams, beams)), common**2 * np.eye(2))
+    return axes(angles).T @ (np.kron(np.eye(beams), np.diag(np.square(own))) + alike) @ axes(angles)
 
 
-def worst_known(covariance, beams=2):
-    """Return the angle of what k1 and k2 D are known worst by, from a covariance (K, K) of theirs."""
-    each = [np.linalg.inv(covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]) for i in range(beams)]
-    angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 20001)
+def known_worst(covariance):
+    """Return the angles of what k1 and k2 D are known worst by, from a covariance (K, K) of theirs."""
+    angles = np.linspace(0.0, math.pi, 20001)
     along = np.stack((np.cos(angles), np.sin(angles)))
-    return angles[np.argmin(np.einsum("an,ab,bn->n", along, sum(each), along))]
+    each = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
+    return [float(angles[np.einsum("an,ab,bn->n", along, V, along).argmax()]) for V in each]
 
 
 def test_what_is_drawn_has_the_covariance_of_the_prior():
-    own, common, angle = np.array([0.02, 0.005]), 0.01, 0.6
-    grid = RangeErrorGrid(own[None], np.array([common]), np.array([angle]), np.zeros(1))
+    own, common, angles = np.array([0.02, 0.005]), 0.01, np.array([0.6, 0.9])
+    grid = RangeErrorGrid(
+        own[None], np.array([common]), np.ones(1, dtype=bool), np.zeros(1), angles
+    )
     rng, count = np.random.default_rng(2), 4000
     drawn = np.array([grid.drawn(0, 2, rng).ravel() for _ in range(count)])
-    expected = prior_covariance(own, common, 2, angle)
+    expected = prior_covariance(own, common, angles)
     sigma = np.sqrt(np.diag(expected))
-    assert np.allclose(grid.total()[0], sigma[:2], rtol=1e-12)
+    assert np.allclose(grid.total()[0] ** 2, 0.5 * (sigma[:2] ** 2 + sigma[2:] ** 2), rtol=1e-12)
     off = (drawn.T @ drawn / count - expected) / np.outer(sigma, sigma)
     assert np.abs(off).max() < 4.5 * math.sqrt(2.0 / count)
 
 
 def test_axes_are_those_of_what_readings_know():
-    """Of a beam that they hardly see they know nothing, and that says nothing of the others."""
-    angle = 0.4
-    worst = np.array([math.cos(angle), math.sin(angle)])
-    long, round_one = np.outer(worst, worst) + 1e-4 * np.eye(2), np.eye(2)
-    contrasts = Contrasts.of(np.arange(3), 2, 7, 1.0)
+    """Of a beam that they hardly see they know nothing; it takes the mean of the others."""
+
+    def long(angle, across=1e-4):
+        axis = np.array([math.cos(angle), math.sin(angle)])
+        return np.outer(axis, axis) + across * np.eye(2)
 
     def found(*each):
-        V = np.zeros((6, 6))
-        for beam, block in enumerate(each):
-            V[2 * beam : 2 * beam + 2, 2 * beam : 2 * beam + 2] = block
-        return contrasts.worst_known(contrasts.turn @ V @ contrasts.turn.T)
+        return worst_known(np.array(each))
 
-    assert math.tan(found(long, long, long)) == pytest.approx(math.tan(angle))
-    assert math.tan(found(long, 100.0 * round_one, long)) == pytest.approx(math.tan(angle))
-    assert found(round_one, round_one, round_one) is None
-    assert abs(found(*[np.diag([1e-4, 1.0])] * 3)) == pytest.approx(0.5 * math.pi)
-    one_term = Contrasts.of(np.arange(3), 1, 6, 1.0)
-    assert one_term.worst_known(np.eye(3)) is None
+    unknown = 100.0 * np.eye(2)
+    assert found(long(0.4), unknown, long(0.6)) == pytest.approx([0.4, 0.5, 0.6])
+    # An axis has no sign: those to both sides of one point the same way.
+    near = found(long(-0.1), long(0.1), long(math.pi))
+    assert np.abs(near - near[2]).max() == pytest.approx(0.1)
+    assert np.tan(near) == pytest.approx(np.tan([-0.1, 0.1, 0.0]), abs=1e-9)
+    assert found(long(0.4, 0.0)) == pytest.approx([0.4])  # what readings tell without any doubt
+    assert found(long(0.4, -1e-20)) == pytest.approx([0.4])  # and with rounding
+    assert found(np.eye(2), unknown) is None
+    assert found(np.eye(1)) is None
 
 
 @pytest.mark.parametrize("k", [(0.0, 0.0), (0.03, 0.1)])
@@ -347,21 +355,20 @@ def test_scales_of_range_errors_are_integrated_over(k):
     dense = Dense(truth, readings, 2)
     C = dense.covariance(np.full(2, 1e-4), np.zeros(6))
     side = np.log(0.01) + np.linspace(-SPAN, SPAN, 13)
-    alone = dense.posterior(C, 0.9**2 * np.eye(4))[2]
-    found_angle = worst_known(alone[np.ix_(dense.at_k, dense.at_k)])
-    told = learned.grid.angle[np.argmax(np.abs(learned.grid.angle))]
-    assert math.tan(found_angle) == pytest.approx(math.tan(told), abs=1e-3)
+    alone = dense.posterior(C, prior_covariance([0.9, 0.9], 0.9))[2]
+    angles = known_worst(alone[np.ix_(dense.at_k, dense.at_k)])
+    assert np.tan(learned.grid.angles) == pytest.approx(np.tan(angles), abs=1e-3)
 
-    def evidence(angle, a, b, c):
-        prior = prior_covariance(np.exp([a, b]), math.exp(c), angle=angle)
+    def evidence(angles, a, b, c):
+        prior = prior_covariance(np.exp([a, b]), math.exp(c), angles)
         value, mean, S = dense.posterior(C, prior)
-        if angle:
-            value += prior_on_turned_axes(a, b, c) + math.log(1.0 - ALIGNED)
+        if any(angles):
+            value += prior_on_turned_axes(a, b, c) + math.log(0.5)
         else:
-            value += shared_prior(a, b, c) + math.log(ALIGNED)
+            value += shared_prior(a, b, c) + math.log(0.5)
         return value, mean, S
 
-    points = list(product((0.0, found_angle), side, side, side))
+    points = list(product(((0.0, 0.0), tuple(angles)), side, side, side))
     w, mean, S = averaged(points, evidence)
     sigma = np.sqrt(np.diag(S))
     # Half as many scales an axis stand for the posterior.
@@ -371,7 +378,8 @@ def test_scales_of_range_errors_are_integrated_over(k):
     kept = np.sqrt(mixture.weight @ (mixture.sigmas**2 + mixture.means**2))
     assert np.allclose(kept, np.sqrt(np.diag(mixture.covariance)), rtol=0.03)
     scale = problem.range_error_scales(learned.mode)
-    total = [np.diag(prior_covariance(np.exp([a, b]), math.exp(c), 1, x)) for x, a, b, c in points]
+    total = [np.diag(prior_covariance(np.exp([a, b]), math.exp(c), x)) for x, a, b, c in points]
+    total = np.mean(np.reshape(total, (len(points), 2, 2)), axis=1)  # over the beams
     assert np.allclose(np.log(scale), w @ np.log(np.sqrt(total)), atol=0.25)
 
 

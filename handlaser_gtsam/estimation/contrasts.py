@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from .range_error_grid import RangeErrorGrid, axes
 
 LEAST_ELONGATION = 3.0
-"""Ratio of standard deviations of combinations of k1 and k2 D: below, axes of these mean little."""
+"""Ratio of standard deviations of combinations of k1 and k2 D: below, none is known worst."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,33 +43,12 @@ class Contrasts:
         wide = np.where(is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
         return cls(at, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
 
-    @property
-    def count(self) -> int:
-        """Of the terms."""
-        return int(self.terms.max(initial=-1)) + 1
-
-    def turned(self, angle: float) -> FloatArray:
-        """Return the matrix (K, K) to the same along other axes of k1 and k2 D."""
-        one, beams = axes(angle, self.count), len(self.terms) // self.count
-        return np.asarray(np.kron(one, np.eye(beams)), dtype=np.float64)
-
-    def worst_known(self, V: FloatArray) -> float | None:
-        """Return the angle from the axis of k1 to that of what is known worst of k1 and k2 D [rad].
-
-        That is an axis of the beams' mean information, from a covariance (K, K) of means and contrasts;
-        None where there is one term, or no combination of both is known far better than another.
-        """
-        if self.count != 2:
-            return None
-        each = (self.turn.T @ V @ self.turn).reshape(len(V) // 2, 2, -1, 2)
-        beams = np.arange(len(each))
-        information = np.linalg.inv(each[beams, :, beams])
-        values, vectors = np.linalg.eigh(information.mean(axis=0))
-        if values[1] < LEAST_ELONGATION**2 * values[0]:
-            return None
-        along, across = vectors[:, 0].tolist()
-        # No angle is another than none: axes that are those of k1 and k2 D have that part of the prior.
-        return math.atan2(across, along) % math.pi or None
+    def turned(self, angles: FloatArray) -> FloatArray:
+        """Return the matrix (K, K) to the same along axes turned by the angles (B,) of the beams."""
+        size = len(self.terms)
+        each = self.turn.reshape(size, len(angles), 2)
+        turned: FloatArray = np.einsum("kbt,bts->kbs", each, axes(angles)).reshape(size, size)
+        return turned @ self.turn.T
 
     def spread(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
@@ -79,6 +58,27 @@ class Contrasts:
         shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
         found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
         return found
+
+
+def worst_known(V: FloatArray) -> FloatArray | None:
+    """Return by how much what is known worst of k1 and k2 D is turned from k1 (B,) [rad].
+
+    That is the longest axis of the covariance (B, T, T) of each beam; those that have none take the
+    mean of the others. None where there is one term, or no beam has one.
+    """
+    if V.shape[1] != 2:
+        return None
+    values, vectors = np.linalg.eigh(V)
+    angles = np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])
+    long = values[:, 1] > LEAST_ELONGATION**2 * np.maximum(values[:, 0], 0.0)
+    if not long.any():
+        return None
+    double = np.exp(2j * angles[long]).sum()
+    mean = 0.5 * float(np.angle(double))
+    # Axes have no sign: those of all beams point the same way.
+    off = np.where(long, (angles - mean + 0.5 * math.pi) % math.pi - 0.5 * math.pi, 0.0)
+    found: FloatArray = mean + off
+    return found
 
 
 def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:

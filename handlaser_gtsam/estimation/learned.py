@@ -81,8 +81,17 @@ class LearnedScales(Value):
             base=replace(self.base, range_sigma=ranges),
         )
 
+    def about(self, beams: BeamPosterior) -> "LearnedScales":
+        """Return the same along the axes of what is known of `beams` at the most probable scales."""
+        angles = beams.worst_known()
+        if angles is None or not self.grid.turned.any():
+            return self
+        return replace(self, grid=replace(self.grid, angles=angles))
+
     def apart(self, other: "LearnedScales") -> float:
         """Return by how much the most probable scales differ from others, in the logarithm."""
+        if self.grid.turned.any() != other.grid.turned.any():
+            return np.inf
         both = (np.append(one.mode, np.log(one.range_error)) for one in (self, other))
         difference = np.subtract(*both)
         return float(np.abs(difference).max(initial=0.0))
@@ -175,11 +184,11 @@ class ScaleProblem:
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        around, grid = Design(mode[None], np.zeros(1)), self._grid(mode)[0]
-        scale = self.range_error_scales(mode)
+        around, (grid, beams) = Design(mode[None], np.zeros(1)), self._grid(mode)
+        few, weight = self._weighed(mode)
+        scale = np.exp(weight @ np.log(few.total()))
         if self.linearity is not None and self.readings.beams > MOST_BEAMS:
-            few, weight = self._weighed(mode)
-            grid = few.typical(weight)
+            grid = few.typical(weight, beams.worst_known())
         if len(self.readings) <= MOST_READINGS:
             around = design(self._log_posterior, mode, self.scales.bounds)
         return LearnedScales(
@@ -228,11 +237,11 @@ class ScaleProblem:
         part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
-    def _widest(self, beams: int, angle: float | None = None) -> RangeErrorGrid:
+    def _widest(self, beams: int, angles: FloatArray | None = None) -> RangeErrorGrid:
         """Return a grid for so many beams, or for those that have the prior."""
         count = beams if self.members is None else len(self.members)
         terms = 0 if self.linearity is None else self.terms
-        return widest_grid(self.linearity or 1.0, terms, count, angle)
+        return widest_grid(self.linearity or 1.0, terms, count, angles)
 
     def _beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
         information, planes = self.rows.information([self.scales.noise(u) for u in points])

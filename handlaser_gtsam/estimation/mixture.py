@@ -4,8 +4,9 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
     k1_i = m1 + d1_i,  k2_i D = m2 + d2_i,  d1 ~ N(0, s1^2),  d2 ~ N(0, s2^2),  m1, m2 ~ N(0, S^2):
 
-sensors of one kind err alike, and the robot's scale does so to all of them. s1 and s2 may stand along
-other axes than those of k1 and k2 D; scales and axes have priors, too (`range_error_grid`). The means
+sensors of one kind err alike, and the robot's scale does so to all of them. All that may also stand
+along each beam's axes of what readings know worst and best; scales and axes have priors, too
+(`range_error_grid`). The means
 over the beams and the contrasts between them make the prior diagonal (`contrasts`). From the solution
 with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
 it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
@@ -25,7 +26,7 @@ from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray
 from ..solvers.elimination import inverse_and_log_det
-from .contrasts import Contrasts
+from .contrasts import Contrasts, worst_known
 from .information import Information
 from .range_error_grid import RangeErrorGrid
 
@@ -130,6 +131,8 @@ class BeamPosterior:
         self.U = self.covariance[:, :, at] @ turn.T
         self.V = turn @ self.U[:, at]
         self.k = self.mean[:, at] @ turn.T + mean
+        few = np.linspace(0, len(beams) - 1, min(len(beams), MOST_BEAMS))
+        self.few: IntArray = few.round().astype(np.intp)
         self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
 
     def _of_few(
@@ -141,10 +144,9 @@ class BeamPosterior:
         """
         if len(beams) <= MOST_BEAMS:
             return self.every, _semidefinite(self.V), self.k
-        chosen = np.unique(np.linspace(0, len(beams) - 1, MOST_BEAMS).round().astype(np.intp))
-        few = Contrasts.of(beams[chosen], k.shape[1], width, widest)
+        few = Contrasts.of(beams[self.few], k.shape[1], width, widest)
         V = few.turn @ self.covariance[:, few.at[:, None], few.at] @ few.turn.T
-        own = self.mean[:, few.at] + k[beams[chosen]].ravel()
+        own = self.mean[:, few.at] + k[beams[self.few]].ravel()
         return few, _semidefinite(V), own @ few.turn.T
 
     def narrowed(
@@ -153,30 +155,35 @@ class BeamPosterior:
         """Return Z (C, K, K) and Z k^ (C, K) for pairs (C,) of a set and a point of the grid."""
         Z = np.zeros((len(sets), *self.V.shape[1:]))
         if self.has_prior:
-            for angle, points in grid.bases():
-                turn = self.every.turned(angle)
+            for turned, points in grid.bases():
                 rows = np.flatnonzero(np.isin(scales, points))
-                own = self.every.spread(grid.part(scales[rows]))
-                R = _roots(own, self.every.widest)
-                inner = R[:, :, None] * (turn @ self.V @ turn.T)[sets[rows]] * R[:, None, :]
-                inner[:, range(len(turn)), range(len(turn))] += 1.0
-                Z[rows] = turn.T @ (R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]) @ turn
+                R = _roots(self.every.spread(grid.part(scales[rows])), self.every.widest)
+                turn = self.every.turned(grid.angles) if turned else None
+                V = self.V if turn is None else turn @ self.V @ turn.T
+                inner = R[:, :, None] * V[sets[rows]] * R[:, None, :]
+                inner[:, range(R.shape[1]), range(R.shape[1])] += 1.0
+                own = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
+                Z[rows] = own if turn is None else turn.T @ own @ turn
         return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        found = np.repeat(self.log_evidence[:, None], len(grid.angle), axis=1)
+        found = np.repeat(self.log_evidence[:, None], len(grid.log_prior), axis=1)
         if self.has_prior:
             of, V, k = self.telling
-            for angle, points in grid.bases():
-                turn, own = of.turned(angle), of.spread(grid.part(points))
-                found[:, points] += _log_evidence(turn @ V @ turn.T, k @ turn.T, own, of.widest)
+            for turned, points in grid.bases():
+                own = of.spread(grid.part(points))
+                if turned:  # these points are the last
+                    turn = of.turned(grid.angles[self.few])
+                    V, k = turn @ V @ turn.T, k @ turn.T
+                found[:, points] += _log_evidence(V, k, own, of.widest)
         return found
 
-    def worst_known(self) -> float | None:
-        """Return the angle of what the first set knows worst of k1 and k2 D, see `Contrasts`."""
-        of, V, _ = self.telling
-        return of.worst_known(V[0]) if self.has_prior else None
+    def worst_known(self) -> FloatArray | None:
+        """Return the angles (b,) of what the first set knows worst of k1 and k2 D, if it does."""
+        at = self.every.at.reshape(-1, max(self.every.terms, default=0) + 1)
+        V = self.covariance[0][at[:, :, None], at[:, None, :]]
+        return worst_known(V) if self.has_prior else None
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""

@@ -3,29 +3,28 @@
 With L the linearity of the sensor, S is half-Cauchy about L. Along the axes of k1 and k2 D, s1 and s2
 are drawn about a scale t that they share and that is half-Cauchy about L: 1 / (1 + s^2 / t^2), by which
 a range error that is known as well as t would be drawn to zero, is uniform (Daniels, Canadian Journal
-of Statistics 27(3), 1999). Along axes of what readings know worst and best, the scale of the best
-known is half-Cauchy about L, and that of the other is drawn likewise about the root of the sum of
-both squares: where readings find nothing, that says nothing of what they hardly see.
+of Statistics 27(3), 1999). Along every beam's axes of what readings know worst and best, the scale of
+the best known is half-Cauchy about L, and that of the other is drawn about h, the root mean square of
+both: of 1 / (1 + s^2 / h^2) the root is uniform (Strawderman, Annals of Mathematical
+Statistics 42(1), 1971). Where readings find nothing, that says nothing of what they hardly see.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 
 SPAN, STEP = 4.5, 1.5
 """The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps,"""
 LARGEST = 0.9
 """and at least up to this part of the reading, however good a sensor is said to be."""
-SHARED, SHARED_STEP = 14.0, 0.1
+SHARED, SHARED_STEP = 16.0, 0.1
 """The scale t that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-ALIGNED = 1.0 / 3.0
-"""Prior probability of the axes of k1 and k2 D beside others."""
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
@@ -41,65 +40,79 @@ class RangeErrorGrid(Value):
         s1, s2: of the beams by themselves, for T terms.
     common : (G,)
         S: of what all beams share; zero for one beam.
-    angle : (G,)
-        By which the axes of s1 and s2 are turned from those of k1 and k2 D [rad].
+    turned : (G,) of bool
+        Whether s1 and s2 stand along what readings know worst and best, not along k1 and k2 D.
     log_prior : (G,)
         With the volume of a cell.
+    angles : (B,)
+        By which these axes of every beam are turned from those of k1 and k2 D [rad].
     """
 
     own: FloatArray
     common: FloatArray
-    angle: FloatArray
+    turned: BoolArray
     log_prior: FloatArray
+    angles: FloatArray
 
     @classmethod
-    def at(cls, own: FloatArray, angle: float = 0.0) -> "RangeErrorGrid":
-        """Return the single point of beams that share nothing."""
-        return cls(own[None], np.zeros(1), np.full(1, angle), np.zeros(1))
+    def at(cls, own: FloatArray, angles: FloatArray | None = None) -> "RangeErrorGrid":
+        """Return the single point of beams that share nothing, on turned axes where they are given."""
+        turned = np.full(1, angles is not None)
+        angles = np.zeros(0) if angles is None else angles
+        return cls(own[None], np.zeros(1), turned, np.zeros(1), angles)
 
     def total(self) -> FloatArray:
-        """Return the standard deviations (G, T) of the range errors of one beam."""
+        """Return the standard deviations (G, T) of the range errors of a beam, in the mean of all."""
         squares = self.own**2
-        for angle, rows in self.bases():
-            squares[rows] = squares[rows] @ axes(angle, self.own.shape[1]) ** 2
+        if self.turned.any():
+            squares[self.turned] = squares[self.turned] @ (axes(self.angles) ** 2).mean(axis=0)
         found: FloatArray = np.sqrt(squares + self.common[:, None] ** 2)
         return found
 
-    def typical(self, weight: FloatArray) -> "RangeErrorGrid":
-        """Return a point for beams that share nothing, on the most probable axes: weights (G,)."""
-        angle, rows = max(self.bases(), key=lambda basis: float(weight[basis[1]].sum()))
+    def typical(self, weight: FloatArray, angles: FloatArray | None) -> "RangeErrorGrid":
+        """Return a point for beams that share nothing, on the most probable axes.
+
+        `weight` (G,) is that of all points, and `angles` (B,) are those of the beams.
+        """
+        turned, rows = max(self.bases(), key=lambda basis: float(weight[basis[1]].sum()))
         own = np.log(np.hypot(self.own[rows], self.common[rows, None]))
-        return RangeErrorGrid.at(np.exp(weight[rows] @ own / weight[rows].sum()), angle)
+        own = np.exp(weight[rows] @ own / weight[rows].sum())
+        return RangeErrorGrid.at(own, angles if turned else None)
 
     def drawn(self, point: int, beams: int, rng: np.random.Generator) -> FloatArray:
         """Return range errors (B, T) of some beams, drawn from the prior at a point."""
         terms = self.own.shape[1]
         own = self.own[point] * rng.standard_normal((beams, terms))
         shared = self.common[point] * rng.standard_normal(terms)
-        found: FloatArray = own @ axes(float(self.angle[point]), terms) + shared
+        found: FloatArray = own + shared
+        if self.turned[point]:
+            found = np.einsum("bt,btk->bk", found, axes(self.angles))
         return found
 
-    def bases(self) -> Iterator[tuple[float, IntArray]]:
-        """Yield every angle with its points."""
-        for angle in np.unique(self.angle).tolist():
-            yield angle, np.flatnonzero(self.angle == angle)
+    def bases(self) -> Iterator[tuple[bool, IntArray]]:
+        """Yield the points whose axes are not turned, and those whose are."""
+        for turned in (False, True):
+            rows = np.flatnonzero(self.turned == turned)
+            if rows.size:
+                yield turned, rows
 
     def part(self, rows: IntArray) -> "RangeErrorGrid":
         """Return some of the points."""
-        every = (self.own, self.common, self.angle, self.log_prior)
-        return RangeErrorGrid(*(one[rows] for one in every))
+        own, common = self.own[rows], self.common[rows]
+        return replace(
+            self, own=own, common=common, turned=self.turned[rows], log_prior=self.log_prior[rows]
+        )
 
     def near(self, value: FloatArray) -> "RangeErrorGrid":
         """Return the points whose value (G,), in the logarithm, is not far below the largest."""
         return self.part(np.flatnonzero(value >= value.max() - WIDTH))
 
 
-def axes(angle: float, terms: int) -> FloatArray:
-    """Return the axes (T, T), a row each, that are turned by an angle from those of k1 and k2 D."""
-    if terms != 2:
-        return np.eye(terms)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, sine], [-sine, cosine]])
+def axes(angles: FloatArray) -> FloatArray:
+    """Return axes (B, 2, 2), a row each, that are turned by angles (B,) from those of k1 and k2 D."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    rows = np.array([[cosine, sine], [-sine, cosine]])
+    return np.moveaxis(rows, 2, 0)
 
 
 def farthest(linearity: float) -> float:
@@ -108,24 +121,24 @@ def farthest(linearity: float) -> float:
 
 
 def widest_grid(
-    linearity: float, terms: int, beams: int, angle: float | None = None
+    linearity: float, terms: int, beams: int, angles: FloatArray | None = None
 ) -> RangeErrorGrid:
-    """Return a coarse grid over all scales that are possible, with an angle also on turned axes."""
+    """Return a coarse grid over all scales that are possible, with angles (B,) also on turned axes."""
     aligned = _widest(linearity, terms, beams, turned=False)
-    if angle is None:
+    if angles is None:
         return aligned
-    return _joined({0.0: aligned, angle: _widest(linearity, terms, beams, turned=True)})
+    return _joined([aligned, _widest(linearity, terms, beams, turned=True)], angles)
 
 
 def refined_grid(
     grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
 ) -> RangeErrorGrid:
     """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms, most, found = grid.own.shape[1], farthest(linearity), {}
+    terms, most, found = grid.own.shape[1], farthest(linearity), []
     if terms == 0:
         return grid
     kept = grid.near(log_evidence + grid.log_prior)
-    for angle, rows in kept.bases():
+    for turned, rows in kept.bases():
         some = kept.part(rows)
         points = np.column_stack((some.own, some.common))[:, : terms + int(some.common.any())]
         near = np.log(points / linearity)
@@ -133,8 +146,8 @@ def refined_grid(
             np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, most), POINTS)
             for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
         ]
-        found[angle] = _grid(sides, linearity, terms, turned=angle != 0.0)
-    return _joined(found)
+        found.append(_grid(sides, linearity, terms, turned=turned))
+    return _joined(found, grid.angles)
 
 
 @cache
@@ -145,16 +158,15 @@ def _widest(linearity: float, terms: int, beams: int, *, turned: bool) -> RangeE
     return _grid([side] * (terms + int(beams > 1)), linearity, terms, turned=turned)
 
 
-def _joined(grids: Mapping[float, RangeErrorGrid]) -> RangeErrorGrid:
-    """Return grids, each on axes turned by its angle, as one."""
-    if len(grids) == 1:
-        ((angle, grid),) = grids.items()
-        return replace(grid, angle=grid.angle + angle)
-    parts = []
-    for angle, grid in grids.items():
-        share = np.log(ALIGNED if angle == 0.0 else 1.0 - ALIGNED)
-        parts.append((grid.own, grid.common, grid.angle + angle, grid.log_prior + share))
-    return RangeErrorGrid(*map(np.concatenate, zip(*parts, strict=True)))
+def _joined(grids: Sequence[RangeErrorGrid], angles: FloatArray) -> RangeErrorGrid:
+    """Return grids, each as probable, as one for beams whose axes are turned by angles (B,)."""
+    return RangeErrorGrid(
+        np.concatenate([one.own for one in grids]),
+        np.concatenate([one.common for one in grids]),
+        np.concatenate([one.turned for one in grids]),
+        np.concatenate([one.log_prior for one in grids]) - math.log(len(grids)),
+        angles,
+    )
 
 
 def _grid(
@@ -168,7 +180,8 @@ def _grid(
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     log_prior = np.log(density).ravel() + cell
-    return RangeErrorGrid(scale[:, :terms], common, np.zeros(len(x)), log_prior)
+    own = scale[:, :terms]
+    return RangeErrorGrid(own, common, np.full(len(x), turned), log_prior, np.zeros(0))
 
 
 def _alike(sides: Sequence[FloatArray]) -> FloatArray:
@@ -183,8 +196,8 @@ def _alike(sides: Sequence[FloatArray]) -> FloatArray:
 
 def _worst_and_best(worst: FloatArray, best: FloatArray) -> FloatArray:
     """Return the density of logarithms of the scales along what is known worst and best."""
-    about = 0.5 * np.logaddexp(0.0, 2.0 * best)
-    return _uniform_shrinkage(worst[:, None] - about) * _half_cauchy(best)
+    about = 0.5 * (np.logaddexp(0.0, 2.0 * best) - math.log(2.0))
+    return _strawderman(worst[:, None] - about) * _half_cauchy(best)
 
 
 def _half_cauchy(x: FloatArray) -> FloatArray:
@@ -196,4 +209,10 @@ def _half_cauchy(x: FloatArray) -> FloatArray:
 def _uniform_shrinkage(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a scale for which 1 / (1 + scale^2) is uniform."""
     density: FloatArray = 0.5 / np.cosh(x) ** 2
+    return density
+
+
+def _strawderman(x: FloatArray) -> FloatArray:
+    """Return the density of the logarithm x of a scale for which 1 / sqrt(1 + scale^2) is uniform."""
+    density: FloatArray = np.exp(2.0 * x - 1.5 * np.logaddexp(0.0, 2.0 * x))
     return density

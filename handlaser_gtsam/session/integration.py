@@ -89,9 +89,9 @@ class ScaleSums:
             total = total + piece
         k = self.reference.beams[2][:, : learned.terms]
         k = k * np.array([1.0, learned.length])[: learned.terms]
-        both = BeamPosterior(total[1:], k, learned.widest, self.members)
-        mixture = both.mixture(learned.grid, learned.log_weight)
         here = BeamPosterior(total[:1], k, learned.widest, self.members)
+        both = BeamPosterior(total[1:], k, learned.widest, self.members)
+        mixture = both.mixture(learned.about(here).grid, learned.log_weight)
         mean, covariance = here.conditional(learned.range_error)
         unit = self.reference.unit
         step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
