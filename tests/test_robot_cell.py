@@ -222,6 +222,23 @@ def test_range_errors_that_cancel_are_not_explained_away(seed):
     assert one.mount_nees < 2.5
 
 
+@pytest.mark.parametrize("seed", [3, 8, 13])
+def test_beams_may_read_from_different_distances(seed):
+    """Each trimmed at zero and at twice its distance; with the same axes for all, k was up to 23 sigma off."""
+    scene, rng = Scene(beams=4, motion=robot_cell.MOTION, a=0.0), np.random.default_rng(seed)
+    recording, truth = cell(scene, rng)
+    back = np.array([0.0, 0.3, 1.0, 2.0])
+    s = truth.ranges + back
+    k1 = 0.01 * rng.standard_normal(4)
+    k = np.column_stack((k1, -0.5 * k1 / np.median(s, axis=0)))
+    ranges = robot_cell.readings_of(s, k) + 1e-4 * rng.standard_normal(s.shape)
+    result = hl.calibrate(replace(recording, ranges=ranges), defaults.stated_noise(scene, truth))
+    true = np.hstack((truth.locations - back[:, None] * truth.directions, truth.directions, k))
+    found = defaults.judge(result, true)
+    assert found.farthest < 4.5
+    assert found.nees < 3.0
+
+
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_sensor_may_be_far_worse_than_its_data_sheet(seed):
     """300 times here; with scales up to 90 times the linearity k was 11 and 12 sigma off."""
