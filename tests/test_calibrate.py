@@ -181,6 +181,7 @@ def test_range_errors_of_many_sigmas_are_found():
     assert (np.abs(found - k) < 4.0 * sigma).all()
 
 
+@pytest.mark.slow
 def test_no_range_error_is_rarely_found():
     """Of recordings without any, 5 % of 8 intervals each; their beams go together.
 
@@ -434,6 +435,7 @@ def test_turning_off_centre_by_a_hair_is_a_mirror_all_the_same():
     assert hl.calibrate(recording, noise, options).status == "unobservable"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "recognised"),
     [

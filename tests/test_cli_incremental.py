@@ -67,6 +67,7 @@ def test_what_cannot_be_done_plane_by_plane_is_refused(handlaser):
     assert len(err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_learned_range_errors_raise_no_false_alarm(handlaser, tmp_path):
     """A recording whose range errors are learned anew on the way; nothing in it moves."""
     where = ("--planes", 25, "--scene", "unplanned", "--seed", 5, "--pose-axes", "xyz")

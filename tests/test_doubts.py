@@ -29,6 +29,7 @@ def in_another_unit(recording):
     return hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA, 0.0, 0.0), NONE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
 def test_a_beam_in_another_unit_is_named(told, recording, in_another_unit):
     """Most of its readings would be left out, and the rest fitted by chance."""

@@ -62,6 +62,7 @@ def test_what_nothing_has_moved_is_quiet():
     assert session.moved() is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_study_of_drift(case):
     """One run with and one without a change of what `benchmarks.drift` counts."""

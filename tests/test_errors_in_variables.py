@@ -73,6 +73,7 @@ def test_it_is_the_most_probable_solution_for_noise_in_the_reading():
     assert np.abs(off(found, by_hand(*told, in_the_reading=False))).max() > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose_sigma", [(0.0, 0.0), (2e-4, 4e-4)])
 def test_many_recordings_scatter_about_the_truth(pose_sigma):
     truth = np.concatenate((R_TRUE, V_TRUE[:2] / V_TRUE[2], K_TRUE))
@@ -83,6 +84,7 @@ def test_many_recordings_scatter_about_the_truth(pose_sigma):
     assert np.abs(np.mean(z, axis=0)).max() < 3.5 / np.sqrt(len(z))
 
 
+@pytest.mark.slow
 def test_the_second_solver_finds_the_same():
     recording, *_ = cell(2, 2000, (1e-3, 2e-3))
     found = hl.calibrate(recording, hl.Noise(SIGMA, 1e-3, 2e-3), EXACT)

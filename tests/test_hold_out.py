@@ -38,6 +38,7 @@ def undisturbed():
     return [(mounts(a), b) for a, b in (two_days(seed) for seed in range(30))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
 def test_p_values_are_uniform_where_nothing_moved(undisturbed, told):
     found = [hl.hold_out(m, b, NOISE if told else None) for m, b in undisturbed]

@@ -67,6 +67,7 @@ def test_undoing_a_mistake_gives_the_right_file(right, words):
     assert any(changed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["qw qx qy qz", "ranges look like millimetres"])
 def test_the_mistake_is_named_first(right, words):
     found = better_ways(MISTAKES[words](right), 0)
@@ -74,6 +75,7 @@ def test_the_mistake_is_named_first(right, words):
     assert "times better" in found[0]
 
 
+@pytest.mark.slow
 def test_beams_swapped_before_one_plane_are_named():
     recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
     ranges = recording.ranges.copy()
@@ -88,6 +90,7 @@ def test_a_right_file_suggests_nothing(right):
     assert hl.calibrate(right, hl.Noise(1e-3, 0.0, 0.0)).warnings == ()
 
 
+@pytest.mark.slow
 def test_the_calibration_warns_and_does_not_converge(right):
     found = hl.calibrate(inverted(right), hl.Noise(1e-3))
     assert found.status != "converged"

@@ -587,6 +587,7 @@ def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
 # --- wrong conventions -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_wrong_convention_of_all_ordered_pairs_goes_unnoticed():
     """Of one scene, with the tool down; the benchmark has others, and every rotation in all units."""
     several = [one for one in meanings() if formats_of(one.meaning)]

@@ -65,6 +65,7 @@ def spoilt():
     return found, {name: np.linalg.norm(c.beams["1"].location - r) for name, c in found.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBUST)
 def test_a_robust_loss_bears_outliers_that_are_kept(spoilt, name):
     found, moved = spoilt

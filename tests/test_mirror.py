@@ -43,6 +43,7 @@ def searched(solution, squares, readings, sigma):
     return not same.any() and image.squares - squares <= mirror.CHI2_MARGIN * sigma**2
 
 
+@pytest.mark.slow
 def test_no_image_that_fits_is_ruled_out_by_the_motion():
     fits = ruled = 0
     for seed in range(108):

@@ -147,6 +147,7 @@ def test_too_few_agreeing_readings_are_no_consensus():
     assert screen(readings, bench(1, 1), 0, 1e-4) is None
 
 
+@pytest.mark.slow
 def test_robust_starts_agree_on_the_good_readings():
     recording, truth = simulated("arm", Layout(2, 3, 14), SIGMA["arm"])
     readings = spoilt(recording, 0.3, 4).readings()

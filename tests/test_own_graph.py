@@ -349,6 +349,7 @@ def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
     assert stopped.cost <= graph.error(start)
 
 
+@pytest.mark.slow
 def test_study_of_a_mobile_base():
     """A few drives of `benchmarks.mobile_base`: consistent jointly, far off with poses as exact."""
     found = np.array([run_once(seed) for seed in range(6)])

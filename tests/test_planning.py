@@ -387,6 +387,7 @@ def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
     assert not check.undetermined
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taken", [4, 5, 6])
 def test_what_a_first_motion_still_lacks_is_found(taken):
     """A first motion that was broken off, and mounts drawn from the bounds."""
@@ -410,6 +411,7 @@ def test_what_a_first_motion_still_lacks_is_found(taken):
     assert missing_stations(begun, fewer, SENSOR) is None
 
 
+@pytest.mark.slow
 def test_the_closed_loop_needs_half_of_the_random_stations():
     """Of two robots; the study has the median of fifty, 0.3."""
     found = [loop(seed) for seed in (0, 1)]

@@ -184,6 +184,7 @@ def test_outliers_are_found_beside_robot_errors():
     assert (shift < 3.0 * clean.beams["2"].location_sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(1,), (0, 1, 2)])
 def test_covariances_tell_the_truth_when_the_robot_errs(axes):
     """A small run of `benchmarks.uncertainty`: each recording has 20 degrees of freedom."""

@@ -457,6 +457,7 @@ def test_of_a_part_that_is_determined_the_numbers_are_shown():
             assert [value for _, value in row[3:6]] == [None] * 3
 
 
+@pytest.mark.slow
 def test_readings_that_do_not_fit_are_no_calibration(gripper):
     part = gripper.part(np.arange(22)).without(np.arange(4) >= np.full((22, 1), 2))
     spoilt = part.ranges * (1.0 + 0.3 * np.random.default_rng(0).standard_normal((22, 2)))

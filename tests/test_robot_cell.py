@@ -207,6 +207,7 @@ def test_the_study_of_the_defaults_judges_by_the_stated_covariance():
     assert max(one.farthest for one in found) < defaults.FAR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [41, 104, 109])
 def test_range_errors_that_all_beams_share_are_not_explained_away(seed):
     """Beams that hardly differ say nothing of what they share, and k was up to 7 sigma off."""
@@ -214,6 +215,7 @@ def test_range_errors_that_all_beams_share_are_not_explained_away(seed):
     assert one.farthest < 4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 6])
 def test_range_errors_that_cancel_are_not_explained_away(seed):
     """The motion sees the sum of both terms, which is nothing, and k was up to 10 sigma off."""
@@ -222,6 +224,7 @@ def test_range_errors_that_cancel_are_not_explained_away(seed):
     assert one.mount_nees < 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 8, 13])
 def test_beams_may_read_from_different_distances(seed):
     """Each trimmed at zero and at twice its distance; with the same axes for all, k was up to 23 sigma off."""
@@ -239,6 +242,7 @@ def test_beams_may_read_from_different_distances(seed):
     assert found.nees < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_sensor_may_be_far_worse_than_its_data_sheet(seed):
     """300 times here; with scales up to 90 times the linearity k was 11 and 12 sigma off."""

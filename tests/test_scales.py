@@ -200,6 +200,7 @@ def averaged(points, evidence):
     return w, mean, within + (w[:, None] * (means - mean)).T @ (means - mean)
 
 
+@pytest.mark.slow
 def test_noise_scales_are_integrated_over():
     """Against a grid of 15 x 17 x 17 over six standard deviations and seven powers of e."""
     _, readings, truth = robot(Layout(2, 3, 7), ARM, scene="arm")
@@ -339,6 +340,7 @@ def test_axes_are_those_of_what_readings_know():
     assert found(np.eye(1)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [(0.0, 0.0), (0.03, 0.1)])
 def test_scales_of_range_errors_are_integrated_over(k):
     """Against a finer grid over all three, within the same bounds: these belong to the prior."""
@@ -519,6 +521,7 @@ def test_scales_are_found_where_the_evidence_is_beyond_all_bounds():
     assert fine.near(np.full(len(fine.own), -1e19)).own.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [hl.Noise(), hl.Noise(3e-5)], ids=["nothing given", "sigma"])
 def test_rows_shifted_against_the_poses_are_no_calibration(noise):
     recording, _ = simulated(layout=Layout(2, 3, 8), range_sigma=3e-5)

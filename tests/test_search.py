@@ -106,8 +106,8 @@ def mirrored(recording):
     return replace(recording, world_t_hand=recording.world_t_hand * [1.0, -1.0, 1.0])
 
 
-@pytest.mark.parametrize("spoilt", [shifted, mirrored])
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.slow
+@pytest.mark.parametrize(("spoilt", "told"), [(shifted, True), (mirrored, False)])
 def test_a_file_that_fits_nothing_is_refused_with_bounded_work(counts, spoilt, told):
     """Either no optimum is reached or too little is determined; the message says that nothing fits."""
     recording, _ = simulated("arm", Layout(2, 3, 10), 1e-3, 4)

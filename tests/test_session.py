@@ -51,6 +51,7 @@ def test_noise_of_readings_is_judged_by_the_plane_that_the_weights_make():
     assert session.compare().largest < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("poses", "noise", "range_error", "k"),
     [
@@ -259,6 +260,7 @@ def test_random_sequences_end_at_the_batch_solution(monkeypatch, seed):
     assert_batch(session)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "options", "k"),
     [
@@ -294,6 +296,7 @@ def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
     assert np.abs(found.fit.residuals - batch.fit.residuals).max() < 0.01 * SIGMA
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", ["auto", "estimated"])
 @pytest.mark.parametrize("noise", [hl.Noise(), EXACT, ROBOT], ids=["nothing", "exact", "robot"])
 def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
@@ -342,6 +345,7 @@ def test_a_session_compares_itself_with_the_batch_now_and_then():
     assert all(quiet.add(plane(recording, index)).comparison is None for index in range(14))
 
 
+@pytest.mark.slow
 def test_an_estimate_that_has_left_the_batch_is_begun_anew():
     """With thresholds of GTSAM's default a session notices, says so, and goes on from the batch."""
     recording = recorded(20, stations=6, beams=1, k=(0.05, 1.0))
@@ -382,6 +386,7 @@ def test_threads_take_turns():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_many_blocks_evaluate_together_as_each_does_alone():
     """What iSAM2 is handed once it asks for many blocks; with gaps, poses and whitening."""
     recording = recorded(7, noise=ROBOT)

@@ -81,6 +81,7 @@ def test_what_was_interrupted_goes_on(tmp_path):
         study([reduced()], 100, 4, None, hl.StudyFolder(tmp_path))
 
 
+@pytest.mark.slow
 def test_honest_estimates_have_a_nees_of_one():
     errors = Errors(3e-5, 5e-5, np.radians(0.03))
     scene = Simulated("unplanned", Layout(2, 4, 11), errors)

@@ -95,6 +95,7 @@ def test_what_is_no_calibration_is_not_validated():
         hl.validate(recording, NOISE)
 
 
+@pytest.mark.slow
 def test_the_bootstrap_agrees_with_the_covariance(gripper):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
     noise, count = hl.Noise(3e-5, 2e-5, 1e-4), draws(80, 200)
