@@ -217,18 +217,21 @@ def test_every_verb_speaks_any_encoding(folder, monkeypatch, example, encoding):
 
 
 @pytest.mark.parametrize(
-    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}]
+    ("example", "environment"),
+    [
+        ("handlaser check recording.csv", {"PYTHONIOENCODING": "ascii"}),
+        (QUICK, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}),
+    ],
 )
-def test_the_environment_decides_the_encoding(folder, environment):
-    for example in ("handlaser check recording.csv", QUICK):
-        run = subprocess.run(
-            [*RUN, *words_of(example)],
-            cwd=folder,
-            env={**os.environ, **environment, "PYTHONUTF8": "0"},
-            capture_output=True,
-            check=False,
-        )
-        assert (run.returncode, run.stderr) == (0, b"")
-        assert run.stdout.isascii()
-        assert b"\\u58c1" in run.stdout
-        assert b"\\u2500" not in run.stdout
+def test_the_environment_decides_the_encoding(folder, example, environment):
+    run = subprocess.run(
+        [*RUN, *words_of(example)],
+        cwd=folder,
+        env={**os.environ, **environment, "PYTHONUTF8": "0"},
+        capture_output=True,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (0, b"")
+    assert run.stdout.isascii()
+    assert b"\\u58c1" in run.stdout
+    assert b"\\u2500" not in run.stdout

@@ -3,7 +3,8 @@
 Nothing is linearised: hand poses and readings are drawn with their sigmas, and each draw is solved from
 the calibration. What the covariance leaves out shows in the difference. Where scales were integrated
 over, every draw takes those of a component of the mixture; a prior of range errors is a measurement
-like the readings, and is drawn with them.
+like the readings, and is drawn with them: along its axes and with what beams share, while each draw is
+solved with its standard deviations alone.
 """
 
 from dataclasses import dataclass, replace
