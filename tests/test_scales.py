@@ -357,7 +357,7 @@ def test_scales_of_range_errors_are_integrated_over(k):
     dense = Dense(truth, readings, 2)
     C = dense.covariance(np.full(2, 1e-4), np.zeros(6))
     side = np.log(0.01) + np.linspace(-SPAN, SPAN, 13)
-    alone = dense.posterior(C, prior_covariance([0.9, 0.9], 0.9))[2]
+    alone = dense.posterior(C, 3.0 * 0.9**2 * np.eye(4))[2]
     angles = known_worst(alone[np.ix_(dense.at_k, dense.at_k)])
     assert np.tan(learned.grid.angles) == pytest.approx(np.tan(angles), abs=1e-3)
 

@@ -26,7 +26,7 @@ class Contrasts:
         Orthogonal, from range errors, beam after beam, to means (times the root of B) and contrasts.
     is_mean : (K,) of bool
     widest : (K,)
-        Standard deviations under the widest prior.
+        Standard deviations under the widest prior: all the same, and so along any axes.
     """
 
     at: IntArray
@@ -40,7 +40,7 @@ class Contrasts:
         """Return those of `terms` range errors of some beams of `width` unknowns."""
         at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
         turn, is_mean = _contrasts(len(beams), terms)
-        wide = np.where(is_mean, np.sqrt(1.0 + len(beams)), 1.0) * widest
+        wide = np.full(len(at), np.sqrt(1.0 + len(beams)) * widest)
         return cls(at, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
 
     def turned(self, angles: FloatArray) -> FloatArray:
