@@ -237,7 +237,7 @@ def test_readings_that_do_not_determine_range_errors_leave_nothing_undetermined(
     assert not excluded(calibration).any()
     beam = calibration.beams["1"]
     # What is expected of range errors, 1 % of the reading, bounds them and all that hangs on them. Of
-    # what is not known at all the tails are long, but not as long as with a half-Cauchy scale up to 90 %.
+    # what is not known at all the tails are long, not as long as with a half-Cauchy scale up to 90 %.
     sigma = beam.range_error_sigma * np.array([1.0, 0.2])
     assert (sigma < math.sqrt(2.0 / math.pi * 0.01 * 0.9)).all()
     assert (sigma > 0.001).all()

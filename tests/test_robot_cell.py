@@ -227,7 +227,7 @@ def test_range_errors_that_cancel_are_not_explained_away(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 8, 13])
 def test_beams_may_read_from_different_distances(seed):
-    """Each trimmed at zero and at twice its distance; with the same axes for all, k was up to 23 sigma off."""
+    """Each trimmed at zero and twice its distance; with axes in common k was up to 23 sigma off."""
     scene, rng = Scene(beams=4, motion=robot_cell.MOTION, a=0.0), np.random.default_rng(seed)
     recording, truth = cell(scene, rng)
     back = np.array([0.0, 0.3, 1.0, 2.0])
