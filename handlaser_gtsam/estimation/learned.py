@@ -81,9 +81,8 @@ class LearnedScales(Value):
             base=replace(self.base, range_sigma=ranges),
         )
 
-    def about(self, beams: BeamPosterior) -> "LearnedScales":
-        """Return the same along the axes of what is known of `beams` at the most probable scales."""
-        angles = beams.worst_known()
+    def along(self, angles: FloatArray | None) -> "LearnedScales":
+        """Return the same along axes of the beams turned by angles (B,), where any are turned."""
         if angles is None or not self.grid.turned.any():
             return self
         return replace(self, grid=replace(self.grid, angles=angles))

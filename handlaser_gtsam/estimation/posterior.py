@@ -81,7 +81,7 @@ def posterior(
         variables differs by from that of the marginalised form is kept.
     """
     known = (learned.mode, learned.range_error) if solved is None else solved
-    learned = learned.about(problem.beams(learned.mode[None])[0])
+    learned = learned.along(problem.beams(learned.mode[None])[0].worst_known())
     beams, planes = problem.beams(learned.points)
     unit = _unit(learned, problem.readings.beams)
     bases = model.tangent_basis(problem.at.directions)

@@ -91,7 +91,7 @@ class ScaleSums:
         k = k * np.array([1.0, learned.length])[: learned.terms]
         here = BeamPosterior(total[:1], k, learned.widest, self.members)
         both = BeamPosterior(total[1:], k, learned.widest, self.members)
-        mixture = both.mixture(learned.about(here).grid, learned.log_weight)
+        mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
         mean, covariance = here.conditional(learned.range_error)
         unit = self.reference.unit
         step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
