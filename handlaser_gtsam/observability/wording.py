@@ -1,6 +1,6 @@
 """What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +21,9 @@ WEAK_SHARE = 0.4
 LEAK = 1e-6
 """A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
 
+Kind = Literal["beam", "plane"]
+OF_BEAMS = "location", "direction", "range error"
+OF_PLANES = "normal", "offset"
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
@@ -58,7 +61,7 @@ class OpenPart(Value):
         range error over (k1, k2), offset 1.
     """
 
-    kind: Literal["beam", "plane"]
+    kind: Kind
     name: str
     quantity: str
     axes: FloatArray
@@ -116,8 +119,8 @@ def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
     axis = reduced.weakest[:, None]
     beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
     space = NullSpace(beams, -(reduced.information.plane_response @ axis))
-    lengths = [np.linalg.norm(rows) for *_, rows in _rows(space, parameters, names)]
-    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(lengths)))
+    lengths = map(_lengths, _rows(space, parameters).values())
+    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
     return "; ".join(undetermined(parts))
 
 
@@ -138,28 +141,36 @@ def _parts(
 ) -> tuple[OpenPart, ...]:
     if space.beams.shape[-1] == 0:
         return ()
+    rows = _rows(space, parameters)
+    long = {quantity: (_lengths(found) > share).tolist() for quantity, found in rows.items()}
+    listed: list[tuple[Kind, str, int, str]] = [
+        *(("beam", name, i, quantity) for name, i in names.beams for quantity in OF_BEAMS),
+        *(("plane", name, p, quantity) for name, p in names.planes for quantity in OF_PLANES),
+    ]
     found = (
-        OpenPart(kind, name, quantity, _span(rows, share))
-        for kind, name, quantity, rows in _rows(space, parameters, names)
+        OpenPart(kind, name, quantity, _span(rows[quantity][i], share))
+        for kind, name, i, quantity in listed
+        if long[quantity][i]
     )
     return tuple(part for part in found if part.axes.shape[1])
 
 
-def _rows(
-    space: NullSpace, parameters: Parameters, names: Names
-) -> Iterator[tuple[Literal["beam", "plane"], str, str, FloatArray]]:
-    """Yield kind, name and quantity of every part, and its rows (D, K) of the null space."""
+def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
+    """Return the rows (B or P, D, K) of the null space for every quantity of a beam and a plane."""
     beams, planes = _normalized(space)
-    bases = model.tangent_basis(parameters.directions)
-    for name, i in names.beams:
-        yield "beam", name, "location", beams[i, :3]
-        yield "beam", name, "direction", bases[i] @ beams[i, 3:5]
-        yield "beam", name, "range error", beams[i, 5:]
-    normals = model.tangent_basis(parameters.normals)
-    for name, p in names.planes:
-        yield "plane", name, "normal", normals[p] @ planes[p, :2]
+    return {
+        "location": beams[:, :3],
+        "direction": model.tangent_basis(parameters.directions) @ beams[:, 3:5],
+        "range error": beams[:, 5:],
+        "normal": model.tangent_basis(parameters.normals) @ planes[:, :2],
         # The offset is that at the world's origin: where the normal is open, it is too.
-        yield "plane", name, "offset", np.linalg.norm(planes[p], axis=0, keepdims=True)
+        "offset": np.linalg.norm(planes, axis=1, keepdims=True),
+    }
+
+
+def _lengths(rows: FloatArray) -> FloatArray:
+    lengths: FloatArray = np.linalg.norm(rows, axis=(1, 2))
+    return lengths
 
 
 def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
