@@ -31,6 +31,7 @@ def calibrated(rho, seed, noise=EXACT):
     return hl.calibrate(replace(recording, ranges=d), noise, NONE), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [EXACT, hl.Noise(None, 0.0, 0.0)], ids=["given", "estimated"])
 def test_correlated_noise_is_named_and_counted(noise):
     """For known beams the means of 25 readings in a row vary 7.3 times as much as of independent ones.
@@ -70,6 +71,7 @@ def test_independent_noise_raises_no_alarm():
     assert alarms <= draws(1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", odd_readings.KINDS)
 def test_no_kind_of_readings_goes_by_unflagged(kind):
     """`benchmarks.unflagged` in small: no wrong result without a warning, no right one refused."""

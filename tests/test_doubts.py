@@ -42,6 +42,7 @@ def test_a_beam_in_another_unit_is_named(told, recording, in_another_unit):
     assert "readings of beam 2 contradict the others" in named["contradicting-beam"]
 
 
+@pytest.mark.slow
 def test_a_sigma_that_is_ten_times_too_small_is_no_calibration(recording):
     """Of an exact robot: errors of a robot that nobody describes would explain the residuals."""
     found = hl.calibrate(recording, hl.Noise(SIGMA / 20.0, 0.0, 0.0), NONE)

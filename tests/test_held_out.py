@@ -26,6 +26,7 @@ def gripper():
     return hl.read_recording(GRIPPER / "recording.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_what_calibrating_anew_gives(gripper, case):
     """Both end at one optimum, to what the solvers stop at: 1e-6 of a standard deviation."""

@@ -601,6 +601,7 @@ def test_no_wrong_convention_of_all_ordered_pairs_goes_unnoticed():
     assert [one for one in by_fit if not one.named] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kuka", "ros", "ur"])
 @pytest.mark.parametrize("spoilt", [0.0, 0.1])
 def test_the_right_convention_is_never_doubted(tmp_path, name, spoilt):

@@ -265,6 +265,7 @@ def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     assert abs(report.lag - 0.0503) < 3.0 * report.lag_sigma < 3.0 * max(most, 2e-4)
 
 
+@pytest.mark.slow
 def test_lags_between_the_steps_of_the_search_differ_by_what_they_do(tmp_path, driven):
     """The steps are 2 ms; what the polynomials leave out moves both lags alike."""
     drive, _ = driven

@@ -415,6 +415,7 @@ def without_range_errors():
     return recording, hl.calibrate(recording, noise, hl.CalibrationOptions("none"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "sigma"), [(1.0, 6e-5), (0.1, 6e-6), (100.0, 6e-3)])
 def test_what_is_determined_does_not_depend_on_the_unit(without_range_errors, scale, sigma):
     recording, done = without_range_errors

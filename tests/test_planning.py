@@ -290,6 +290,7 @@ def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
         assert math.acos(min(plate.normal @ first, 1.0)) <= placement.largest_tilt + 1e-9
 
 
+@pytest.mark.slow
 def test_a_calibration_without_a_covariance_is_no_guide(recorded):
     _, recording, _ = recorded
     few = hl.calibrate(recording.part([0, 1, 2]), NOISE, RANGE_ERRORS)

@@ -393,6 +393,7 @@ def model_powers(d):
 # What comes out of it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "spread"), [("arm", (0.03, 0.07, 0.07)), ("paper", (0.04, 0.05, 0.4))]
 )
@@ -505,6 +506,7 @@ def test_beside_a_robust_loss_scales_are_estimated_but_not_integrated_over():
     assert found.fit.range_sigma == pytest.approx(RANGE, rel=0.5)
 
 
+@pytest.mark.slow
 def test_predictions_carry_the_noise_that_was_estimated():
     recording, _, _ = robot(Layout(4, 5, 16))
     found = hl.validate(recording, options=hl.CalibrationOptions("none"), splits=4)

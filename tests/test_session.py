@@ -168,6 +168,7 @@ def test_the_last_planes_stay():
     assert_batch(session)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, RuntimeError])
 @pytest.mark.parametrize("call", [0, 1, 3])
 def test_an_exception_inside_an_update_changes_nothing(monkeypatch, error, call):

@@ -44,6 +44,7 @@ def assert_alike(one, other):
     assert b.fit.chi2 == pytest.approx(a.fit.chi2, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("copied", [by_pickle, copy.deepcopy])
 @pytest.mark.parametrize("case", CASES)
 def test_a_copy_gives_the_same_answers_and_goes_on(case, copied):

@@ -437,6 +437,7 @@ def drawn(scene, rng, count, code="", size=0.0):
         yield arguments(*scene.problem(ranges + SIGMA * rng.standard_normal(ranges.shape)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_without_errors_p_values_are_uniform_and_warnings_rare(known):
     rng, scene = np.random.default_rng(5), Scene()
@@ -454,6 +455,7 @@ def test_without_errors_p_values_are_uniform_and_warnings_rare(known):
     assert np.sum(np.array(smallest) < LEVEL) < 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_the_detectable_size_is_found_with_80_percent(known):
     rng, scene = np.random.default_rng(6), Scene()

@@ -23,6 +23,7 @@ def validation(gripper):
     return hl.validate(gripper, NOISE, splits=4)
 
 
+@pytest.mark.slow
 def test_every_plane_is_left_out_in_turn(validation):
     assert [one.plane for one in validation.planes] == ["A", "B", "C", "D"]
     for one in validation.planes:
