@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, draws
 
 import handlaser_gtsam as hl
 
@@ -72,6 +72,13 @@ def test_the_gross_outliers_of_p3_are_listed(mount_p3):
     assert mount_p3.fit.rms < 1.4e-3  # 5.1 mm with all of them
 
 
+def test_the_sensor_of_p3_reads_nothing_beyond_564_mm(mount_p3):
+    """Its samples pile up there, and their means are too short by 5 to 65 mm."""
+    (warning,) = [one for one in mount_p3.warnings if one.code == "range-end"]
+    assert 0.555 < warning.values["limit_m"] < 0.564
+    assert warning.values["rejected"] >= 5
+
+
 @pytest.mark.parametrize("trial", P3)
 def test_every_trial_of_p3_leads_to_the_same_mount(convert, tmp_path, mount_p3, trial):
     convert([SPD / trial], tmp_path / "one.csv")
@@ -83,3 +90,31 @@ def test_every_trial_of_p3_leads_to_the_same_mount(convert, tmp_path, mount_p3, 
     sigma = np.hypot(one.sigma[:6], joint.sigma[:6])
     # Six coordinates of four trials: the largest of 24 stays below 3 in 94 of 100 cases.
     assert (np.abs(difference) < 3.0 * sigma).all()
+
+
+def halves(recording, seed, options):
+    """Return the beams of two halves of the stations, drawn, with no noise given."""
+    order = np.random.default_rng(seed).permutation(len(recording.ranges))
+    half = len(order) // 2
+    parts = [recording.part(order[:half]), recording.part(order[half:])]
+    return [hl.calibrate(part, options=options).beams["1"] for part in parts]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("trials", "limit"), [("L3CX_*_P1", np.inf), ("6180_*_P3", 0.556)])
+def test_halves_of_the_stations_differ_by_what_they_state(convert, tmp_path, trials, limit):
+    """No simulator made these readings, nor chose their noise; the limit is the one warned of."""
+    convert(sorted(SPD.glob(trials)), tmp_path / "recording.csv")
+    recording, nees = hl.read_recording(tmp_path / "recording.csv"), []
+    options = hl.CalibrationOptions(sensor=hl.Sensor(range_max=limit))
+    for seed in range(draws(4, 20)):
+        one, other = halves(recording, seed, options)
+        basis = np.eye(6)[:, :5].copy()
+        basis[3:, 3:] = np.linalg.svd(one.direction[None])[2][1:].T
+        covariance = basis.T @ (one.covariance[:6, :6] + other.covariance[:6, :6]) @ basis
+        difference = basis.T @ np.append(
+            one.location - other.location, one.direction - other.direction
+        )
+        nees.append(difference @ np.linalg.solve(covariance, difference) / 5.0)
+    # Five degrees of freedom, four times (not independent): below 2.2 in 99 of 100 cases.
+    assert 0.1 < np.mean(nees) < 2.2

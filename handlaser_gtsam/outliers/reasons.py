@@ -13,10 +13,12 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import Names
 from .leverage import leverages
+from .range_ends import RangeEnd, range_ends
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"
 STATION = "whole station off"
+TOO_SHORT, TOO_LONG = "too short, at the far end of the range", "too long, at the near end"
 FLAT = 0.17
 """A beam that meets its plane with a smaller cosine (80 degrees) is likely to have missed it."""
 FITS, FITS_PLANE = 4.0, 6.0
@@ -39,12 +41,15 @@ class Reasons:
         One for each row that was left out.
     other_plane : dict
         Station index to the index of the plane that it fits.
+    range_ends : tuple of RangeEnd
+        Where the range of a sensor seems to end.
     residual : (N,)
         Of all readings [m]; infinite where a beam grazes its plane.
     """
 
     words: tuple[str, ...]
     other_plane: dict[int, int]
+    range_ends: tuple[RangeEnd, ...]
     residual: FloatArray
 
     def residual_of(self, row: int) -> float | None:
@@ -65,23 +70,27 @@ def reasons(
     repeated = _repeated_poses(readings)
     other = _other_planes(readings, kept, left, parameters, range_sigma)
     swapped = _swapped(readings, rows, parameters, range_sigma)
-    words = []
+    words = np.full(len(readings), "", dtype=object)
     for row in rows:
         station = int(readings.station[row])
         count = int((readings.station == station).sum())
         if row in swapped:
-            words.append(f"swapped with the reading of beam {beam_names[swapped[int(row)]]}")
+            words[row] = f"swapped with the reading of beam {beam_names[swapped[int(row)]]}"
         elif station in other:
-            words.append(f"wrong plane label: fits plane {plane_names[other[station]]}")
+            words[row] = f"wrong plane label: fits plane {plane_names[other[station]]}"
         elif flat[row]:
-            words.append("grazing")
+            words[row] = "grazing"
         elif repeated[station]:
-            words.append(REPEATED)
+            words[row] = REPEATED
         elif left[station] == 0 and count > 1:
-            words.append(STATION)
+            words[row] = STATION
         else:
-            words.append(OUTLIER)
-    return Reasons(tuple(words), other, residuals(parameters, readings))
+            words[row] = OUTLIER
+    residual = residuals(parameters, readings)
+    ends = range_ends(readings, (words == OUTLIER) | (words == STATION), residual)
+    for end in ends:
+        words[end.rows] = TOO_SHORT if end.far else TOO_LONG
+    return Reasons(tuple(words[rows].tolist()), other, ends, residual)
 
 
 def _other_planes(

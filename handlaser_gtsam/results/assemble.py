@@ -67,6 +67,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
             *_ways(problem, used, fit, solution, wrong),
             *([] if wrong is None else [wrong]),
             *_wrong_labels(problem, why),
+            *_range_ends(problem, why),
             *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams()),
             *together.warnings,
             *(
@@ -148,6 +149,23 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
             f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label",
         )
         for station, plane in found
+    )
+
+
+def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
+    """Warn of sensors that give readings where their range has ended."""
+    names = problem.names.sorted_beams()
+    return tuple(
+        CalibrationWarning(
+            "range-end",
+            f"{len(end.rows)} of the {end.extreme} {'largest' if end.far else 'smallest'} readings of "
+            f"beam {names[end.beam]}, from {end.limit * 1e3:.4g} mm {'on' if end.far else 'down'}, are "
+            f"too {'short' if end.far else 'long'} and were left out: its range seems to end there, "
+            "and readings shortly before may err, too; state a narrower range (range_mm in [sensor] "
+            "of the rig file), or measure within it",
+            {"beam": names[end.beam], "limit_m": end.limit, "rejected": len(end.rows)},
+        )
+        for end in why.range_ends
     )
 
 
