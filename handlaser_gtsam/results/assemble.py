@@ -161,8 +161,8 @@ def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...
             f"{len(end.rows)} of the {end.extreme} {'largest' if end.far else 'smallest'} readings of "
             f"beam {names[end.beam]}, from {end.limit * 1e3:.4g} mm {'on' if end.far else 'down'}, are "
             f"too {'short' if end.far else 'long'} and were left out: its range seems to end there, "
-            "and readings shortly before may err, too; state a narrower range (range_mm in [sensor] "
-            "of the rig file), or measure within it",
+            "and readings shortly before may err, too; state a narrower range (--range-mm MIN MAX, or "
+            "range_mm in the rig file's [sensor]), or measure within it",
             {"beam": names[end.beam], "limit_m": end.limit, "rejected": len(end.rows)},
         )
         for end in why.range_ends
