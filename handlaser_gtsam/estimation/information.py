@@ -227,9 +227,9 @@ class _Sums:
             KB = K @ np.swapaxes(self.beam_pose, 1, 2)
             KC = K @ np.swapaxes(self.plane_pose, 1, 2)
             flat = np.swapaxes(self.beam_pose, 0, 1).reshape(self.size, -1)
-            beam_beam = beam_beam - flat @ KB.reshape(len(f), -1, self.size)
-            beam_plane = beam_plane - np.add.reduceat(self.beam_pose @ KC, starts, axis=1)
-            plane_plane = plane_plane - np.add.reduceat(self.plane_pose @ KC, starts, axis=1)
+            beam_beam -= flat @ KB.reshape(len(f), -1, self.size)
+            beam_plane -= np.add.reduceat(self.beam_pose @ KC, starts, axis=1)
+            plane_plane -= np.add.reduceat(self.plane_pose @ KC, starts, axis=1)
         return _planes_eliminated(beam_beam, beam_plane, plane_plane, log_det)
 
 

@@ -290,15 +290,21 @@ def _semidefinite(V: FloatArray) -> FloatArray:
 
 
 def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inverses of information (J, n, n), and the logarithms (J,) of its determinants."""
+    """Return the inverses of information (J, n, n), and the logarithms (J,) of its determinants.
+
+    `matrix` is overwritten: with many beams a copy costs as much as it does.
+    """
     diagonal = np.einsum("jii->ji", matrix)
     scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
-    scaled = matrix * scale[:, :, None] * scale[:, None, :]
-    if scaled.shape[1] > LARGE:
-        inverse, size = scaled, np.empty(len(scaled))
-        for one in range(len(scaled)):
-            inverse[one], size[one] = inverse_and_log_det(scaled[one])
+    matrix *= scale[:, :, None]
+    matrix *= scale[:, None, :]
+    if matrix.shape[1] > LARGE:
+        size = np.empty(len(matrix))
+        for one in range(len(matrix)):
+            matrix[one], size[one] = inverse_and_log_det(matrix[one])
     else:
-        inverse, size = np.linalg.inv(scaled), np.linalg.slogdet(scaled)[1]
-    found: FloatArray = scale[:, :, None] * inverse * scale[:, None, :]
-    return found, size - 2.0 * np.log(scale).sum(axis=1)
+        size = np.linalg.slogdet(matrix)[1]
+        matrix[:] = np.linalg.inv(matrix)
+    matrix *= scale[:, :, None]
+    matrix *= scale[:, None, :]
+    return matrix, size - 2.0 * np.log(scale).sum(axis=1)
