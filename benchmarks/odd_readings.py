@@ -18,6 +18,7 @@ planes, nine to fourteen stations each, a hand that moves little or much. Then o
     sag, lag, cubic, beam-on-plane
                    systematic errors of `robot_cell`, of 0.5 to 20 standard deviations, or 0.5 to 30 %
                    of the way between the neighbouring stations
+    compressed     3 to 20 % of the readings: beyond a limit they grow by 0 to 30 % of the distance
 """
 
 from collections.abc import Callable
@@ -100,6 +101,13 @@ def _saturated(recording: hl.Recording, rng: np.random.Generator) -> hl.Recordin
     return replace(recording, ranges=np.minimum(recording.ranges, limit))
 
 
+def _compressed(recording: hl.Recording, rng: np.random.Generator) -> hl.Recording:
+    d, noise = recording.ranges, SIGMA * rng.standard_normal(recording.ranges.shape)
+    limit = np.quantile(d, 1.0 - rng.uniform(0.03, 0.2))
+    beyond = limit + rng.uniform(0.0, 0.3) * (d - limit) + noise
+    return replace(recording, ranges=np.where(d > limit, beyond, d))
+
+
 def logged(recording: hl.Recording, rows: IntArray) -> hl.Recording:
     """Return stations in another order, some more than once, under new names."""
     return hl.Recording(
@@ -148,6 +156,7 @@ SPOILERS: dict[str, Callable[[hl.Recording, np.random.Generator], hl.Recording]]
     "held": _held,
     "doubled": _doubled,
     "other-beam": _other_beam,
+    "compressed": _compressed,
 }
 KINDS = (
     "gaussian",
@@ -162,4 +171,5 @@ KINDS = (
     "one-plane",
     "other-beam",
     *SYSTEMATIC,
+    "compressed",
 )

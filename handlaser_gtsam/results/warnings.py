@@ -9,11 +9,13 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import CalibrationWarning
+from ..estimation.posterior import ScaleEstimate
+from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..model.distributions import chi2_cdf
 from ..model.equation import plausible_range_errors
 from ..model.sensor import BY_LIMITS
-from .lines import count
+from .lines import DEG, MM, count
 from .reports import Fit
 from .significance import SINGLE_LEVEL
 
@@ -31,6 +33,8 @@ FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
+BAD_ROBOT = 10.0
+"""Pose sigmas that are surely so many times what is expected stand for something else."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 LONG_RANGE = 100.0
@@ -110,6 +114,7 @@ def fit_warnings(
         *_same_mounts(parameters, fit, names),
         *_wrong_sigmas(fit, treated=treated),
         *(() if treated else _pose_errors(fit, noise)),
+        *_large_pose_errors(solution.scales),
         *_of_the_noise(fit, solution.redundancy),
     )
 
@@ -206,6 +211,24 @@ def _pose_errors(fit: Fit, noise: Noise) -> Iterator[CalibrationWarning]:
             "hand poses were taken as exact although their sigma is not zero: the standard "
             "deviations are too small",
         )
+
+
+def _large_pose_errors(scales: Sequence[ScaleEstimate]) -> Iterator[CalibrationWarning]:
+    """Warn of estimated errors of the poses that no robot of its kind has: they stand for others."""
+    for one in scales:
+        expected = one.scale.unit * one.scale.prior
+        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
+        if one.scale.name != RANGE and at_least > BAD_ROBOT * expected:
+            turns = one.scale.name == ROTATION
+            unit, size = ("deg", DEG) if turns else ("mm", MM)
+            yield CalibrationWarning(
+                "large-pose-errors",
+                f"the hand's {'rotation' if turns else 'position'} errs by {one.sigma * size:.2g} "
+                f"{unit}, as estimated, {one.sigma / expected:.0f} times what is expected of the "
+                "robot: look for gross errors, wrong labels, a plate that moved or a wrong unit; or "
+                "state what the robot errs by",
+                {"sigma": one.sigma, "expected": expected},
+            )
 
 
 def _going_together(fit: Fit) -> float:
