@@ -11,7 +11,8 @@ from helpers import codes, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text
 from handlaser_gtsam.observability.motion import check_motion
-from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.scenes import SCENES, Layout
+from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NONE = hl.CalibrationOptions("none")
@@ -67,6 +68,27 @@ def test_a_hand_that_only_turns_leaves_its_mirror_image_open(recording):
     assert "mirror image" in found.undetermined[0]
     assert "move the hand" in found.advice[0]
     assert check_motion(recording).undetermined == ()
+
+
+def of_a_robot(errors, seed=3):
+    """Return a recording of a robot that errs, before seven planes."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["arm"](Layout(3, 7, 13), rng)
+    return simulate(truth, stations, errors, rng)
+
+
+def test_errors_that_no_robot_has_are_asked_about():
+    """They stand for something else, as for gross errors, and nothing else says so."""
+    recording = of_a_robot(Errors(SIGMA, 3e-3, 0.01))
+    found = hl.calibrate(recording, hl.Noise(SIGMA), NONE)
+    assert codes(found).count("large-pose-errors") == 2
+    expected = hl.Noise(SIGMA, pose_translation_prior=2e-3, pose_rotation_prior=0.005)
+    assert "large-pose-errors" not in codes(hl.calibrate(recording, expected, NONE))
+
+
+def test_errors_that_a_robot_has_are_not_asked_about():
+    recording = of_a_robot(Errors(SIGMA, 4e-4, 1e-3))
+    assert "large-pose-errors" not in codes(hl.calibrate(recording, hl.Noise(SIGMA), NONE))
 
 
 @pytest.mark.parametrize(
