@@ -39,10 +39,14 @@ def variances(recording, poses=True):
     return Variances(np.full(len(recording.beam_names), RANGE), 1e-5, pose if poses else None)
 
 
-def test_whitening_is_the_root_of_the_covariance_of_a_station():
-    """The covariance by moving the poses and taking differences, for stations with gaps too."""
-    recording, truth = robot(missing=30)
-    truth = replace(truth, range_errors=np.full((4, 2), [0.02, 0.3]))
+@pytest.mark.parametrize("beams", [4, 9])
+def test_whitening_is_the_root_of_the_covariance_of_a_station(beams):
+    """The covariance by moving the poses and taking differences, for stations with gaps too.
+
+    More beams than a pose has errors go another way.
+    """
+    recording, truth = robot(missing=30, layout=Layout(beams=beams))
+    truth = replace(truth, range_errors=np.full((beams, 2), [0.02, 0.3]))
     readings = recording.readings()
     how = whitening(truth, readings, variances(recording))
     x = model.scene(truth, readings)
@@ -64,7 +68,14 @@ def test_whitening_is_the_root_of_the_covariance_of_a_station():
     W = np.array([how.apply(column) for column in np.eye(len(readings))]).T
     # Differences are good to 1e-9 of the derivatives.
     assert np.abs(W @ C @ W.T / how.sigma**2 - np.eye(len(C))).max() < 1e-6
-    assert np.allclose(W, W.T)
+    # In units of what each reading errs by itself, none of a station comes before another.
+    alone = W * np.sqrt(own)
+    assert np.allclose(alone, alone.T, atol=1e-9 * alone.max())
+    rows = np.random.default_rng(2).standard_normal((len(C), 3))
+    assert np.allclose(how.weighed(rows), W.T @ W @ rows)
+    assert np.allclose(how.squares(), np.diagonal(W.T @ W))
+    assert np.allclose(how.inverse().apply_rows(how.apply_rows(rows)), rows)
+    assert np.allclose(how.transposed().apply_rows(how.apply_rows(rows)), how.weighed(rows))
 
 
 @pytest.mark.parametrize("posed", [False, True])

@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
-from ..model.weighting import Variances, own_variances, slopes
+from ..model.weighting import Variances, covariance_roots, own_variances, slopes
 
 LARGEST_CHUNK = 6_000_000
 """Numbers of the largest intermediate array."""
@@ -150,7 +150,7 @@ class LinearReadings:
         self._sums: _Sums | None = None
         self.root: FloatArray | None = None
         if variances.pose is not None:
-            self.root = _roots(variances.pose[readings.station[self.first]])
+            self.root = covariance_roots(variances.pose[readings.station[self.first]])
 
     def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, PlaneResponse]:
         """Return what the readings say for each set of noise scales."""
@@ -253,10 +253,3 @@ def _planes_eliminated(
         Information(symmetric, vector, -0.5 * (squares + log_det)),
         PlaneResponse(inverse, step, response),
     )
-
-
-def _roots(covariance: FloatArray) -> FloatArray:
-    """Return L (S, 6, 6) with L L' the covariance."""
-    values, axes = np.linalg.eigh(covariance)
-    root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return root

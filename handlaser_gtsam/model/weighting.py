@@ -8,6 +8,10 @@ with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, m the number of independ
 the mean of (else one), sigma the range sigma of the beam, tau the
 incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand pose and J the derivative
 of the residuals by it. J S J' couples the beams of a station. Stations are independent.
+
+With D the diagonal part and U U' = inv(sqrt(D)) J S J' inv(sqrt(D)), C is sqrt(D) (I + U U') sqrt(D),
+and R = inv(sqrt(I + U U')) inv(sqrt(D)) has R C R' = I. The root of I + U U' follows from the
+eigenvectors of the smaller of U U' and U' U, so that it costs six columns, however many the beams.
 """
 
 from collections.abc import Sequence
@@ -62,8 +66,9 @@ class Whitening(Value):
     Attributes
     ----------
     root : (S, K, K)
-        Symmetric inverse roots of C / sigma^2, a station, over K beams; beams without a reading
-        there stand by themselves. Where poses do not err, every reading is a station of its own.
+        Inverse roots R of C / sigma^2, R C R' = sigma^2 I, a station, over K beams; beams without a
+        reading there stand by themselves. Where poses do not err, every reading is a station of its
+        own.
     station, beam : (N,)
         Where each row of the readings stands in them.
     sigma : float
@@ -111,8 +116,21 @@ class Whitening(Value):
 
     def squares(self) -> FloatArray:
         """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 / C."""
-        squares: FloatArray = (self.coefficients() ** 2).sum(axis=1)
+        squares: FloatArray = (self.root**2).sum(axis=1)[self.station, self.beam]
         return squares
+
+    def matrix(self) -> FloatArray:
+        """Return sigma^2 / C of every station, (S, K, K)."""
+        matrix: FloatArray = np.swapaxes(self.root, 1, 2) @ self.root
+        return matrix
+
+    def inverse(self) -> "Whitening":
+        """Return what gives back the rows that are whitened."""
+        return replace(self, root=np.asarray(np.linalg.inv(self.root), dtype=np.float64))
+
+    def transposed(self) -> "Whitening":
+        """Return the whitening with transposed roots: applied to whitened rows it gives `weighed`."""
+        return replace(self, root=np.swapaxes(self.root, 1, 2))
 
     def apply_rows(self, rows: FloatArray) -> FloatArray:
         """Return whitened rows (N, D)."""
@@ -129,7 +147,8 @@ class Whitening(Value):
         """Return sigma^2 inv(C) times rows (N, D)."""
         if not self.is_coupled:
             return self.coefficients() ** 2 * rows
-        heavy: FloatArray = (self.root @ (self.root @ self._grid(rows)))[self.station, self.beam]
+        white = self.root @ self._grid(rows)
+        heavy: FloatArray = (np.swapaxes(self.root, 1, 2) @ white)[self.station, self.beam]
         return heavy
 
     def _grid(self, rows: FloatArray) -> FloatArray:
@@ -174,23 +193,45 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
         return Whitening(root, alone, np.zeros_like(alone), float(np.sqrt(typical)))
     station = stations_from_zero(readings)
     where = (station, readings.beam)
-    C = np.zeros((int(station.max()) + 1, readings.beams, readings.beams))
-    C[(*where, readings.beam)] = own
     at = equation.linearize(equation.scene(parameters, readings), readings.distance, with_pose=True)
-    J = np.zeros((*C.shape[:2], 6))
+    J = np.zeros((int(station.max()) + 1, readings.beams, 6))
     J[where] = at.pose
-    S = np.zeros((len(C), 6, 6))
-    S[station] = variances.pose[readings.station]
-    C += J @ S @ np.swapaxes(J, 1, 2)
-    typical = float(np.median(C[(*where, readings.beam)]))
-    unread = np.ones(C.shape[:2], dtype=bool)
-    unread[where] = False
-    which, beam = np.nonzero(unread)
-    C[which, beam, beam] = typical
-    values, axes = np.linalg.eigh(C / typical)
-    values = np.maximum(values, LEAST_VARIANCE * values[:, -1:])
-    root = (axes / np.sqrt(values)[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    place = np.empty(len(J), dtype=np.intp)
+    place[station] = readings.station
+    S = variances.pose[place]
+    variance = own + np.einsum("ni,ni->n", at.pose, (J @ S)[where])
+    typical = float(np.median(variance))
+    scale = np.ones(J.shape[:2])
+    scale[where] = np.sqrt(typical / np.maximum(own, LEAST_VARIANCE * variance))
+    root = _inverse_roots(J * (scale / np.sqrt(typical))[:, :, None], S) * scale[:, None, :]
     return Whitening(root, station, readings.beam, float(np.sqrt(typical)))
+
+
+def _inverse_roots(J: FloatArray, S: FloatArray) -> FloatArray:
+    """Return the symmetric inverse roots (M, K, K) of I + J S J', J (M, K, 6) and S (M, 6, 6)."""
+    if J.shape[1] <= J.shape[2]:
+        values, axes = np.linalg.eigh(J @ S @ np.swapaxes(J, 1, 2))
+        part = 1.0 / _stretch(values)
+        return np.asarray((axes * part) @ np.swapaxes(axes, 1, 2))
+    U = J @ covariance_roots(S)
+    values, axes = np.linalg.eigh(np.swapaxes(U, 1, 2) @ U)
+    r, axes = _stretch(values), U @ axes  # axes of U U', each as long as the root of its value
+    root = (axes / (-r * (1.0 + r))) @ np.swapaxes(axes, 1, 2)
+    each = np.arange(J.shape[1])
+    root[:, each, each] += 1.0
+    return np.asarray(root)
+
+
+def _stretch(values: FloatArray) -> FloatArray:
+    """Return the roots (M, 1, d) of 1 + values (M, d) in ascending order, free of rounding."""
+    return np.sqrt(1.0 + np.maximum(values, LEAST_VARIANCE * values[:, -1:]))[:, None, :]
+
+
+def covariance_roots(covariance: FloatArray) -> FloatArray:
+    """Return L (M, d, d) with L L' the covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return root
 
 
 def reading_sigmas(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:

@@ -115,21 +115,32 @@ class Family:
         """Fill in the products and the squares."""
         if not rows.how.is_coupled and (self.beam >= 0).all():  # only the own beam has any
             own = np.arange(len(self.beam)), self.beam
-            found = _range_sums(self._weighed(rows, self.column), self.first[own], self.last[own])
+            values = self._weighed(rows, -1, np.empty(0))
+            found = _range_sums(values, self.first[own], self.last[own])
             self.products[own], self.squares[:] = found[:, :-1], found[:, -1]
             return
+        matrix = rows.how.matrix() if (self.beam >= 0).any() else np.empty(0)
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
-            column = self.column if beam < 0 else self.column * (rows.readings.beam == beam)
-            values = self._weighed(rows, column)
+            values = self._weighed(rows, beam, matrix)
             found = _range_sums(values, self.first[members], self.last[members])
             self.products[members] = found[:, :, :-1]
             self.squares[members] = found[:, :, -1].sum(axis=1)
 
-    def _weighed(self, rows: Rows, column: FloatArray) -> FloatArray:
-        """Return a column times sigma^2 inv(C), with J and with itself, in the order (N, 11)."""
-        heavy = rows.how.weighed(column[:, None])
-        return np.hstack((rows.J * heavy, column[:, None] * heavy))[self.order]
+    def _weighed(self, rows: Rows, beam: int, matrix: FloatArray) -> FloatArray:
+        """Return the column times sigma^2 inv(C), with J and with itself, in the order (N, 11).
+
+        Where a beam is given, the column is that of its readings alone, and `matrix` is inv(C).
+        """
+        how, column = rows.how, self.column
+        if beam >= 0:
+            mine = rows.readings.beam == beam
+            column, alone = np.where(mine, column, 0.0), np.zeros(len(matrix))
+            alone[how.station[mine]] = column[mine]
+            heavy = matrix[how.station, how.beam, how.beam[mine][0]] * alone[how.station]
+        else:
+            heavy = how.weighed(column[:, None])[:, 0]
+        return np.column_stack((rows.J * heavy[:, None], column * heavy))[self.order]
 
 
 def alternatives(rows: Rows) -> tuple[Everywhere, Family, Family]:

@@ -20,7 +20,7 @@ size of the noise comes from the residuals, these are smaller than the noise by 
 draws tell.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -89,13 +89,13 @@ def dependence(rows: Rows, *, known: bool) -> Dependence:
     if chain.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
     projection = Projection(rows)
-    back = replace(how, root=np.asarray(np.linalg.inv(how.root), dtype=np.float64))
+    back = how.inverse()
     count = int(np.clip(NUMBERS // len(readings), LEAST_DRAWS, DRAWS))
     white = np.random.default_rng(SEED).standard_normal((len(readings), count))
 
     def drawn(noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         left = projection.perpendicular(back.apply_rows(noise))
-        w = back.apply_rows(left.heavy)
+        w = back.transposed().apply_rows(left.heavy)
         moved = left.moved.reshape(readings.beams, WIDTH, -1)[:, :5]
         return chain.autocorrelation(w), (w**2).mean(axis=0), (moved**2).mean(axis=-1)
 

@@ -278,7 +278,7 @@ def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
     for k, how in enumerate(whitenings):
         cell = np.empty(len(how.root), dtype=np.intp)
         cell[how.station] = grid.place
-        matrix[k, cell] = how.root @ how.root
+        matrix[k, cell] = how.matrix()
     return Weighing(matrix=matrix)
 
 
