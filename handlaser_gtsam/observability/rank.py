@@ -4,15 +4,17 @@ Unknowns are measured in natural units, so that mm or m does not matter: 1 rad f
 normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
 prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
 planes are eliminated (`solvers.normal_equations`), and a direction of the remaining information matrix
-is undetermined when its standard deviation exceeds `most_sigma`, or when its information is lost in
-rounding. Both follow from the noise: better sensors determine more.
+is undetermined when along it the standard deviation of any beam exceeds `most_sigma`, or when its
+information is lost in rounding. Both follow from the noise: better sensors determine more. What counts
+is how far one beam may go, not how many go together: along a unit vector over 400 of them the standard
+deviation is twenty times that of each.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
@@ -22,6 +24,8 @@ from ..solvers.normal_equations import NormalEquations, normal_equations
 
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
+NO_INFORMATION = 1e-12
+"""As a part of what determines a block."""
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
 
@@ -33,8 +37,8 @@ class ObservabilityOptions:
     Attributes
     ----------
     most_sigma : float
-        A direction is undetermined when its standard deviation is above this part of its natural
-        unit: 0.1 rad, or a tenth of the working distance.
+        A direction is undetermined when the standard deviation of a beam along it is above this part
+        of its natural unit: 0.1 rad, or a tenth of the working distance.
     least_information : float
         Or when its information is below this part of the largest: lost in rounding.
     """
@@ -72,8 +76,8 @@ class Reduced:
     ----------
     information : ReducedInformation
         In natural units, over the unknowns that there are.
-    floor : float
-        Information from which on a direction is determined.
+    open : (n, K)
+        Unit eigenvectors that are undetermined, as columns.
     beam_unit : (n,), plane_unit : (3,)
         Natural units.
     active : (B W,) of bool
@@ -89,7 +93,7 @@ class Reduced:
     """
 
     information: ReducedInformation
-    floor: float
+    open: FloatArray
     beam_unit: FloatArray
     plane_unit: FloatArray
     active: BoolArray
@@ -101,7 +105,12 @@ class Reduced:
 
     def covariance(self) -> FloatArray:
         """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
-        return self.information.covariance(self.floor, self.least)
+        if not self.open.shape[1]:
+            return self.information.covariance(0.5 * self.least, self.least)
+        values, axes = np.linalg.eigh(self.information.matrix)
+        known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
+        found: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return found
 
     def padded(self, columns: FloatArray) -> FloatArray:
         """Return columns (n, K) of unknowns over all rows (B W, K), those that are none zero."""
@@ -196,10 +205,10 @@ def observability(
     options = options or ObservabilityOptions()
     counts, planes = per_beam(terms, readings.beams), readings.planes
     normal = normal_equations(parameters, readings, max(counts), whitening=whitening)
-    reduced, free, plane_null = _reduced(normal, readings, counts, range_sigma, options, prior)
-    size, lost = len(reduced.beam_unit), free.shape[1] + plane_null.shape[2]
-    follow = -reduced.information.plane_response @ free
-    beams = reduced.padded(np.hstack((free, np.zeros((size, plane_null.shape[2])))))
+    reduced, plane_null = _reduced(normal, readings, counts, range_sigma, options, prior)
+    size, lost = len(reduced.beam_unit), reduced.open.shape[1] + plane_null.shape[2]
+    follow = -reduced.information.plane_response @ reduced.open
+    beams = reduced.padded(np.hstack((reduced.open, np.zeros((size, plane_null.shape[2])))))
     return Observability(
         rank=size + 3 * planes - lost,
         unknowns=size + 3 * planes,
@@ -222,21 +231,26 @@ def _reduced(
     range_sigma: float,
     options: ObservabilityOptions,
     prior: RangeErrorPrior | None,
-) -> tuple[Reduced, FloatArray, FloatArray]:
-    """Return the reduced information, and what is open of beams (n, K) and of planes (P, 3, L)."""
+) -> tuple[Reduced, FloatArray]:
+    """Return the reduced information, and what is open of planes (P, 3, L)."""
     most = max(counts)
     unit, plane_unit = _units(readings, most, options, prior)
     active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
     own = normal.diagonal[0] * unit**2
     known = _prior_information(prior, unit, most, range_sigma, float(own.max()))
     of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
-    least_of_planes = _least_information(of_planes, range_sigma, options)
+    least_of_planes = max(_least_information(of_planes, range_sigma, options))
     found = normal.reduced(unit, plane_unit, active, known, least_of_planes)
-    floor = _least_information(float((own + known).max()), range_sigma, options)
-    values, top, mean_log, axes = spectrum(found.matrix, floor)
+    floors = _least_information(float((own + known).max()), range_sigma, options)
+    beam = np.repeat(np.arange(readings.beams), 5 + most)[active]
+    values, top, mean_log, axes = spectrum(found.matrix, max(floors))
+    lost = open_axes(values, axes, beam, *floors)
+    if lost.any() and len(values) < len(beam):
+        values, top, mean_log, axes = spectrum(found.matrix, np.inf)
+        lost = open_axes(values, axes, beam, *floors)
     reduced = Reduced(
         found,
-        floor,
+        axes[:, lost],
         unit[active],
         plane_unit,
         active,
@@ -246,8 +260,38 @@ def _reduced(
         mean_log,
         axes[:, 0],
     )
-    open_beams = axes[:, : int((values < floor).sum())]
-    return reduced, open_beams, _plane_null(found, least_of_planes)
+    return reduced, _plane_null(found, least_of_planes)
+
+
+def open_axes(
+    values: FloatArray, axes: FloatArray, block: IntArray, floor: float, rounding: float = 0.0
+) -> BoolArray:
+    """Return which axes are undetermined.
+
+    Parameters
+    ----------
+    values : (K,)
+        Information along unit vectors that are orthogonal; of all that have less than `floor`.
+    axes : (n, K)
+        These vectors, as columns.
+    block : (n,)
+        The number of what each unknown belongs to: a beam, or a variable.
+    floor : float
+        What determines a block by itself. A direction that many share needs less.
+    rounding : float
+        Information below this is none.
+    """
+    weak, lost = np.flatnonzero(values < floor), values < rounding
+    # Variance of each block along each direction, as a part of the largest that it may have.
+    moved = np.zeros((int(block.max()) + 1, len(weak)))
+    np.add.at(moved, block, axes[:, weak] ** 2)
+    moved *= floor / np.maximum(values[weak], NO_INFORMATION * floor)
+    moved[:, lost[weak]] = 0.0
+    while (over := moved.sum(axis=1) > 1.0).any():
+        most = np.unique(moved[over].argmax(axis=1))
+        lost[weak[most]] = True
+        moved[:, most] = 0.0
+    return lost
 
 
 def _units(
@@ -282,9 +326,12 @@ def _prior_information(
     return known
 
 
-def _least_information(largest: float, range_sigma: float, options: ObservabilityOptions) -> float:
-    """Return the information, for unit weights, below which a direction counts as open."""
-    return max((range_sigma / options.most_sigma) ** 2, options.least_information * largest)
+def _least_information(
+    largest: float, range_sigma: float, options: ObservabilityOptions
+) -> tuple[float, float]:
+    """Return the information, for unit weights, below which something is open, and that of rounding."""
+    rounding = options.least_information * largest
+    return max((range_sigma / options.most_sigma) ** 2, rounding), rounding
 
 
 def _plane_null(found: ReducedInformation, floor: float) -> FloatArray:

@@ -16,6 +16,8 @@ from .rank import NullSpace, Observability
 
 SHARE = 0.02
 """A part of a null vector below this length is not worth a word."""
+MOST_NAMED = 8
+"""Of more beams that are open alike only the first is described."""
 WEAK_SHARE = 0.4
 """Of the longest part of the weakest direction: what is shorter is not named."""
 LEAK = 1e-6
@@ -73,12 +75,21 @@ def open_parts(found: Observability, parameters: Parameters, names: Names) -> tu
 
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
-    """Say what is left open, one sentence a beam or kind of plane."""
+    """Say what is left open, one sentence a beam or kind of plane; of many beams once for all alike."""
+    of_beams: dict[str, list[OpenPart]] = {}
+    for part in parts:
+        if part.kind == "beam":
+            of_beams.setdefault(part.name, []).append(part)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, own in of_beams.items():
+        alike.setdefault(tuple(part.quantity for part in own), []).append(name)
     words = []
-    of_beams = [part for part in parts if part.kind == "beam"]
-    for name in dict.fromkeys(part.name for part in of_beams):
-        own = [_part_words(part) for part in of_beams if part.name == name]
-        words.append(f"beam {name}: {', '.join(own)}")
+    for names in alike.values():
+        shown = names if len(names) <= MOST_NAMED else names[:1]
+        found = (", ".join(_part_words(part) for part in of_beams[name]) for name in shown)
+        words += [f"beam {name}: {own}" for name, own in zip(shown, found, strict=True)]
+        if len(shown) < len(names):
+            words.append(f"beams {some(names[1:], 3)}: the same, each along its own axes")
     for quantity in ("normal", "offset"):
         planes = [part.name for part in parts if part.quantity == quantity]
         if planes:

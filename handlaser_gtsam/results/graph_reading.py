@@ -15,7 +15,7 @@ from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..keys import BeamKeys
 from ..model.joint import JointCovariance
-from ..observability.rank import ObservabilityOptions
+from ..observability.rank import ObservabilityOptions, open_axes
 from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
 from .calibration import Calibration
@@ -27,6 +27,8 @@ from .reports import Determined, Fit, StartReport
 METHOD = "graph"
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
+NAMED = 0.1
+"""Variables are named that have such a part of what the one has that is left open most."""
 UNLIKELY = 1e-6
 """A chi2 of the graph that is less probable contradicts its noise models."""
 ANCHOR = (
@@ -153,10 +155,12 @@ def _judged(
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.array([power for one in wanted for power in one.powers], dtype=float)
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
-    weak = values < ObservabilityOptions().most_sigma ** -2
+    block = np.repeat(np.arange(len(wanted)), [len(one.powers) for one in wanted])
+    weak = open_axes(values, axes, block, ObservabilityOptions().most_sigma ** -2)
     if weak.any():
-        share = (axes[:, weak] ** 2).sum(axis=1)
-        names = tuple(one.words for one in wanted if share[one.columns].sum() > 0.1)
+        share = np.bincount(block, (axes[:, weak] ** 2).sum(axis=1))
+        far = (share > NAMED * share.max()).tolist()
+        names = tuple(one.words for one, named in zip(wanted, far, strict=True) if named)
         words = f"the graph does not determine {', '.join(names)}: {MOVE_MORE}"
         found = Determined(int((~weak).sum()), unknowns, None, names, (MOVE_MORE,))
         return "unobservable", words, found, None

@@ -14,6 +14,8 @@ LARGE = 400
 """Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
 NEARLY = 1e-2
 """The relative accuracy of the extreme eigenvalues of so many unknowns."""
+FEW = (1, 16)
+"""How many of these are sought from below, until one is large enough."""
 RANK = 1e-12
 """Information of a plane below this part of its largest is rounding."""
 NOTHING = 1e-280
@@ -204,9 +206,9 @@ def solve_definite(A: FloatArray, rhs: FloatArray) -> FloatArray:
 def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
     """Return eigenvalues from below, the largest, their mean logarithm, and eigenvectors of the first.
 
-    All of them, or of a large matrix that is determined altogether the least alone.
+    All of them, or of a large matrix those below `floor` and one beyond, if they are few.
     """
-    if len(matrix) > LARGE:
+    if len(matrix) > LARGE and np.isfinite(floor):
         try:
             root = np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError:
@@ -220,11 +222,13 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float
 
             solve = LinearOperator(matrix.shape, inverse, dtype=float)
             start = np.ones(len(matrix))
-            small, axis = eigsh(matrix, 1, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
-            if small[0] >= floor:
-                top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
-                mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
-                return small, float(top[0]), mean_log, axis
+            for count in FEW:
+                small, axes = eigsh(matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
+                if small.max() >= floor:
+                    top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
+                    mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
+                    order = np.argsort(small)
+                    return small[order], float(top[0]), mean_log, axes[:, order]
     values, axes = np.linalg.eigh(matrix)
     mean_log = float(np.log(np.maximum(values, 1e-300)).mean())
     return values, float(values[-1]), mean_log, axes
