@@ -10,8 +10,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
-from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.observability.wording import Names, weakest
+from handlaser_gtsam.observability.rank import observability, open_axes
+from handlaser_gtsam.observability.wording import Names, open_parts, undetermined, weakest
 from handlaser_gtsam.results.limits import Limits, checked
 from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.steps import apply_step
@@ -59,6 +59,50 @@ def test_more_noise_determines_less():
     ranks = [observability(bench(1), readings, 0, sigma).rank for sigma in (1e-4, 1e-1, 10.0)]
     assert ranks == sorted(ranks, reverse=True)
     assert ranks[0] > ranks[-1]
+
+
+def test_many_beams_that_go_together_are_as_determined_as_each():
+    """Each is known to 0.9 of 15 mm, but the length of all sixteen in a row to more than a tenth."""
+    recording, _ = simulated(layout=Layout(beams=16), range_sigma=2.4e-4)
+    found = hl.calibrate(recording, hl.Noise(2.4e-4, 0.0, 0.0), hl.CalibrationOptions("none"))
+    assert found.status == "converged"
+    most = 0.1 * found.fit.typical_range
+    squares = [float(beam.sigma[:3] @ beam.sigma[:3]) for beam in found.beams.values()]
+    assert max(squares) < most**2 < sum(squares)
+
+
+@pytest.mark.parametrize("information, lost", [(1.01, 0), (0.5, 0), (0.02, 0), (0.005, 1), (0.0, 1)])
+def test_a_direction_that_many_share_is_judged_by_one(information, lost):
+    """A hundred blocks of two, all along one vector: each goes a tenth as far as the vector."""
+    shared = np.tile([0.1, 0.0], 100)[:, None]
+    block = np.repeat(np.arange(100), 2)
+    assert open_axes(np.array([information]), shared, block, 1.0).sum() == lost
+
+
+def test_blocks_that_are_open_alike_are_open_however_their_vectors_are_mixed():
+    """Eigenvectors of one eigenvalue are any of their plane, and each may be spread over all blocks."""
+    turn = np.linalg.qr(np.random.default_rng(0).standard_normal((30, 30)))[0]
+    values, block = np.full(30, 0.5), np.arange(30)
+    assert open_axes(values, np.eye(30), block, 1.0).all()
+    kept = turn[:, ~open_axes(values, turn, block, 1.0)]
+    assert kept.shape[1] < 30
+    assert ((kept**2).sum(axis=1) / 0.5).max() <= 1.0
+
+
+def test_a_block_that_is_open_by_itself_leaves_what_others_share():
+    axes = np.column_stack((np.r_[1.0, np.zeros(24)], np.r_[0.0, np.full(24, 24**-0.5)]))
+    found = open_axes(np.array([0.9, 0.2]), axes, np.arange(25), 1.0)
+    assert found.tolist() == [True, False]
+
+
+def test_many_open_beams_are_described_once():
+    many = bench(1, beams=12)
+    readings = recording_of(many, *motion("translations", 20), [0] * 20, 0.0).readings()
+    names = Names(tuple((f"b{i}", i) for i in range(12)), (("A", 0),))
+    words = undetermined(open_parts(observability(many, readings, 0, 1e-5), many, names))
+    assert words[0].startswith("beam b0: location")
+    assert words[1] == "beams b1, b2, b3 and 8 more: the same, each along its own axes"
+    assert not any(word.startswith("beam b1:") for word in words)
 
 
 @pytest.mark.parametrize("width", [0.01, 0.3, 30.0, np.inf])

@@ -10,6 +10,7 @@ from helpers import codes, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.model.distributions import chi2_cdf
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
@@ -89,6 +90,16 @@ def test_errors_that_no_robot_has_are_asked_about():
 def test_errors_that_a_robot_has_are_not_asked_about():
     recording = of_a_robot(Errors(SIGMA, 4e-4, 1e-3))
     assert "large-pose-errors" not in codes(hl.calibrate(recording, hl.Noise(SIGMA), NONE))
+
+
+def test_sensors_without_range_errors_do_not_make_sigmas_too_large():
+    """Forty range errors of zero are less than any prior of some width says: chi2 is too small."""
+    rng = np.random.default_rng(44)
+    truth, stations = SCENES["arm"](Layout(20, 4, 16), rng)
+    errors = Errors(SIGMA, 5e-5, 5e-4)
+    found = hl.calibrate(simulate(truth, stations, errors, rng), hl.Noise(SIGMA, 5e-5, 5e-4))
+    assert chi2_cdf(found.fit.chi2, found.fit.dof) < 1e-3
+    assert not {"sigmas-too-large", "sigmas-too-small"} & set(codes(found))
 
 
 @pytest.mark.parametrize(

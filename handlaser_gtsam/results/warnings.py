@@ -112,7 +112,7 @@ def fit_warnings(
     return (
         *_of_the_file(readings, parameters, fit),
         *_same_mounts(parameters, fit, names),
-        *_wrong_sigmas(fit, treated=treated),
+        *_wrong_sigmas(fit, solution.redundancy, treated=treated),
         *(() if treated else _pose_errors(fit, noise)),
         *_large_pose_errors(solution.scales),
         *_of_the_noise(fit, solution.redundancy),
@@ -171,11 +171,17 @@ def noise_advice(fit: Fit) -> str:
     )
 
 
-def _wrong_sigmas(fit: Fit, *, treated: bool) -> Iterator[CalibrationWarning]:
-    """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted."""
+def _wrong_sigmas(fit: Fit, redundancy: int, *, treated: bool) -> Iterator[CalibrationWarning]:
+    """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted.
+
+    Range errors smaller than their prior says, as of sensors without any, make chi2 smaller by up to
+    what there are: so it is too small only where it is so for the readings alone.
+    """
     if not (fit.range_sigma_given and fit.dof > 0):
         return
-    larger, smaller = fit.p_value, float(chi2_cdf(fit.chi2, fit.dof))
+    larger, smaller = fit.p_value, 1.0
+    if redundancy > 0:
+        smaller = float(chi2_cdf(fit.chi2, redundancy))
     if larger < SINGLE_LEVEL:
         remedy = "" if treated else "state the robot's sigmas or "
         yield CalibrationWarning(
