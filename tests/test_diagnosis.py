@@ -71,7 +71,9 @@ def test_many_beams_that_go_together_are_as_determined_as_each():
     assert max(squares) < most**2 < sum(squares)
 
 
-@pytest.mark.parametrize("information, lost", [(1.01, 0), (0.5, 0), (0.02, 0), (0.005, 1), (0.0, 1)])
+@pytest.mark.parametrize(
+    ("information", "lost"), [(1.01, 0), (0.5, 0), (0.02, 0), (0.005, 1), (0.0, 1)]
+)
 def test_a_direction_that_many_share_is_judged_by_one(information, lost):
     """A hundred blocks of two, all along one vector: each goes a tenth as far as the vector."""
     shared = np.tile([0.1, 0.0], 100)[:, None]

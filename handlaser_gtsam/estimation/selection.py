@@ -21,7 +21,7 @@ from ..outliers.snooping import cut, enough, judge, test
 from ..starts import find_start
 from .options import CalibrationOptions
 from .solution import Solution
-from .solve import solve
+from .solve import Solved, settle
 
 ROUNDS = 5
 MEDIAN_TO_SIGMA = 1.4826
@@ -80,14 +80,14 @@ def select(
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
-    def solved(start: Parameters) -> Solution:
+    def solved(start: Parameters) -> Solved:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
-        return solve(chosen, start, noise, options, first.scale)
+        return settle(chosen, start, noise, options, first.scale)
 
-    solution = solved(first.parameters)
+    found = solved(first.parameters)
     for _ in range(ROUNDS):
-        before = used.copy()
+        before, solution = used.copy(), found.solution
         if options.outliers == "reject":
             used = _tested(readings, inside & ~flat, used, solution, noise)
         steep = limits.within_incidence(readings, solution.parameters, options.sensor)
@@ -96,8 +96,8 @@ def select(
         used &= ~flat
         if (used == before).all():
             break
-        solution = solved(solution.parameters)
-    return Selection(used, ~inside, flat, first.method, first.tried, solution)
+        found = solved(solution.parameters)
+    return Selection(used, ~inside, flat, first.method, first.tried, found.integrated())
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,18 @@ SAME_SCALE = 0.05
 """Scales whose logarithms change by less have settled: they are integrated over in the end."""
 
 
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A solution at the most probable scales, which can be integrated over."""
+
+    solution: Solution
+    learning: "_Learning | None" = None
+
+    def integrated(self) -> Solution:
+        """Return the solution with all scales integrated over."""
+        return self.solution if self.learning is None else self.learning.integrated(self.solution)
+
+
 def solve(
     readings: Readings,
     start: Parameters,
@@ -39,7 +51,7 @@ def solve(
     scale: float | None = None,
     prior: RangeErrorPrior | None = None,
 ) -> Solution:
-    """Solve jointly, find unknown scales, and diagnose the solution.
+    """Solve jointly, find unknown scales, integrate over them, and diagnose the solution.
 
     Parameters
     ----------
@@ -52,20 +64,33 @@ def solve(
     prior : RangeErrorPrior, optional
         Of the range errors; instead of one whose scales are learned.
     """
+    return settle(readings, start, noise, options, scale, prior).integrated()
+
+
+def settle(
+    readings: Readings,
+    start: Parameters,
+    noise: Noise,
+    options: CalibrationOptions,
+    scale: float | None = None,
+    prior: RangeErrorPrior | None = None,
+) -> Solved:
+    """Do what `solve` does, but for the integration: not needed before the readings are chosen."""
     task = Task(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
     if first.result.status == "interrupted" or unknown or task.is_exact():
-        return first
+        return Solved(first)
     scales, base = unknown_scales(readings, noise, options, task.sigma)
     known = start_of(scales, max(task.sigma, LEAST_SIGMA), task.length)
     alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
     if task.learns or (scales.unknown and not alike):
-        return _Learning(task, scales, base, known).solved(first)
+        learning = _Learning(task, scales, base, known)
+        return Solved(learning.solved(first), learning)
     if alike and not unequal(base, task.terms):
-        return first
+        return Solved(first)
     # A common sigma is found by sigma0 without any effort.
-    return task.weighted(first, with_scales(scales, base, known))
+    return Solved(task.weighted(first, with_scales(scales, base, known)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +107,7 @@ class _Point:
 
 
 class _Learning:
-    """Finds the most probable scales and the solution for them, and integrates over the scales.
+    """Finds the most probable scales and the solution for them, and then integrates over the scales.
 
     Parameters
     ----------
@@ -97,18 +122,19 @@ class _Learning:
     def __init__(self, task: Task, scales: Scales, base: Variances, start: FloatArray) -> None:
         self.task, self.scales, self.base = task, scales, base
         self.point = _Point(start, np.full(task.terms, task.options.linearity or 1.0))
+        self.used = self.point
         self.problem: ScaleProblem | None = None
 
     def solved(self, first: Solution) -> Solution:
-        """Return the solution with all scales integrated over, from an equally weighted one."""
+        """Return the solution at the most probable scales, from an equally weighted one."""
         task, solution, at = self.task, first, first.parameters
         if first.observability.full and task.loss == GAUSSIAN:
             at = self._ahead(first)
         elif first.observability.full:
             self._learn(first)
         for _ in range(ROUNDS):
-            used = self.point
-            solution = task.reweighted(at, self._use(used))
+            self.used = self.point
+            solution = task.reweighted(at, self._use(self.used))
             at = solution.parameters
             if solution.result.status == "interrupted":
                 return solution
@@ -116,13 +142,29 @@ class _Learning:
             if not solution.observability.full or solution.result.status == "max_iterations":
                 break
             self._learn(solution)
-            if self.point.near(used) and task.away(solution, self._use(self.point)) < SETTLED:
+            settled = self.point.near(self.used)
+            if settled and task.away(solution, self._use(self.point)) < SETTLED:
                 break
-        variances = self._use(used)
-        solution = task.with_poses(
-            replace(solution, variances=variances, prior=task.prior), variances
-        )
-        return solution if self.problem is None else self._integrated(solution, used)
+        variances = self._use(self.used)
+        solution = replace(solution, variances=variances, prior=task.prior)
+        solution = task.with_poses(solution, variances)
+        if self.problem is None:
+            return solution
+        sigmas = (np.exp(self.used.u) * [one.unit for one in self.scales.unknown]).tolist()
+        pairs = zip(self.scales.unknown, sigmas, strict=True)
+        return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
+
+    def integrated(self, solution: Solution) -> Solution:
+        """Integrate over the scales about the most probable ones, if everything is determined."""
+        problem, u, gaussian = self.problem, self.point.u, self.task.loss == GAUSSIAN
+        interrupted = solution.result.status == "interrupted"
+        if problem is None or interrupted or not (gaussian and solution.observability.full):
+            return solution
+        if solution.problem.poses:
+            problem = self._scale_problem(solution)
+            u = problem.mode(u)
+        found = posterior(problem, problem.learned(u), (self.used.u, self.used.k))
+        return replace(solution, posterior=found, scales=found.scales)
 
     def _ahead(self, first: Solution) -> Parameters:
         """Settle the scales by linear steps from a solution; return where they lead."""
@@ -161,18 +203,3 @@ class _Learning:
             readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
         linearity = task.options.linearity if task.learns else None
         return ScaleProblem(here, readings, task.terms, self.base, self.scales, linearity)
-
-    def _integrated(self, solution: Solution, used: _Point) -> Solution:
-        """Integrate over the scales about the most probable ones, if everything is determined."""
-        sigmas = (np.exp(used.u) * [one.unit for one in self.scales.unknown]).tolist()
-        pairs = zip(self.scales.unknown, sigmas, strict=True)
-        estimates = tuple(ScaleEstimate(one, sigma, np.nan) for one, sigma in pairs)
-        solution = replace(solution, scales=estimates)
-        problem, u = self.problem, self.point.u
-        if problem is None or self.task.loss != GAUSSIAN or not solution.observability.full:
-            return solution
-        if solution.problem.poses:
-            problem = self._scale_problem(solution)
-            u = problem.mode(u)
-        found = posterior(problem, problem.learned(u), (used.u, used.k))
-        return replace(solution, posterior=found, scales=found.scales)
