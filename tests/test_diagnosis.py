@@ -9,8 +9,9 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
+from handlaser_gtsam.observability.open_axes import open_axes
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
-from handlaser_gtsam.observability.rank import observability, open_axes
+from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.observability.wording import Names, open_parts, undetermined, weakest
 from handlaser_gtsam.results.limits import Limits, checked
 from handlaser_gtsam.solvers.normal_equations import normal_equations

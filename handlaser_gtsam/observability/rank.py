@@ -5,27 +5,24 @@ normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2.
 prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
 planes are eliminated (`solvers.normal_equations`), and a direction of the remaining information matrix
 is undetermined when along it the standard deviation of any beam exceeds `most_sigma`, or when its
-information is lost in rounding. Both follow from the noise: better sensors determine more. What counts
-is how far one beam may go, not how many go together: along a unit vector over 400 of them the standard
-deviation is twenty times that of each.
+information is lost in rounding. Both follow from the noise: better sensors determine more.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import LARGEST, Readings
 from ..model.weighting import Whitening
 from ..solvers.elimination import ReducedInformation, spectrum
 from ..solvers.normal_equations import NormalEquations, normal_equations
+from .open_axes import open_axes
 
 LEAST_PRIOR = 1e-12
 """Of a prior's information, as a part of the largest; above what rounding loses."""
-NO_INFORMATION = 1e-12
-"""As a part of what determines a block."""
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
 
@@ -261,37 +258,6 @@ def _reduced(
         axes[:, 0],
     )
     return reduced, _plane_null(found, least_of_planes)
-
-
-def open_axes(
-    values: FloatArray, axes: FloatArray, block: IntArray, floor: float, rounding: float = 0.0
-) -> BoolArray:
-    """Return which axes are undetermined.
-
-    Parameters
-    ----------
-    values : (K,)
-        Information along unit vectors that are orthogonal; of all that have less than `floor`.
-    axes : (n, K)
-        These vectors, as columns.
-    block : (n,)
-        The number of what each unknown belongs to: a beam, or a variable.
-    floor : float
-        What determines a block by itself. A direction that many share needs less.
-    rounding : float
-        Information below this is none.
-    """
-    weak, lost = np.flatnonzero(values < floor), values < rounding
-    # Variance of each block along each direction, as a part of the largest that it may have.
-    moved = np.zeros((int(block.max()) + 1, len(weak)))
-    np.add.at(moved, block, axes[:, weak] ** 2)
-    moved *= floor / np.maximum(values[weak], NO_INFORMATION * floor)
-    moved[:, lost[weak]] = 0.0
-    while (over := moved.sum(axis=1) > 1.0).any():
-        most = np.unique(moved[over].argmax(axis=1))
-        lost[weak[most]] = True
-        moved[:, most] = 0.0
-    return lost
 
 
 def _units(

@@ -1,0 +1,43 @@
+"""Which directions of an information matrix are undetermined, by how far one block of unknowns may go.
+
+Along a unit vector over 400 beams that go together the standard deviation is twenty times that of each:
+what counts is the beam, or the variable, and not how many go together.
+"""
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+
+NO_INFORMATION = 1e-12
+"""As a part of what determines a block."""
+
+
+def open_axes(
+    values: FloatArray, axes: FloatArray, block: IntArray, floor: float, rounding: float = 0.0
+) -> BoolArray:
+    """Return which axes are undetermined.
+
+    Parameters
+    ----------
+    values : (K,)
+        Information along unit vectors that are orthogonal; of all that have less than `floor`.
+    axes : (n, K)
+        These vectors, as columns.
+    block : (n,)
+        The number of what each unknown belongs to: a beam, or a variable.
+    floor : float
+        What determines a block by itself. A direction that many share needs less.
+    rounding : float
+        Information below this is none.
+    """
+    weak, lost = np.flatnonzero(values < floor), values < rounding
+    # Variance of each block along each direction, as a part of the largest that it may have.
+    moved = np.zeros((int(block.max()) + 1, len(weak)))
+    np.add.at(moved, block, axes[:, weak] ** 2)
+    moved *= floor / np.maximum(values[weak], NO_INFORMATION * floor)
+    moved[:, lost[weak]] = 0.0
+    while (over := moved.sum(axis=1) > 1.0).any():
+        most = np.unique(moved[over].argmax(axis=1))
+        lost[weak[most]] = True
+        moved[:, most] = 0.0
+    return lost
