@@ -151,14 +151,20 @@ class LinearReadings:
         self.root: FloatArray | None = None
         if variances.pose is not None:
             self.root = covariance_roots(variances.pose[readings.station[self.first]])
+        # Errors of the pose are then noise of the only reading.
+        self.alone = self.root is not None and len(self.first) == len(readings)
 
     def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, PlaneResponse]:
         """Return what the readings say for each set of noise scales."""
         parts = []
-        if self.fixed.any() or any(np.ptp(one.range_sigma) > 0.0 for one in sets):
+        if self.alone or self.fixed.any() or any(np.ptp(one.range_sigma) > 0.0 for one in sets):
             for one in sets:
-                weight = 1.0 / (one.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed)
-                parts.append(_Sums(self, weight).information(np.ones(1), one.pose[None]))
+                variance = one.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed
+                pose = one.pose
+                if self.alone and self.root is not None:
+                    moved = (self.pose_rows * pose)[:, None] @ self.root
+                    variance, pose = variance + (moved**2).sum(axis=(1, 2)), np.zeros(6)
+                parts.append(_Sums(self, 1.0 / variance).information(np.ones(1), pose[None]))
         else:
             if self._sums is None:
                 self._sums = _Sums(self, 1.0 / self.squared_slope)
@@ -196,7 +202,7 @@ class _Sums:
         for i in range(beams):
             mine, at = rows.beam == i, slice(i * width, i * width + width)
             self.beam_beam[at, at] = own[mine].T @ rows.beam_rows[mine]
-        if rows.root is None:
+        if rows.root is None or rows.alone:
             return
         q = rows.pose_rows
         wq = weight[:, None] * q
