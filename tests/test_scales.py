@@ -143,8 +143,12 @@ def base_of(readings):
 @pytest.mark.parametrize("terms", [0, 2])
 @pytest.mark.parametrize("incidence", [0.0, 2e-5])
 @pytest.mark.parametrize("by_beam", [False, True])
-def test_the_information_is_that_of_dense_matrices(terms, incidence, by_beam):
-    _, readings, truth = robot(Layout(3, 2, 9))
+@pytest.mark.parametrize("alone", [False, True])
+def test_the_information_is_that_of_dense_matrices(terms, incidence, by_beam, alone):
+    """Of stations with all beams, and of those with a reading of one beam each."""
+    _, readings, truth = robot(Layout(3, 2, 30 if alone else 9))
+    if alone:
+        readings = readings.subset(np.flatnonzero(readings.station % 3 == readings.beam))
     truth = replace(truth, range_errors=np.full((3, 2), [0.02, 0.5])) if terms else truth
     dense = Dense(truth, readings, terms)
     base = replace(base_of(readings), incidence_sigma=incidence)
