@@ -128,6 +128,10 @@ class History:
         at = self.planes.index(name)
         return self._summed(self.planes, (*self.pieces[:at], found, *self.pieces[at + 1 :]))
 
+    def with_planes(self, planes: Sequence[str], pieces: Sequence[Information]) -> "History":
+        """Return the history of these planes and no others."""
+        return self._summed(tuple(planes), tuple(pieces))
+
     def without_plane(self, name: str) -> "History":
         """Return the history without a plane, whether it is there or not."""
         if name not in self.planes:

@@ -23,8 +23,8 @@ from .integration import ScaleSums
 from .joining import Joining, factors_of, fitted_planes, join_planes
 
 MOVED = 3e-3
-"""Weights are taken anew when the beams have moved by this part of their natural units since: 1 rad,
-the typical range, a relative change of the range."""
+"""Weights, and what planes say of the beams, are taken anew when the beams have moved by this part of
+their natural units since: 1 rad, the typical range, a relative change of the range."""
 MOVED_WITH_SCALES = 5e-4
 """The same where scales are integrated over: how probable they are depends on how well all planes fit,
 which is known to second order in such a move."""
@@ -49,7 +49,7 @@ class SessionState:
     state : BeamState
         The beams of the graph.
     weighed : Beams
-        Those behind the weights.
+        Those behind the weights and the history.
     compared : BeamState
         Those of the last comparison with the batch solution.
     changes : int
@@ -208,10 +208,10 @@ class SessionState:
         )
 
     def reweighed(self) -> "SessionState":
-        """Return the same with the weights of the present beams, where these have moved."""
+        """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
         limit = MOVED if config.learned is None else MOVED_WITH_SCALES
-        if not config.weights_depend or config.apart(beams, self.weighed) < limit:
+        if config.apart(beams, self.weighed) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
@@ -220,14 +220,18 @@ class SessionState:
             if found is None:
                 return self
             fitted[plane] = found
+        history, planes = config.history(beams), self.history.planes
+        pieces = [fitted[plane].information(history.reference) for plane in planes]
+        now = replace(self, history=history.with_planes(planes, pieces), weighed=beams)
+        if not config.weights_depend:
+            return now
         factors = factors_of(self.contents, fitted)
         graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
         return replace(
-            self,
+            now,
             graph=graph,
             factors=factors,
             state=state,
-            weighed=beams,
             sums=ScaleSums.of(config, beams, fitted),
             estimate=None,
         )
