@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import simulated
 
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
@@ -217,7 +218,7 @@ def test_a_plane_that_was_itself_moved_does_no_harm():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("degrees", [1.0, 5.0, 10.0, 30.0])
+@pytest.mark.parametrize("degrees", [1.0, 5.0, 10.0, 12.0, 15.0, 20.0, 30.0])
 def test_a_large_displacement_is_named_too(degrees):
     recording, truth = displaced(turn=math.radians(degrees))
     session, updates = fed(recording)
@@ -229,6 +230,15 @@ def test_a_large_displacement_is_named_too(degrees):
     assert session.compare().largest < 0.01
     sigma = np.sqrt(np.diagonal(beams.covariance)).reshape(3, 8)[1, 3:6]
     assert (np.abs(beams.directions[1] - truth.directions[1]) < 5.0 * sigma).all()
+
+
+@pytest.mark.parametrize("seed", [2, 10])
+def test_beams_that_are_poorly_known_at_first_have_not_moved(seed):
+    """One plane leaves sixteen beams some degrees off: what it says of them has to follow them."""
+    recording, _ = simulated(layout=Layout(16, 4, 16), seed=seed)
+    session, updates = fed(recording, hl.Noise(3e-5, 0.0, 0.0))
+    assert len(session.planes) == 4
+    assert all(update.moved is None for update in updates)
 
 
 @pytest.mark.parametrize("gone", ["ABC", "DEFGHIJ"])
