@@ -12,6 +12,7 @@ from scipy import linalg, stats
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
+from handlaser_gtsam.estimation import learned
 from handlaser_gtsam.estimation.contrasts import worst_known
 from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
@@ -447,6 +448,24 @@ def test_an_unknown_range_sigma_is_estimated_beside_known_poses():
     assert [one.name for one in found.noise_estimate] == ["range"]
     # Its most probable value is within a standard deviation, 4 %, of that of the residuals.
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.05)
+
+
+def test_scales_that_many_beams_tell_well_are_not_integrated_over(monkeypatch):
+    """What is stated is nearly the same."""
+    rng = np.random.default_rng(5)
+    truth, stations = SCENES["paper"](Layout(12, 4, 16), rng)
+    recording = simulate(truth, stations, Errors(RANGE, TRANSLATION, 2.0 * ROTATION), rng)
+    few = hl.calibrate(recording)
+    monkeypatch.setattr(learned, "MANY_BEAMS", 12)
+    all_ = hl.calibrate(recording)
+    assert (len(few.learned.points), len(all_.learned.points)) == (7, 27)
+    for one, other in zip(few.noise_estimate, all_.noise_estimate, strict=True):
+        assert one.sigma == pytest.approx(other.sigma, rel=0.02)
+        assert one.error == pytest.approx(other.error, rel=0.3)
+    for name, beam in few.beams.items():
+        assert np.allclose(beam.sigma, all_.beams[name].sigma, rtol=0.03)
+        off = np.abs(beam.location - all_.beams[name].location)
+        assert (off < 0.05 * beam.sigma[:3]).all()
 
 
 def test_what_is_given_is_not_estimated():

@@ -14,12 +14,15 @@ from ..model.weighting import Variances
 from .information import Information, LinearReadings, PlaneResponse
 from .mixture import MOST_BEAMS, BeamPosterior
 from .range_error_grid import RangeErrorGrid, farthest, refined_grid, widest_grid
-from .scales import Design, Scales, design, find_mode, with_scales
+from .scales import Scales, design, find_mode, with_scales
 
 ENOUGH = 3000
 """So many readings tell the scales."""
 MOST_READINGS = 20_000
 """Beyond, the scales are known so well that their uncertainty changes nothing."""
+MANY_BEAMS, NEARLY_KNOWN = 10, 0.1
+"""Nor does it with more beams along axes on which they are known to this part: a standard deviation
+grows by one per cent at most, and the components of the mixture cost the cube of the beams."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -46,6 +49,8 @@ class LearnedScales(Value):
         Over their scales.
     range_error : (T,)
         Standard deviations of the range errors of a beam, for the most probable noise.
+    left : (d,)
+        Standard deviations of the logarithms of the noise's scales that are not integrated over.
     """
 
     scales: Scales
@@ -58,6 +63,7 @@ class LearnedScales(Value):
     linearity: float | None
     grid: RangeErrorGrid
     range_error: FloatArray
+    left: FloatArray
 
     @property
     def widest(self) -> float:
@@ -183,13 +189,16 @@ class ScaleProblem:
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        around, (grid, beams) = Design(mode[None], np.zeros(1)), self._grid(mode)
+        least, (grid, beams) = 0.0, self._grid(mode)
         few, weight = self._weighed(mode)
         scale = np.exp(weight @ np.log(few.total()))
         if self.linearity is not None and self.readings.beams > MOST_BEAMS:
             grid = few.typical(weight, beams.worst_known())
-        if len(self.readings) <= MOST_READINGS:
-            around = design(self._log_posterior, mode, self.scales.bounds)
+        if len(self.readings) > MOST_READINGS:
+            least = np.inf
+        elif self.readings.beams > MANY_BEAMS:
+            least = NEARLY_KNOWN
+        around = design(self._log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,
             self.base,
@@ -201,6 +210,7 @@ class ScaleProblem:
             self.linearity,
             grid,
             scale,
+            around.left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
     def beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:

@@ -151,6 +151,7 @@ def _scale_estimates(mixture: Mixture, learned: LearnedScales) -> tuple[ScaleEst
         sigma = float(np.exp(mixture.sets @ u)) * scale.unit
         mean = mixture.sets @ np.exp(u)
         spread = float(np.sqrt(mixture.sets @ (np.exp(u) - mean) ** 2)) * scale.unit
+        spread = float(np.hypot(spread, sigma * learned.left[column]))
         found.append(ScaleEstimate(scale, sigma, spread))
     return tuple(found)
 

@@ -152,10 +152,13 @@ class Design:
         Logarithms of the scales.
     log_weight : (J,)
         To which the logarithm of the posterior is added.
+    left : (d,)
+        Standard deviations of the logarithms of the scales that are not integrated over.
     """
 
     points: FloatArray
     log_weight: FloatArray
+    left: FloatArray
 
 
 LogPosterior = Callable[[FloatArray], FloatArray]
@@ -224,12 +227,21 @@ def _upwards(at: _Expansion, here: FloatArray, bounds: FloatArray) -> FloatArray
     return step * min(1.0, FARTHEST / max(float(np.abs(step).max()), 1e-300))
 
 
-def design(log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray) -> Design:
-    """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over."""
-    size = mode.size
-    if size == 0:
-        return Design(np.zeros((1, 0)), np.zeros(1))
+def design(
+    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float = 0.0
+) -> Design:
+    """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
+
+    Axes along which the logarithms have a standard deviation below `least` are left out.
+    """
+    if mode.size == 0:
+        return Design(np.zeros((1, 0)), np.zeros(1), np.zeros(0))
     axes = _axes(log_posterior, mode)
+    wide = np.linalg.norm(axes, axis=0) >= least
+    left = np.sqrt((axes[:, ~wide] ** 2).sum(axis=1))
+    axes, size = axes[:, wide], int(wide.sum())
+    if size == 0:
+        return Design(mode[None], np.zeros(1), left)
     top = float(log_posterior(mode[None])[0])
     radius = np.sqrt(2.0)
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
@@ -239,7 +251,7 @@ def design(log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray) ->
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
-    return Design(points, log_weight + np.log(side).sum(axis=1))
+    return Design(points, log_weight + np.log(side).sum(axis=1), left)
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:
