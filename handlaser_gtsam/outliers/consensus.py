@@ -16,6 +16,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..model.losses import Loss
 from ..solvers.refine import Refined, Scale, refine_many
 from ..starts import Start, find_start
+from ..starts.beam_minima import with_better_beams
 from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
 from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
@@ -178,7 +179,19 @@ def find_consensus(
         everything = np.ones(len(readings), dtype=bool)
         return Consensus(start, everything, last.parameters, last.method, None)
     method, kept = min(found, key=_evidence)
+    kept = _with_better_beams(judge, kept)
     return Consensus(start, kept.kept, kept.parameters, method, kept.range_sigma)
+
+
+def _with_better_beams(judge: PlainJudge, one: Screening) -> Screening:
+    """Return a screening with beams in lower minima, where there is more evidence for it.
+
+    What was left out may be what contradicts a beam in a wrong one.
+    """
+    readings = judge.readings
+    better = with_better_beams(one.parameters, readings, CONVINCING * one.range_sigma)
+    found = None if better is None else screen(readings, better, judge.terms, judge.range_sigma)
+    return one if found is None or found.evidence >= one.evidence else found
 
 
 def _evidence(found: tuple[str, Screening]) -> float:

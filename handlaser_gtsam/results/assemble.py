@@ -35,6 +35,7 @@ from .fit import fit_of
 from .problem import Problem, named_estimates
 from .projection import linear_rows
 from .reports import Beam, Determined, Fit, Plane, StartReport
+from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
 from .warnings import fit_warnings, misfit, noise_advice, suspicious
@@ -69,6 +70,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
             *_wrong_labels(problem, why),
             *_range_ends(problem, why),
             *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams()),
+            *rival_warnings(used, solution, joint, names),
             *together.warnings,
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning)

@@ -15,6 +15,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import plausible_range_errors, residuals_or_infinite
 from ..solvers.refine import Refined, refine_many
+from .beam_minima import with_better_beams
 from .directions import direction_starts, random_starts
 from .excerpt import Excerpt, excerpt_of
 from .growing import PartialStart, grow
@@ -122,11 +123,10 @@ def find_start(
     if not found:
         lost = grow(PartialStart.of(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
-    best, fits = found[0].parameters, fits_sigma(found[0].criterion, some, range_sigma, terms)
-    if not part.is_whole:
-        best = _extended(part, best, readings, terms)
-        e = residuals_or_infinite(best, readings)
-        fits = fits_sigma(float(e @ e), readings, range_sigma, terms)
+    best, squares = _of_the_whole(found[0], part, terms)
+    if accepts is None and effort != "glance":
+        best, squares = _with_better_beams(best, squares, readings, terms)
+    fits = fits_sigma(squares, readings, range_sigma, terms)
     return Start(best, found[0].method, _lowest(found, len(some)), fits, believed, tuple(found))
 
 
@@ -138,13 +138,35 @@ def _lowest(found: Sequence[Candidate], readings: int) -> tuple[tuple[str, float
     return tuple(lowest.items())
 
 
-def _extended(part: Excerpt, best: Parameters, readings: Readings, terms: int) -> Parameters:
-    """Return the best start of a part of the readings for all of them."""
-    best = part.extended(best)
-    if readings.beams > MOST_REFINED:
-        return best
-    whole = refine_many([best], readings, terms, FIRST_STEPS)[0]
-    return best if whole is None else whole.parameters
+def _of_the_whole(best: Candidate, part: Excerpt, terms: int) -> tuple[Parameters, float]:
+    """Return the best start of a part of the readings for all of them, and its sum of squares [m^2]."""
+    if part.is_whole:
+        return best.parameters, best.criterion
+    extended = part.extended(best.parameters)
+    if part.whole.beams <= MOST_REFINED:
+        refined = refine_many([extended], part.whole, terms, FIRST_STEPS)[0]
+        extended = extended if refined is None else refined.parameters
+    return extended, _squares(extended, part.whole)
+
+
+def _with_better_beams(
+    best: Parameters, squares: float, readings: Readings, terms: int
+) -> tuple[Parameters, float]:
+    """Return the start with beams moved to lower minima, where all fit better with them."""
+    better = with_better_beams(best, readings)
+    if better is None:
+        return best, squares
+    if readings.beams <= MOST_REFINED:
+        refined = refine_many([better], readings, terms, FIRST_STEPS)[0]
+        better = better if refined is None else refined.parameters
+    found = _squares(better, readings)
+    return (better, found) if found < squares else (best, squares)
+
+
+def _squares(parameters: Parameters, readings: Readings) -> float:
+    """Return the sum of squared residuals [m^2], infinite where a beam grazes its plane."""
+    e = residuals_or_infinite(parameters, readings)
+    return float(e @ e)
 
 
 def usable_terms(readings: Readings, terms: int) -> int:

@@ -1,0 +1,186 @@
+r"""Other minima of single beams, planes known.
+
+Where a beam has few readings, its direction may have two minima; of many beams, one that is in the
+wrong one hardly shows in the sum of squares of all. With the planes known and a direction v, the
+location r is linear: a reading d of corrected range g(d) at a station (R, t) before n'x + b = 0 asks
+for
+
+    a' r + g(d) a'v + c = 0,    a = R'n, c = n't + b,
+
+and errs in the range by that over a'v. So the best r and its cost follow for many directions at once
+(variable projection; Golub and Pereyra, SIAM J. Numer. Anal. 10(2), 1973), and each is followed to its
+minimum.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+
+DIRECTIONS = 14
+"""Starts over the half sphere: of the two minima that were met, each draws about half of them."""
+STEPS, FIRST_DAMPING = 10, 1e-4
+"""Steps of each. With the best location for every direction few are enough."""
+MOST_READINGS = 24
+"""So many readings of a beam, evenly chosen, tell its minima."""
+LEAST_COSINE = 0.05
+"""Directions that meet a plane flatter than this are no candidates."""
+SAME = 0.02
+"""Directions that differ by less [rad] are of one minimum."""
+RIDGE = 1e-9
+"""Of the location's information, towards the present one: motions that leave it open are no matter."""
+LARGEST_CHUNK = 3_000_000
+"""Numbers of the largest intermediate array."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamMinima:
+    """The minima of each of B beams by itself, F of them, not all different.
+
+    Attributes
+    ----------
+    locations, directions : (B, F, 3)
+    cost : (B, F)
+        Sums of squares [m^2] of at most `MOST_READINGS` readings.
+    now : (B,)
+        The same for the direction that there is, with the best location.
+    readings : (B,) of int
+        How many of each beam that is.
+    """
+
+    locations: FloatArray
+    directions: FloatArray
+    cost: FloatArray
+    now: FloatArray
+    readings: IntArray
+
+
+def beam_minima(parameters: Parameters, readings: Readings) -> BeamMinima:
+    """Return the minima of every beam for the planes as they are."""
+    rows, counted = _padded(readings)
+    x = model.scene(parameters, readings)
+    a = np.einsum("nij,ni->nj", x.R, x.n)[rows]
+    c = (np.einsum("ni,ni->n", x.n, x.t) + x.b)[rows]
+    g = model.corrected(readings.distance, x.k)[rows]
+    r, v = parameters.locations, parameters.directions
+    parts = []
+    for some in _chunks(len(r), rows.shape[1]):
+        beams = _Beams(a[some], c[some], g[some], counted[some], r[some])
+        directions = beams.minima(v[some])
+        locations, cost = beams.cost(directions)
+        parts.append((locations, directions, cost, beams.cost(v[some, None])[1][:, 0]))
+    both = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    return BeamMinima(both[0], both[1], both[2], both[3], counted.sum(axis=1))
+
+
+def with_better_beams(
+    parameters: Parameters, readings: Readings, most: float = np.inf
+) -> Parameters | None:
+    """Return parameters whose beams are in their lowest minima for these planes; None if they are.
+
+    Minima in which the readings of a beam have an rms residual above `most` [m] do not count.
+    """
+    found = beam_minima(parameters, readings)
+    best = np.arange(len(found.now)), found.cost.argmin(axis=1)
+    v = found.directions[best]
+    turned = np.linalg.norm(v - parameters.directions, axis=1)
+    better = (found.cost[best] < found.now) & (turned > SAME)
+    better &= found.cost[best] <= found.readings * most**2
+    if not better.any():
+        return None
+    chosen = better[:, None]
+    return replace(
+        parameters,
+        locations=np.where(chosen, found.locations[best], parameters.locations),
+        directions=np.where(chosen, v, parameters.directions),
+    )
+
+
+class _Beams:
+    """Readings (B, n) of some beams before known planes, and which of them count."""
+
+    def __init__(
+        self, a: FloatArray, c: FloatArray, g: FloatArray, counted: BoolArray, r: FloatArray
+    ) -> None:
+        self.a, self.c, self.g, self.counted, self.r = a, c, g, counted, r
+
+    def cost(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the best locations (B, K, 3) for directions (B, K, 3), and their costs (B, K)."""
+        cosine = v @ np.swapaxes(self.a, 1, 2)
+        flat = ((cosine < LEAST_COSINE) & self.counted[:, None]).any(axis=2)
+        share = self.counted[:, None] / np.maximum(cosine, LEAST_COSINE)
+        J = share[..., None] * self.a[:, None]
+        turned = np.swapaxes(J, 2, 3)
+        e = share * (self.g[:, None] * cosine + self.c[:, None])
+        e += (J @ self.r[:, None, :, None])[..., 0]
+        M = turned @ J
+        M += RIDGE * np.einsum("bkii->bk", M)[..., None, None] * np.eye(3) + 1e-300 * np.eye(3)
+        step = -np.linalg.solve(M, turned @ e[..., None])
+        e += (J @ step)[..., 0]
+        return self.r[:, None] + step[..., 0], np.where(flat, np.inf, (e**2).sum(axis=2))
+
+    def minima(self, now: FloatArray) -> FloatArray:
+        """Return directions (B, F, 3) of minima, from starts in the half sphere about `now` (B, 3)."""
+        bases = np.concatenate((model.tangent_basis(now), now[:, :, None]), axis=2)
+        v = _half_sphere() @ np.swapaxes(bases, 1, 2)
+        r, cost = self.cost(v)
+        damping = np.full(cost.shape, FIRST_DAMPING)
+        for _ in range(STEPS):
+            trial = self._stepped(r, v, damping)
+            where, left = self.cost(trial)
+            better = left < cost
+            r, v = (np.where(better[..., None], *pair) for pair in ((where, r), (trial, v)))
+            cost = np.where(better, left, cost)
+            damping = np.where(better, 0.1, 10.0) * damping
+        return v
+
+    def _stepped(self, r: FloatArray, v: FloatArray, damping: FloatArray) -> FloatArray:
+        """Return the directions after a damped step of Gauss and Newton in r and v."""
+        basis = model.tangent_basis(v.reshape(-1, 3)).reshape(*v.shape, 2)
+        a = self.a[:, None]
+        cosine = (a @ v[..., None])[..., 0]
+        share = np.where(self.counted[:, None], 1.0 / np.maximum(cosine, LEAST_COSINE), 0.0)
+        e = share * ((a @ r[..., None])[..., 0] + self.g[:, None] * cosine + self.c[:, None])
+        J_v = (share * (self.g[:, None] - e))[..., None] * (a @ basis)
+        J = np.concatenate((share[..., None] * a, J_v), axis=3)
+        turned = np.swapaxes(J, 2, 3)
+        H = turned @ J
+        diagonal = np.einsum("bkii->bki", H)
+        diagonal += damping[..., None] * diagonal + 1e-300
+        step = -np.linalg.solve(H, turned @ e[..., None])
+        return np.asarray(model.normalized(v + (basis @ step[:, :, 3:])[..., 0]))
+
+
+@cache
+def _half_sphere() -> FloatArray:
+    """Return evenly spread unit vectors (K, 3) of positive z (Fibonacci's lattice)."""
+    z = 1.0 - (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
+    across = np.sqrt(1.0 - z**2)
+    return np.stack((across * np.cos(angle), across * np.sin(angle), z), axis=1)
+
+
+def _padded(readings: Readings) -> tuple[IntArray, BoolArray]:
+    """Return rows (B, n) of the readings of each beam, and which of them count."""
+    order = np.argsort(readings.beam, kind="stable")
+    ends = np.searchsorted(readings.beam[order], np.arange(readings.beams + 1))
+    most = min(int(np.diff(ends).max()), MOST_READINGS)
+    rows = np.zeros((readings.beams, most), dtype=np.intp)
+    counted = np.zeros((readings.beams, most), dtype=bool)
+    for beam, (first, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
+        chosen = np.unique(np.linspace(first, end - 1, min(most, end - first)).round().astype(int))
+        rows[beam, : len(chosen)] = order[chosen]
+        counted[beam, : len(chosen)] = True
+    return rows, counted
+
+
+def _chunks(beams: int, readings: int) -> Iterator[slice]:
+    count = max(LARGEST_CHUNK // (5 * DIRECTIONS * readings), 1)
+    for first in range(0, beams, count):
+        yield slice(first, first + count)

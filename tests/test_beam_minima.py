@@ -1,0 +1,84 @@
+"""Beams that have two minima: the lower one is found, and one that is nearly as low is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import simulated
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.starts.beam_minima import beam_minima, with_better_beams
+from handlaser_gtsam.validation.scenes import Layout
+
+SIGMA = 3e-5
+NOISE = hl.Noise(SIGMA, 0.0, 0.0)
+
+
+def solved(seed, outliers="reject"):
+    """Return what is found of 16 beams at 16 stations before one plane, the truth and the readings."""
+    recording, truth = simulated(layout=Layout(16, 1, 16), seed=seed)
+    options = hl.CalibrationOptions("none", outliers=outliers)
+    return hl.calibrate(recording, NOISE, options), truth, recording.readings()
+
+
+def farthest(found, truth):
+    """Return how far each beam is off, in its standard deviations."""
+    errors = (
+        np.hstack((beam.location - r, beam.direction - v)) / beam.sigma[:6]
+        for beam, r, v in zip(found.beams.values(), truth.locations, truth.directions, strict=True)
+    )
+    return np.array([np.abs(error).max() for error in errors])
+
+
+@pytest.mark.parametrize("outliers", ["reject", "keep"])
+@pytest.mark.parametrize("seed", [29, 34, 52, 80])
+def test_no_beam_is_left_in_a_wrong_minimum(seed, outliers):
+    """With a plain search they were 7 to 44 standard deviations off, and some readings rejected."""
+    found, truth, _ = solved(seed, outliers)
+    assert found.status == "converged"
+    assert found.fit.rejected == ()
+    assert farthest(found, truth).max() < 4.5
+
+
+def test_two_mounts_that_fit_alike_are_named():
+    """The lower minimum is not the true one here: nothing but the warning can tell."""
+    found, truth, _ = solved(2)
+    off = farthest(found, truth)
+    assert int(off.argmax()) == 1
+    assert off.max() > 10.0
+    named = {
+        one.values["beam"]: one.values for one in found.warnings if one.code == "another-mount"
+    }
+    cosine = float(found.beams["2"].direction @ truth.directions[1])
+    assert named["2"]["turn_deg"] == pytest.approx(np.degrees(np.arccos(cosine)), abs=3.0)
+    assert 0.0 < named["2"]["chi2"] < 12.0
+
+
+def test_a_beam_with_one_minimum_has_no_rival():
+    found, truth, _ = solved(1)
+    assert farthest(found, truth).max() < 4.5
+    assert "another-mount" not in [one.code for one in found.warnings]
+
+
+def test_a_minimum_is_where_the_cost_of_the_beam_is_least():
+    """Each by itself: no direction near it, with the location free, fits better."""
+    found, _, readings = solved(29)
+    at = found.parameters()
+    minima = beam_minima(at, readings)
+    best = minima.cost.min(axis=1)
+    assert (best <= minima.now * (1.0 + 1e-9)).all()
+    assert np.allclose(best, minima.now, rtol=1e-3)
+    assert with_better_beams(at, readings) is None
+    assert minima.readings.sum() == len(readings)
+
+
+def test_a_beam_that_is_turned_away_comes_back():
+    found, _, readings = solved(1)
+    at = found.parameters()
+    v = at.directions.copy()
+    turned = v[3] + 0.3 * np.array([0.0, 1.0, 0.0])
+    v[3] = turned / np.linalg.norm(turned)
+    back = with_better_beams(replace(at, directions=v), readings)
+    assert back is not None
+    assert np.allclose(back.directions[3], at.directions[3], atol=1e-3)
+    assert np.allclose(back.locations[3], at.locations[3], atol=1e-4)
