@@ -450,6 +450,7 @@ def test_an_unknown_range_sigma_is_estimated_beside_known_poses():
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_scales_that_many_beams_tell_well_are_not_integrated_over(monkeypatch):
     """What is stated is nearly the same."""
     rng = np.random.default_rng(5)
