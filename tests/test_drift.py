@@ -232,6 +232,15 @@ def test_a_large_displacement_is_named_too(degrees):
     assert (np.abs(beams.directions[1] - truth.directions[1]) < 5.0 * sigma).all()
 
 
+@pytest.mark.parametrize("degrees", [5.0, 10.0])
+def test_a_large_displacement_of_one_beam_of_five_is_no_gross_error(degrees):
+    """Its readings are few enough of a plane to be thrown away one by one."""
+    turn = math.radians(degrees)
+    _, updates = fed(displaced(beams=5, planes=8, before=5, turn=turn)[0])
+    for update in updates[5:]:
+        assert (update.moved.beam, update.moved.since) == ("2", "F")
+
+
 @pytest.mark.parametrize("seed", [2, 10])
 def test_beams_that_are_poorly_known_at_first_have_not_moved(seed):
     """One plane leaves sixteen beams some degrees off: what it says of them has to follow them."""

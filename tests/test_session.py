@@ -9,7 +9,11 @@ import pytest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.factors import RangeBlock, gathered
+from handlaser_gtsam.model import tangent_basis
+from handlaser_gtsam.model.joint import beams_lift
+from handlaser_gtsam.session.fitted import fit_plane
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
+from handlaser_gtsam.solvers.normal_equations import jacobian_columns
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -476,3 +480,32 @@ def test_what_a_batch_would_not_call_determined_is_refused(handlaser, tmp_path):
     with pytest.raises(hl.InputError, match="the beams are undetermined"):
         session.remove_plane("B")
     assert session.planes == ("A", "B")
+
+
+@pytest.mark.parametrize("incidence", [0.0, 1e-4])
+def test_new_readings_are_judged_as_by_dense_matrices(incidence):
+    """Baarda's w of each, plane free and beams with what is known of them, the robot erring."""
+    rng = np.random.default_rng(1)
+    truth, stations = SCENES["paper"](Layout(3, 3, 12), rng)
+    recording = simulate(truth, stations, Errors(3e-5, 1e-4, 1e-4), rng)
+    session = hl.Session(hl.Noise(3e-5, 1e-4, 1e-4, incidence))
+    session.add(recording)
+    state = session.state
+    for plane in state.contents.numbers:
+        own = state.contents.planes[plane]
+        fitted = fit_plane(state.config, own.used(), state.state.beams, own.origin)
+        columns, _ = jacobian_columns(fitted.at, fitted.readings, 2)
+        J = np.zeros((len(fitted.residual), 3, 7))
+        J[np.arange(len(J)), fitted.readings.beam] = columns[:7].T
+        rows = np.hstack((J.reshape(len(J), -1), columns[7:10].T))
+        lift = beams_lift(tangent_basis(fitted.at.directions), (2, 2, 2))
+        prior = np.linalg.inv(lift.T @ state.state.covariance @ lift)
+        each = np.eye(len(rows))
+        inverse = fitted.whitening.weighed(each) / fitted.whitening.sigma**2
+        H = rows.T @ inverse @ rows
+        H[: len(prior), : len(prior)] += prior
+        Q = inverse - inverse @ rows @ np.linalg.solve(H, rows.T @ inverse)
+        w = Q @ fitted.residual / np.sqrt(np.diagonal(Q))
+        t = fitted.standardized(state.state)
+        assert np.abs(np.where(t == 0.0, 0.0, t - w)).max() < 1e-4
+        assert (t != 0.0).mean() > 0.9

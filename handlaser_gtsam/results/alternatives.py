@@ -130,7 +130,8 @@ class Family:
     def _weighed(self, rows: Rows, beam: int, matrix: FloatArray) -> FloatArray:
         """Return the column times sigma^2 inv(C), with J and with itself, in the order (N, 11).
 
-        Where a beam is given, the column is that of its readings alone, and `matrix` is inv(C).
+        Where a beam is given, the column is that of its readings alone, and `matrix` is sigma^2
+        inv(C) of every station.
         """
         how, column = rows.how, self.column
         if beam >= 0:

@@ -28,9 +28,6 @@ from .reference import MOVES, Reference
 
 MOST_SIGMA = 0.1
 """What is known worse than to this part of its natural unit, is not tested."""
-MOST_MOVED = 0.2
-"""Nor is a move by more than this: what planes know of beams is not linear so far. Planes that a beam
-so far off has read do not fit, and wait."""
 FALSE_ALARMS = 2e-5
 """How often a search may find something where nothing has moved."""
 
@@ -202,8 +199,7 @@ class History:
         rank = keep.sum(axis=2)
         statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
         moves = np.einsum("ebij,ebj->ebi", axes, np.where(keep, along / safe, 0.0))
-        tested = (rank > 0) & (np.abs(moves).max(axis=2) < MOST_MOVED)
-        log_p = np.where(tested, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
+        log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         at = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
         d = moves[at] * self.reference.unit[beams[at[1]]]
         return Moved(

@@ -109,10 +109,10 @@ class FittedPlane:
         Baarda's w-test: plane free, beams known with their covariance, readings with theirs. For a
         reading that decides something by itself the others say nothing: zero.
         """
-        how = self.whitening
+        how, back = self.whitening, self.whitening.transposed()
         G, e, K = self._normal(state)
-        left = how.apply(e - G @ (K @ (G.T @ e)))
-        own, across = how.squares(), how.apply_rows(G)
+        left = back.apply(e - G @ (K @ (G.T @ e)))
+        own, across = how.squares(), back.apply_rows(G)
         free = own - ((across @ K) * across).sum(axis=1)
         tested = free > DECIDES_ITSELF * own
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
