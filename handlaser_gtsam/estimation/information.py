@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
-from ..model.weighting import Variances, covariance_roots, own_variances, slopes
+from ..model.weighting import Variances, covariance_roots, noise_slopes, own_variances
 
 LARGEST_CHUNK = 6_000_000
 """Numbers of the largest intermediate array."""
@@ -137,7 +137,7 @@ class LinearReadings:
         self.beam_rows = unit * rows[:, :-4]
         self.plane_rows = np.array([1.0, 1.0, length, 1.0]) * rows[:, -4:]
         self.beam, self.beams = readings.beam, readings.beams
-        self.squared_slope = slopes(at, readings) ** 2
+        self.squared_slope = noise_slopes(at, readings) ** 2
         bare = Variances(np.zeros(readings.beams), variances.incidence_sigma)
         self.fixed = own_variances(at, readings, bare)
         change = (np.diff(readings.station) != 0) | (np.diff(readings.plane) != 0)

@@ -22,7 +22,7 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .equation import corrected, residuals, scene
-from .weighting import Variances, Whitening, slopes, whitening
+from .weighting import Variances, Whitening, noise_slopes, whitening
 
 MOST_NOISE = 4.0
 """Standard deviations of a reading that count as noise: what is farther off is none of it."""
@@ -62,7 +62,7 @@ def freed_of_noise(
     d, x = readings.distance, scene(at, readings)
     variance = variances.range_sigma[readings.beam] ** 2
     heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
-    share = slopes(at, readings) * variance
+    share = noise_slopes(at, readings) * variance
     if readings.samples is not None:
         share = share / np.sqrt(readings.samples)
     most = MOST_NOISE * np.sqrt(variance)

@@ -254,7 +254,7 @@ def reading_sigmas(parameters: Parameters, readings: Readings, variances: Varian
 
 def own_variances(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:
     """Return the variance (N,) [m^2] of each reading's residual, without that of the pose."""
-    slope = slopes(parameters, readings)
+    slope = noise_slopes(parameters, readings)
     own: FloatArray = (slope * variances.range_sigma[readings.beam]) ** 2
     if variances.incidence_sigma > 0.0:
         cosine = equation.cosines(equation.scene(parameters, readings))
@@ -263,9 +263,15 @@ def own_variances(parameters: Parameters, readings: Readings, variances: Varianc
 
 
 def slopes(parameters: Parameters, readings: Readings) -> FloatArray:
-    """Return g'(d) / sqrt(m) (N,): by how much the noise of one reading changes a residual."""
+    """Return g'(d) (N,): by how much an error of a reading, or of a mean, changes a residual."""
     k = parameters.range_errors[readings.beam]
     slope: FloatArray = 1.0 + k[:, 0] + 2.0 * k[:, 1] * readings.distance
+    return slope
+
+
+def noise_slopes(parameters: Parameters, readings: Readings) -> FloatArray:
+    """Return g'(d) / sqrt(m) (N,): what the noise of one of m averaged readings does to a residual."""
+    slope = slopes(parameters, readings)
     return slope if readings.samples is None else slope / np.sqrt(readings.samples)
 
 
