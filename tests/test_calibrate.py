@@ -469,7 +469,10 @@ def test_everything_in_millimetres_is_suspected():
     scaled = replace(
         recording, ranges=1e3 * recording.ranges, world_t_hand=1e3 * recording.world_t_hand
     )
-    assert codes(hl.calibrate(scaled)) == ["long-ranges", "far-beam"]
+    found = hl.calibrate(scaled)
+    assert codes(found) == ["far-beam", "long-ranges"]
+    assert found.status == "not_converged"
+    assert "the lengths look like millimetres" in found.message
 
 
 def test_an_outlier_is_named():

@@ -11,6 +11,7 @@ from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
+from ..model.sensor import BY_LIMITS
 from ..model.weighting import Variances, whitening
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.rank import observability
@@ -38,7 +39,14 @@ from .reports import Beam, Determined, Fit, Plane, StartReport
 from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
-from .warnings import fit_warnings, misfit, noise_advice, suspicious
+from .warnings import (
+    fit_warnings,
+    implausible_mounts,
+    misfit,
+    noise_advice,
+    poor_fit,
+    suspicious,
+)
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -51,6 +59,14 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     fit, why = fit_of(problem, selection)
     determined = _determined_by(names, used, solution, fit)
     wrong = misfit(problem.recording, used, solution.best, fit)
+    if wrong is None and determined.undetermined:
+        if _is_misfit(used, solution, fit):
+            wrong = poor_fit(used, fit)
+    elif wrong is None:
+        wrong = implausible_mounts(used, solution.best, names)
+    ways = _ways(problem, used, fit, solution, wrong)
+    if ways and (wrong is not None or suspicious(used, fit)):
+        wrong, ways = ways[0], ways[1:]
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together = INDEPENDENT
@@ -65,8 +81,8 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         status,
         message,
         (
-            *_ways(problem, used, fit, solution, wrong),
             *([] if wrong is None else [wrong]),
+            *ways,
             *_wrong_labels(problem, why),
             *_range_ends(problem, why),
             *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams()),
@@ -178,10 +194,20 @@ def _ways(
     solution: Solution,
     wrong: CalibrationWarning | None,
 ) -> tuple[CalibrationWarning, ...]:
-    """Say how else the file could be read, where it does not fit."""
-    if wrong is None and not suspicious(used, fit):
-        return ()
-    ways = better_ways(problem.recording, max(solution.problem.terms))
+    """Say how else the file could be read, where it does not fit or a beam loses many readings."""
+    recording, rejected = problem.recording, None
+    if (wrong is None and not suspicious(used, fit)) or (
+        wrong and wrong.code == "contradicting-beam"
+    ):
+        out = {(one.station, one.beam) for one in fit.rejected if one.reason not in BY_LIMITS}
+        if not out:
+            return ()
+        rejected = np.array(
+            [[(s, b) in out for b in recording.beam_names] for s in recording.station_names]
+        )
+    ways = better_ways(recording, max(solution.problem.terms), rejected)
+    if not ways and wrong is not None and rejected is not None:
+        ways = better_ways(recording, max(solution.problem.terms))
     return tuple(CalibrationWarning("file-mistake", words) for words in ways)
 
 
@@ -216,6 +242,11 @@ def _motion_determines(used: Readings, solution: Solution) -> bool:
     return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
 
 
+def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
+    """Tell whether readings that fitted would determine everything, and these do not fit."""
+    return suspicious(used, fit) and _motion_determines(used, solution)
+
+
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
     """Tell whether the mirror image of the solution fits as well."""
     squares = float(solution.result.residual @ solution.result.residual)
@@ -228,11 +259,11 @@ def _status_of(
 ) -> tuple[Status, str]:
     """Return the status, and what to do in words; `wrong` says that the readings do not fit at all."""
     ended = solution.result.status
+    if wrong is not None and ended != "interrupted":
+        return "not_converged", wrong.message
     if ended != "interrupted" and determined.undetermined:
         return "unobservable", (
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    if wrong is not None:
-        return "not_converged", wrong.message
     return "converged" if ended == "converged" else "not_converged", solution.result.message

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..arrays import BoolArray, FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
@@ -26,6 +27,12 @@ PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
 SPARE = 15
 """So many readings of one beam more than unknowns tell a mistake from a chance fit."""
+LEAST_REJECTED = 3
+"""Fewer rejected readings of one beam do not suggest that they are another beam's."""
+UNIT_GAP = 3.0
+"""Readings that differ by this factor on both sides of a station, without overlap, have two units."""
+SPLITS = 9
+"""So many evenly spaced stations are tried as the first of a second plate; then the best is refined."""
 DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
 GROUPS = 4
@@ -39,7 +46,9 @@ Undone = Callable[[Recording], Recording]
 """Returns a recording as it would be without a mistake."""
 
 
-def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
+def better_ways(
+    recording: Recording, terms: int, rejected: BoolArray | None = None
+) -> tuple[str, ...]:
     """Say how else the file could be read so that it fits a hundredfold better, the best first.
 
     Parameters
@@ -47,8 +56,19 @@ def better_ways(recording: Recording, terms: int) -> tuple[str, ...]:
     recording : Recording
     terms : int
         Most range-error terms.
+    rejected : (M, B), optional
+        Readings that were rejected as outliers. Where they are given, the others fit, and only mistakes
+        that concern a part of the recording are tried.
     """
-    mistakes = [*_promising(recording, terms), *_swaps(recording, terms)]
+    if rejected is None:
+        mistakes = [
+            *_promising(recording, terms),
+            *_swaps(recording, terms),
+            *_unit_changes(recording),
+            *_mixed_labels(recording, terms),
+        ]
+    else:
+        mistakes = [*_exchanges(recording, rejected), *_second_plates(recording, rejected)]
     if not mistakes:
         return ()
     now, found = misfit(recording, terms, "normal"), []
@@ -109,13 +129,181 @@ def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effo
             words = (
                 f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
             )
-            yield words, partial(_swapped, plane=plane, i=i, j=j), "quick"
+            rows = recording.plane_of_station == plane
+            yield words, partial(_swapped, rows=rows, i=i, j=j), "quick"
 
 
-def _swapped(recording: Recording, plane: int, i: int, j: int) -> Recording:
-    ranges, rows = recording.ranges.copy(), recording.plane_of_station == plane
+def _swapped(recording: Recording, rows: BoolArray, i: int, j: int) -> Recording:
+    ranges = recording.ranges.copy()
     ranges[rows, i], ranges[rows, j] = recording.ranges[rows, j], recording.ranges[rows, i]
     return replace(recording, ranges=ranges)
+
+
+def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[tuple[str, Undone, Effort]]:
+    """Two beams exchanged at the stations at which readings of both were rejected, or about there.
+
+    Where two beams are exchanged from some station on, and each is found by the other half of the
+    readings, one loses those before that station and the other those after it.
+    """
+    names, stations = recording.beam_names, recording.station_names
+    number = np.arange(len(stations))
+    for i, j in combinations(range(len(names)), 2):
+        lost_i, lost_j = rejected[:, i], rejected[:, j]
+        if min(lost_i.sum(), lost_j.sum()) < LEAST_REJECTED:
+            continue
+        whole = np.isin(recording.plane_of_station, recording.plane_of_station[lost_i & lost_j])
+        first = number[lost_i | lost_j].min()
+        split = max(number, key=lambda s: abs(float((2.0 * lost_i - 2.0 * lost_j)[s:].sum())))
+        tried = {
+            rows.tobytes(): rows
+            for rows in (
+                lost_i & lost_j,
+                whole,
+                number >= first,
+                number < number[lost_i | lost_j].max() + 1,
+                number >= split,
+            )
+            if 0 < rows.sum() < len(number)
+        }
+        for rows in tried.values():
+            where = np.flatnonzero(rows)
+            words = (
+                f"the readings of beams {names[i]} and {names[j]} look swapped at {len(where)} "
+                f"stations, {stations[where[0]]} to {stations[where[-1]]}"
+            )
+            yield words, partial(_swapped, rows=rows, i=i, j=j), "quick"
+
+
+def _second_plates(
+    recording: Recording, rejected: BoolArray
+) -> Iterator[tuple[str, Undone, Effort]]:
+    """Yield planes of which every reading from some station on, or up to it, was rejected."""
+    lost = (rejected | np.isnan(recording.ranges)).all(axis=1)
+    for plane, name in enumerate(recording.plane_names):
+        own = np.flatnonzero(recording.plane_of_station == plane)
+        out = own[lost[own]]
+        if not LEAST_REJECTED <= len(out) < len(own):
+            continue
+        first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
+        yield (
+            _of_another_plane(name, recording.station_names[first]),
+            partial(_parted, names=(name,), split=int(first)),
+            "quick",
+        )
+
+
+def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
+    """Ranges that have another unit from some station on: they differ by a large factor throughout."""
+    d = np.abs(recording.ranges)
+    high, low = np.nanmax(d, axis=1, initial=0.0), np.nanmin(d, axis=1, initial=np.inf)
+    before = np.maximum.accumulate(high)[:-1], np.minimum.accumulate(low)[:-1]
+    after = np.maximum.accumulate(high[::-1])[::-1][1:], np.minimum.accumulate(low[::-1])[::-1][1:]
+    for larger, smaller, late in ((after, before, True), (before, after, False)):
+        gap = larger[1] / np.maximum(smaller[0], 1e-300)
+        if not len(gap) or not gap.max() > UNIT_GAP:
+            continue
+        split = int(gap.argmax()) + 1
+        rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split
+        for unit, metres in (("millimetres", 1e-3), ("inches", 0.0254), ("centimetres", 1e-2)):
+            words = (
+                f"the ranges {'from' if late else 'before'} station {recording.station_names[split]} "
+                f"{'on ' if late else ''}look like {unit}, and the others like metres"
+            )
+            factor = np.where(rows, metres, 1.0)[:, None]
+            yield words, partial(_rescaled, factor=factor), "quick"
+
+
+def _rescaled(recording: Recording, factor: FloatArray) -> Recording:
+    return replace(recording, ranges=factor * recording.ranges)
+
+
+def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+    """One label for two positions of the plate, or two labels exchanged from some station on.
+
+    A plane whose stations do not fit by themselves, while those of others do, holds stations of
+    another plane.
+    """
+    alone = {
+        p: _misfit_of_planes(recording, (p,), terms) for p in range(len(recording.plane_names))
+    }
+    known = {p: value for p, value in alone.items() if value is not None}
+    whole = misfit(recording, terms, "glance")
+    mixed = [p for p, value in known.items() if PROMISING * value > whole]
+    if not 1 <= len(mixed) <= 2 or len(mixed) == len(alone) > 2:
+        return
+    rows = np.isin(recording.plane_of_station, mixed)
+    part = recording.part(rows)
+    names = [recording.plane_names[p] for p in mixed]
+    undone = _parted if len(mixed) == 1 else _relabelled
+    split = _best_split(part, partial(undone, names=tuple(names)), terms)
+    if split is None:
+        return
+    station = part.station_names[split]
+    if len(mixed) == 1:
+        words = (
+            f"the stations of plane {names[0]} from station {station} on look like another plane's"
+        )
+    else:
+        words = f"the labels {names[0]} and {names[1]} look exchanged from station {station} on"
+    late = np.flatnonzero(rows)[split]
+    yield words, partial(undone, names=tuple(names), split=int(late)), "normal"
+
+
+def _misfit_of_planes(recording: Recording, planes: tuple[int, ...], terms: int) -> float | None:
+    """Return the misfit of some planes alone; None where they have too few readings to tell."""
+    part = recording.part(np.isin(recording.plane_of_station, planes))
+    unknowns = 7 * len(part.beam_names) + 3 * len(planes)
+    if (~np.isnan(part.ranges)).sum() < unknowns + SPARE:
+        return None
+    return misfit(part, terms, "glance")
+
+
+def _best_split(part: Recording, undone: Callable[..., Recording], terms: int) -> int | None:
+    """Return the station from which on a change lowers the misfit most; None where it hardly does."""
+    count = len(part.station_names)
+
+    def value(split: int) -> float:
+        return misfit(undone(part, split=split), terms, "glance")
+
+    grid = sorted({int(s) for s in np.linspace(2, count - 2, SPLITS).round() if 0 < s < count})
+    values = {split: value(split) for split in grid}
+    step = max((count - 4) // (SPLITS - 1), 1)
+    while step >= 1:
+        best = min(values, key=lambda split: values[split])
+        for split in (best - step, best + step):
+            if 0 < split < count and split not in values:
+                values[split] = value(split)
+        step //= 2
+    best = min(values, key=lambda split: values[split])
+    promising = misfit(part, terms, "glance") >= PROMISING * values[best]
+    return best if promising else None
+
+
+def _of_another_plane(name: str, station: str) -> str:
+    return (
+        f"the stations of plane {name} from station {station} on look like another plane's: the plate "
+        "moved, or a label was not changed"
+    )
+
+
+def _parted(recording: Recording, names: tuple[str, ...], split: int) -> Recording:
+    """Return a recording in which a plane has another label from a station on."""
+    other = f"{names[0]}, later"
+    labels = tuple(
+        other if m >= split and label == names[0] else label
+        for m, label in enumerate(recording.plane_labels)
+    )
+    return replace(recording, plane_labels=labels)
+
+
+def _relabelled(recording: Recording, names: tuple[str, ...], split: int) -> Recording:
+    """Return a recording in which two labels are exchanged from a station on."""
+    other = {names[0]: names[1], names[1]: names[0]}
+    labels = tuple(
+        other.get(label, label) if m >= split else label
+        for m, label in enumerate(recording.plane_labels)
+    )
+    return replace(recording, plane_labels=labels)
 
 
 def misfit(recording: Recording, terms: int, effort: Effort) -> float:
@@ -150,6 +338,14 @@ def _scaled(positions: float, ranges: float) -> Undone:
     return undone
 
 
+def _reordered(order: tuple[int, ...], signs: tuple[int, ...]) -> Undone:
+    def undone(recording: Recording) -> Recording:
+        t = recording.world_t_hand[:, list(order)] * np.array(signs, dtype=float)
+        return replace(recording, world_t_hand=t)
+
+    return undone
+
+
 def _scalar_first(rotation: Rotation) -> Rotation:
     q = rotation.as_quat()
     return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
@@ -175,6 +371,30 @@ HYPOTHESES: dict[str, Undone] = {
     "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
     "the positions look like millimetres": _scaled(1e-3, 1.0),
     "the ranges look like millimetres": _scaled(1.0, 1e-3),
+    "the ranges look like inches": _scaled(1.0, 0.0254),
+    "the positions look like inches": _scaled(0.0254, 1.0),
+    **{
+        f"the {name} of the positions look negated": _reordered((0, 1, 2), signs)
+        for name, signs in {
+            "x coordinates": (-1, 1, 1),
+            "y coordinates": (1, -1, 1),
+            "z coordinates": (1, 1, -1),
+            "x and y coordinates": (-1, -1, 1),
+            "x and z coordinates": (-1, 1, -1),
+            "y and z coordinates": (1, -1, -1),
+            "coordinates": (-1, -1, -1),
+        }.items()
+    },
+    **{
+        f"the {name} of the positions look exchanged": _reordered(order, (1, 1, 1))
+        for name, order in {
+            "x and y coordinates": (1, 0, 2),
+            "x and z coordinates": (2, 1, 0),
+            "y and z coordinates": (0, 2, 1),
+            "x, y, z coordinates": (1, 2, 0),
+            "z, x, y coordinates": (2, 0, 1),
+        }.items()
+    },
     "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEGREE),
     "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEGREE),
     "the rotation vectors look like radians taken as degrees": _numbers(

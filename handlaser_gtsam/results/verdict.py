@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from textwrap import shorten
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from .limits import LimitCheck, Limits, checked, worst_of_each
 from .lines import count
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
+from .wording import WORDING
 
 OPENING = {
     "usable": "Usable",
@@ -22,11 +22,12 @@ OPENING = {
     "systematic-error": "Not usable, a systematic error",
     "contradicted": "Not usable, contradicted",
     "undetermined": "Not usable, undetermined",
+    "no-fit": "Not usable, the readings do not fit",
     "not-converged": "Not usable, no calibration",
 }
 """How a sentence begins, by the code of its verdict."""
-LONGEST = 90
-"""Characters of a message of another module that a verdict quotes."""
+CAUSE = "file-mistake"
+"""Code of the warning that names why readings do not fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,8 @@ class Verdict:
     code : str
         `usable`; `usable-with-care`: there are warnings; `outside-limits`; `systematic-error`: one was
         found that moves a laser spot by more than its stated error; `contradicted`: a plane that was
-        left out contradicts the beams found without it; `undetermined`; `not-converged`.
+        left out contradicts the beams found without it; `undetermined`; `no-fit`: the readings
+        contradict each other, whatever the motion; `not-converged`.
     findings : tuple of str
         The parts of the sentence.
     best : Improvement
@@ -85,7 +87,7 @@ class Verdict:
         planes = f", confirmed by {count(self.confirmed_by, 'plane')} left out"
         confirmed = planes if self.confirmed_by else ""
         words = "; ".join(self.findings)
-        return f"{OPENING[self.code]}{confirmed}: {words}{'' if words.endswith('...') else '.'}"
+        return f"{OPENING[self.code]}{confirmed}: {words}."
 
     @property
     def exceeded(self) -> tuple[str, ...]:
@@ -127,7 +129,8 @@ def verdict(
         code = "systematic-error"
     best = improvement(calibration, shares, harmful, failed)
     found = Verdict(code, (), best, reading, beam, radii.get(beam), harmful, checks, shares)
-    return replace(found, findings=tuple(_findings(found, len(calibration.warnings))))
+    causes = [_clause(one.message) for one in calibration.warnings if one.code == CAUSE]
+    return replace(found, findings=(*causes, *_findings(found, len(calibration.warnings))))
 
 
 def spot_shift(one: SystematicError, reading: float, *, unnoticed: bool) -> FloatArray:
@@ -168,10 +171,13 @@ def _findings(found: Verdict, warnings: int) -> Iterator[str]:
     if found.code == "outside-limits":
         yield failures(found.limits)
     if found.code == "systematic-error" and found.harmful is not None:
-        yield _short(found.harmful.message)
+        yield _clause(found.harmful.message)
     elif found.spot_error is not None:
         at = f"beam {found.spot_beam} at {_mm(found.reading)} mm"
         yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
+    if found.code == "usable-with-care" and found.harmful is not None:
+        one = found.harmful
+        yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}"
     if found.usable and found.limits:
         nearest = max(found.limits, key=lambda one: one.ratio)
         yield f"within the limits ({nearest.comparison})"
@@ -182,7 +188,7 @@ def _findings(found: Verdict, warnings: int) -> Iterator[str]:
 
 def best_improvement(best: Improvement) -> str:
     """Return the last part of a sentence."""
-    return f"best improvement: {_short(best.words)}"
+    return f"best improvement: {_clause(best.words)}"
 
 
 def _none(calibration: CalibrationData, reading: float) -> Verdict:
@@ -190,14 +196,17 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
     found = calibration.observability
     if calibration.status != "unobservable":
         best = Improvement("recording", "look into the recording")
-        return Verdict("not-converged", (_short(calibration.message),), best, reading)
+        says_why = any(one.message == calibration.message for one in calibration.warnings)
+        code = "no-fit" if says_why else "not-converged"
+        words = _clause(calibration.message).removeprefix("the readings do not fit: ")
+        return Verdict(code, (words,), best, reading)
     words = found.advice[0] if found.advice else "look into the recording"
     what = calibration.message
     if found.undetermined:
         first, *more = found.undetermined
         what = first + (f", and {len(more)} more" if more else "")
     best = Improvement("more-motion", words)
-    return Verdict("undetermined", (_short(what), _short(words)), best, reading)
+    return Verdict("undetermined", (_clause(what), _clause(words)), best, reading)
 
 
 def failures(checks: tuple[LimitCheck, ...]) -> str:
@@ -208,9 +217,9 @@ def failures(checks: tuple[LimitCheck, ...]) -> str:
     return ", ".join(one.failure for one in worst) + (f", and {more} more" if more else "")
 
 
-def _short(words: str) -> str:
-    """Return words without a full stop, cut where they are too long for one line."""
-    return shorten(words.rstrip(". "), LONGEST, placeholder=" ...")
+def _clause(words: str) -> str:
+    """Return words without a full stop."""
+    return words.rstrip(". ")
 
 
 def _mm(value: float) -> str:

@@ -13,8 +13,9 @@ from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..model.distributions import chi2_cdf
-from ..model.equation import plausible_range_errors
+from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
+from ..observability.wording import Names
 from .lines import DEG, MM, count
 from .reports import Fit
 from .significance import SINGLE_LEVEL
@@ -33,6 +34,9 @@ FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
+MOST_LOST = 0.4
+"""A beam that loses more than this part of its readings is not calibrated: up to a third may be gross
+errors, and with half of them another solution would do as well."""
 BAD_ROBOT = 10.0
 """Pose sigmas that are surely so many times what is expected stand for something else."""
 FAR_BEAM = 3.0
@@ -65,9 +69,14 @@ def misfit(
             "the readings fit only with true ranges below half or above three times of them, which no "
             f"sensor has; {CHECKS}",
         )
-    spread = readings.spread()
-    if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
+    if fit.dof <= 0 or fit.rms <= POOR_FIT * readings.spread():
         return None
+    return poor_fit(readings, fit)
+
+
+def poor_fit(readings: Readings, fit: Fit) -> CalibrationWarning:
+    """Say how far the readings are from fitting."""
+    spread = readings.spread()
     return CalibrationWarning(
         "no-fit",
         f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
@@ -76,12 +85,46 @@ def misfit(
     )
 
 
+def implausible_mounts(
+    readings: Readings, parameters: Parameters, names: Names
+) -> CalibrationWarning | None:
+    """Say that beams lie where none can be: far from the hand, or on both sides of a plane."""
+    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+    if far > FAR_BEAM:
+        return CalibrationWarning(
+            "far-beam",
+            f"a beam lies {far:.3g} m from the hand's origin, where no hand reaches: the lengths look "
+            "like millimetres; a recording has metres (a log may have --range-units mm and "
+            "--length-units mm)",
+            {"distance_m": far},
+        )
+    ahead = cosines(scene(parameters, readings)) > 0.0
+    for plane, name in enumerate(names.sorted_planes()):
+        here = readings.plane == plane
+        sides = {
+            bool(side): np.unique(readings.beam[here & (ahead == side)]) for side in (True, False)
+        }
+        if min(len(beams) for beams in sides.values()) == 0:
+            continue
+        labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
+        first, second = (int(max(beams, key=lambda i: distance[i])) for beams in sides.values())
+        culprit = labels[max(first, second, key=lambda i: distance[i])]
+        return CalibrationWarning(
+            "two-sides",
+            f"beams {labels[first]} and {labels[second]} hit plane {name} from its two sides, which no "
+            f"plate allows: beam {culprit} looks inverted, its readings fall as the distance grows; "
+            "correct the sign or the scale of its output",
+            {"plane": name, "beam": culprit},
+        )
+    return None
+
+
 def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
     """Name a beam most of whose readings contradict the rest; None where there is none."""
     out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
     kept = (~np.isnan(fit.residuals)).sum(axis=0)
     for name, left in zip(recording.beam_names, kept.tolist(), strict=True):
-        if out[name] > left:
+        if out[name] > MOST_LOST * (out[name] + left):
             return CalibrationWarning(
                 "contradicting-beam",
                 f"{out[name]} of the {out[name] + left} readings of beam {name} contradict the "
@@ -110,7 +153,7 @@ def fit_warnings(
     parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
     return (
-        *_of_the_file(readings, parameters, fit),
+        *_of_the_file(readings, fit),
         *_same_mounts(parameters, fit, names),
         *_wrong_sigmas(fit, solution.redundancy, treated=treated),
         *(() if treated else _pose_errors(fit, noise)),
@@ -119,9 +162,7 @@ def fit_warnings(
     )
 
 
-def _of_the_file(
-    readings: Readings, parameters: Parameters, fit: Fit
-) -> Iterator[CalibrationWarning]:
+def _of_the_file(readings: Readings, fit: Fit) -> Iterator[CalibrationWarning]:
     """Yield warnings of many outliers, and of lengths that look like millimetres."""
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_LEFT_OUT * total:
@@ -135,10 +176,6 @@ def _of_the_file(
     if median > LONG_RANGE:
         words = f"the median reading is {median:.0f} m; is the file in millimetres?"
         yield CalibrationWarning("long-ranges", words, {"median_m": median})
-    far = float(np.linalg.norm(parameters.locations, axis=1).max())
-    if far > FAR_BEAM:
-        words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
-        yield CalibrationWarning("far-beam", words, {"distance_m": far})
 
 
 def _same_mounts(
