@@ -50,10 +50,6 @@
   const settings = { displayModeBar: false, responsive: true };
   const started = new Set();
   const NEAR = "400px";
-  const idle = () => new Promise((resolve) => {
-    if (window.requestIdleCallback) window.requestIdleCallback(resolve, { timeout: 1000 });
-    else setTimeout(resolve);
-  });
 
   // A drawing keeps its proportions on paper, where it is narrower than on the screen.
   const scalable = (place) => {
@@ -110,14 +106,34 @@
     for (const place of places) observer.observe(place);
     if (!places.length) resolve();
   });
+  // A browser that prints without a reader does so with the load event, which waits for images: while
+  // figures are missing each image that has loaded asks for another one.
+  const holdLoad = () => {
+    let number = 0;
+    let held = true;
+    const ask = () => {
+      if (!held) return;
+      const image = new Image();
+      image.onload = image.onerror = ask;
+      number += 1;
+      image.src = `data:image/svg+xml,<svg xmlns='http://www.w3.org/2000/svg' id='n${number}'/>`;
+    };
+    ask();
+    return () => { held = false; };
+  };
   const start = async () => {
     if (!window.DecompressionStream) return;
     document.documentElement.classList.add("drawing");
-    await seen();
-    performance.mark("view-drawn"); // all that a reader sees first
-    for (const place of document.querySelectorAll(".plots .canvas")) {
-      await idle();
-      await draw(place);
+    const release = holdLoad();
+    try {
+      await seen();
+      performance.mark("view-drawn"); // all that a reader sees first
+      for (const place of document.querySelectorAll(".plots .canvas")) {
+        await new Promise((resolve) => setTimeout(resolve));
+        await draw(place);
+      }
+    } finally {
+      release();
     }
     document.documentElement.dataset.ready = "yes";
   };
@@ -134,5 +150,5 @@
       }
     });
   }
-  window.addEventListener("load", () => setTimeout(start));
+  start();
 })();
