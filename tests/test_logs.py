@@ -431,7 +431,6 @@ CONTRADICTIONS = [
     {"tool": (1.0, "2")},
     {"tolerance_s": -1.0},
     {"frames": ("base",)},
-    {"lag_s": 0.1, "estimate_lag": True},
     {"plane": "A\nB"},
 ]
 

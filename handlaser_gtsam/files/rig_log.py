@@ -15,7 +15,6 @@ ONE_OF = (
     ("plane", "plane_column", "plane_ranges", "plane_file"),
     ("pose_topic", "frames"),
     ("stands", "interpolate"),
-    ("lag_s", "estimate_lag"),
 )
 """Fields that exclude each other: where a user states one, those of the rig file do not count."""
 NAMES = tuple(one.name for one in fields(LogFormat))

@@ -17,7 +17,7 @@ from .format import LogFormat
 from .frames import between
 from .lag import Lag, estimated_lag
 from .motion import Rows, bracketed
-from .planes import intervals, planes_of
+from .planes import planes_in_time
 from .report import LogReport
 from .stands import Stands, Track, find_stands
 from .suspicion import Raw
@@ -35,6 +35,7 @@ OF_TABLES = (
     ),
     *("time_column", "beam_column", "range_column", "header", "delimiter", "decimal", "sheet"),
     *("readings", "readings_station_column", "readings_time_column", "time_units"),
+    "readings_time_units",
 )
 """Fields that say nothing of a bag,"""
 OF_BAGS = ("pose_topic", "frames", "receive_time")
@@ -88,7 +89,7 @@ def _stations(
         time = stands.times
         R, t = stand_poses(content.track, stands)
         samples = _standing(content, stands, lag)
-        words = f"{len(time)} moments at which the hand stands"
+        words = stands.words
     numbers = np.hstack((t, Rotation.from_matrix(R).as_quat()))
     every = Rows(np.arange(len(numbers), dtype=np.intp))
     return Stationed(
@@ -174,24 +175,8 @@ def _lag(content: BagContent, given: LogFormat, begin: float) -> Lag:
         d[first : first + len(x), number] = x[:, 1]
         first += len(x)
     order = np.argsort(time, kind="stable")
-    time, d = time[order], d[order]
-    return estimated_lag(content.track, time, d, _planes_in_time(content.track, time, given, begin))
 
+    def plane_of(moments: FloatArray) -> IntArray:
+        return planes_in_time(content.track, moments, given, begin)
 
-def _planes_in_time(track: Track, time: FloatArray, given: LogFormat, begin: float) -> IntArray:
-    """Return which plane each time (N,) belongs to, -1 for none."""
-    found = intervals(given)
-    if not found:
-        return np.zeros(len(time), dtype=np.intp)
-    if found[0].is_time:
-        return planes_of(found, [""] * len(time), time, begin)
-    stands = find_stands(track, given)
-    names = [str(i + 1) for i in range(len(stands.begin))]
-    which = planes_of(found, names, None, begin)
-    plane = np.full(len(time), -1, dtype=np.intp)
-    for index in range(len(found)):
-        own = np.flatnonzero(which == index)
-        if own.size:
-            inside = (time >= stands.begin[own[0]]) & (time <= stands.end[own[-1]])
-            plane[inside] = index
-    return plane
+    return estimated_lag(content.track, time[order], d[order], plane_of, given.lag_s)

@@ -78,6 +78,8 @@ class LogFormat:
         Column of times there, if it differs.
     time_units : {"s", "ms", "us", "ns"}
         Of times: s (the default), ms, us or ns.
+    readings_time_units : {"s", "ms", "us", "ns"}, optional
+        Of times in the second file, if they differ.
     tolerance_s : float, optional
         How far pose and reading may be apart in time, s.
     interpolate : bool
@@ -96,7 +98,7 @@ class LogFormat:
     lag_s : float
         How much later readings are stamped than poses of the same moment, s.
     estimate_lag : bool
-        Estimate that instead, from readings while the arm moves.
+        Estimate that from readings while the arm moves; a stated lag is where the search begins.
     pose_topic : str
         Of a bag: topic of PoseStamped of the hand.
     frames : names
@@ -140,6 +142,7 @@ class LogFormat:
     readings_station_column: str = ""
     readings_time_column: str = ""
     time_units: TimeUnits = "s"
+    readings_time_units: TimeUnits | None = None
     tolerance_s: float | None = None
     interpolate: bool = False
     stands: bool = False

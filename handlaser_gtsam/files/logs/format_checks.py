@@ -121,5 +121,3 @@ def _check_together(given: "LogFormat") -> None:
         raise InputError("frames and pose_topic", "one of the two")
     if given.stands and given.interpolate:
         raise InputError("stands and interpolate", "one of the two: the arm stands, or it moves")
-    if given.estimate_lag and given.lag_s:
-        raise InputError("lag_s and estimate_lag", "one of the two")

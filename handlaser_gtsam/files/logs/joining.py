@@ -54,9 +54,9 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     InputError
         Rows of one station with other poses or planes; a long table without stations.
     """
-    if given.stands or given.interpolate:
+    if given.interpolate:
         raise InputError(
-            "stands or interpolate, of one table with poses and readings",
+            "interpolate, of one table with poses and readings",
             "two tables joined by time (--readings), or a bag",
         )
     if given.lag_s or given.estimate_lag:

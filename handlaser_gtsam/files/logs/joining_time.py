@@ -12,7 +12,7 @@ from .format_checks import convention_of
 from .joining import SAME_STATION_M, SAME_STATION_RAD, Joined, groups, unmatched
 from .lag import Lag, estimated_lag
 from .motion import Between, Rows, Way, bracketed, nearest
-from .planes import intervals, planes_of
+from .planes import intervals, planes_in_time, planes_of
 from .poses import poses_of
 from .rows import LogRows
 from .stands import Track, find_stands
@@ -140,7 +140,10 @@ def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: Float
     station = stands.stand_of(wanted)
     planes = None
     if poses.planes is not None:
-        planes = [poses.planes[i] for i in stands.first.tolist()]
+        planes = [poses.planes[i] for i in stands.middle.tolist()]
+    elif readings.planes is not None:
+        closest = nearest(wanted, stands.times)[0]
+        planes = [readings.planes[i] for i in closest.tolist()]
     return Joined(
         stands.means,
         [str(i + 1) for i in range(len(stands.begin))],
@@ -148,8 +151,7 @@ def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: Float
         stands.times,
         Samples.of_rows(station, readings.ranges),
         (),
-        f"{len(stands.begin)} moments at which the hand stands, with {int((station >= 0).sum())} of "
-        f"{len(station)} rows of readings",
+        f"{stands.words}; {int((station >= 0).sum())} of {len(station)} rows of readings are in them",
     )
 
 
@@ -162,19 +164,23 @@ def lag_of_tables(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
         The planes are not known in time, or the motion does not tell.
     """
     assert readings.times is not None
-    time = readings.times
-    found = intervals(given)
-    if found:
-        assert poses.times is not None
-        plane = planes_of(found, readings.names, time, float(poses.times[0]))
-    elif readings.planes is not None:
-        plane = groups(readings.planes)[1]
-    elif poses.planes is not None:
-        assert poses.times is not None
-        plane = groups(poses.planes)[1][nearest(poses.times, time)[0]]
+    assert poses.times is not None
+    track, begin = track_of(poses, given), float(poses.times[0])
+    stated, time, pose_times = intervals(given), readings.times, poses.times
+    by_row = stated and not given.stands and not stated[0].is_time
+    of_poses = len(pose_times) < len(time) if by_row else readings.planes is None
+    rows = poses if of_poses else readings
+    if by_row:
+        known = planes_of(stated, rows.names, None, begin)
     else:
-        plane = np.zeros(len(time), dtype=np.intp)
-    return estimated_lag(track_of(poses, given), time, readings.ranges, plane)
+        known = groups(rows.planes or [""] * len(rows.names))[1]
+
+    def plane_of(moments: FloatArray) -> IntArray:
+        if stated and not by_row:
+            return planes_in_time(track, moments, given, begin)
+        return known[nearest(pose_times, moments)[0]] if of_poses else known
+
+    return estimated_lag(track, time, readings.ranges, plane_of, given.lag_s)
 
 
 def track_of(poses: LogRows, given: LogFormat) -> Track:

@@ -9,16 +9,23 @@ leaves the smallest sum of squares S(tau), added over planes and beams. Motion t
 or changes its speed identifies the lag; a sweep at constant speed does not, for a shift of it is
 another polynomial. Nothing of mounts, planes or starts is needed for that.
 
-What a polynomial leaves out moves the minimum by milliseconds. Near it S(tau) is therefore taken of
-the calibration itself, solved for each of a few lags. The curvature at the minimum says how well it is
+What a polynomial leaves out moves the minimum, by milliseconds where the hand turns a little and by
+more where it turns far. Near it S(tau) is therefore taken of the calibration itself, solved for each of
+a few lags, which moves on until the minimum lies amid them. The curvature there says how well it is
 known: with residuals of variance s^2, the variance of tau is 2 s^2 / S''(tau).
+
+Clocks that are further apart are first brought together by the pattern of stops and moves: the hand's
+speed and the rate at which readings change, both made 0 or 1, have their largest correlation at the
+offset.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
@@ -47,6 +54,22 @@ TERMS = 2
 """Range-error terms of the calibration."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
 """Readings count where the hand moves by so much within `MOST` before or after."""
+PATTERN_STEP = 0.02
+"""Step of the pattern of stops and moves [s]."""
+PATTERN_MOST = 2_000_000
+"""Longer patterns, in steps, take too much memory and time."""
+PATTERN_PEAKS = 6
+"""So many offsets at which stops and moves go together are looked at: stops at even intervals have
+several."""
+PATTERN_ALIKE = 4.0
+"""Another offset at which readings follow the motion but for less than this factor of the squares fits
+as well."""
+PATTERN_NEAR = 2.0
+"""Offsets nearer to each other than this [s] are one peak."""
+LEAST_PATTERN = 0.3
+"""A correlation below this is no common pattern."""
+ROUNDS = 12
+"""The calibration moves on at most so often to where its minimum is."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 A_FEATURE = 12
 """So many readings for every coefficient of the polynomial."""
@@ -73,7 +96,13 @@ class _Part:
     degree: int
 
 
-def estimated_lag(track: Track, time: FloatArray, d: FloatArray, plane: IntArray) -> Lag:
+def estimated_lag(
+    track: Track,
+    time: FloatArray,
+    d: FloatArray,
+    plane_of: Callable[[FloatArray], IntArray],
+    near: float = 0.0,
+) -> Lag:
     """Return the lag of readings.
 
     Parameters
@@ -83,15 +112,73 @@ def estimated_lag(track: Track, time: FloatArray, d: FloatArray, plane: IntArray
         Stamps of readings [s].
     d : (N, B)
         Readings [m]; NaN where there is none.
-    plane : (N,)
-        Which plane each row looks at; -1 for rows that do not count.
+    plane_of : callable
+        Returns which plane each row looks at (N,), from times (N,) on the clock of the poses; -1 for
+        rows that do not count.
+    near : float
+        Where the search begins [s].
 
     Raises
     ------
     InputError
         Too few readings while the hand moves, or a motion that does not tell.
     """
-    parts = list(_parts(track, time, d, plane))
+    rows = track, time, d, plane_of
+    try:
+        return _refined(track, _coarse(*rows, near))
+    except InputError as error:
+        # Clocks that are further apart: what stops and moves allow is judged as the lag itself is.
+        coarse = []
+        for offset in _pattern_offsets(track, time, d):
+            if abs(offset - near) > COARSE:
+                with suppress(InputError):
+                    coarse.append(_coarse(*rows, offset))
+        if not coarse:
+            raise error from None
+    first, *others = sorted(coarse, key=lambda one: one.mean_square)
+    for other in others:
+        apart = abs(other.near - first.near) > PATTERN_NEAR
+        if apart and other.mean_square < PATTERN_ALIKE * first.mean_square:
+            raise InputError(
+                f"stops and moves that fit offsets of {first.near:.6g} s and {other.near:.6g} s",
+                "stops of different lengths; or a rough --lag-s, from which the search begins",
+            )
+    return _refined(track, first)
+
+
+@dataclass(frozen=True, slots=True)
+class _Coarse:
+    """The best of the lags near an offset [s], and the mean square residual of the polynomials [m^2]."""
+
+    near: float
+    lag: float
+    mean_square: float
+    parts: list[_Part]
+
+
+def _coarse(
+    track: Track,
+    time: FloatArray,
+    d: FloatArray,
+    plane_of: Callable[[FloatArray], IntArray],
+    near: float,
+) -> _Coarse:
+    """Return the best lag within `MOST` of an offset [s].
+
+    Raises
+    ------
+    InputError
+        Too few readings there, or no minimum.
+    """
+    moments = time - near
+    if moments.max() < track.time[0] or moments.min() > track.time[-1]:
+        raise InputError(
+            f"clocks that do not overlap: poses from {track.time[0]:.10g} to {track.time[-1]:.10g} s, "
+            f"readings from {moments.min():.10g} to {moments.max():.10g} s, and no one pattern of "
+            "stops and moves in both",
+            "one clock and one unit (--time-units, --readings-time-units); or a rough --lag-s",
+        )
+    parts = list(_parts(track, moments, d, plane_of(moments)))
     if not parts:
         raise InputError(
             "too few readings while the hand moves to estimate the lag",
@@ -100,18 +187,75 @@ def estimated_lag(track: Track, time: FloatArray, d: FloatArray, plane: IntArray
         )
     steps = round(MOST / COARSE)
     lags = COARSE * np.arange(-steps, steps + 1)
-    coarse = np.array([_squares(track, parts, lag) for lag in lags])
-    best = int(coarse.argmin())
+    sums = np.array([_squares(track, parts, lag) for lag in lags])
+    best = int(sums.argmin())
     if best in (0, len(lags) - 1):
         raise InputError(
             f"no lag within {MOST:g} s at which readings follow the motion",
-            "clocks that agree better; or state --lag-s",
+            "clocks that agree better; or a rough --lag-s, from which the search begins",
         )
-    return _refined(track, parts, float(lags[best]))
+    count = sum(part.d.size for part in parts)
+    return _Coarse(near, float(lags[best]), float(sums[best]) / count, parts)
 
 
-def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
-    """Return the minimum of a parabola through the sums of squares near a lag."""
+def _pattern_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[float]:
+    """Return by how much readings may be stamped later, from stops and moves, the likeliest first."""
+    order = np.argsort(time, kind="stable")
+    time, d = time[order], d[order]
+    spans = track.time[-1] - track.time[0], time[-1] - time[0]
+    if min(spans) <= 0.0 or sum(spans) > PATTERN_STEP * PATTERN_MOST:
+        return []
+    turn = np.linalg.norm(np.diff(_continuous(track.quaternion), axis=0), axis=1)
+    way = np.linalg.norm(np.diff(track.position, axis=0), axis=1)
+    hand = _activity(track.time, way / MOVES_M + 2.0 * turn / MOVES_RAD)
+    beams = []
+    for column in d.T:
+        read = np.flatnonzero(~np.isnan(column))
+        if len(read) > 1:
+            beams.append(_activity(time[read], np.abs(np.diff(column[read])), time[0], time[-1]))
+    if not beams:
+        return []
+    a, b = hand - hand.mean(), np.mean(beams, axis=0)
+    b = b - b.mean()
+    scale = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if scale == 0.0:
+        return []
+    n = next_fast_len(len(a) + len(b) - 1, real=True)
+    products = irfft(rfft(b, n) * np.conj(rfft(a, n)), n) / scale
+    shift = np.arange(n)
+    offsets = time[0] - track.time[0] + PATTERN_STEP * np.where(shift < len(b), shift, shift - n)
+    found: list[float] = []
+    while len(found) < PATTERN_PEAKS and products.max() > LEAST_PATTERN:
+        found.append(float(offsets[int(products.argmax())]))
+        products[np.abs(offsets - found[-1]) < PATTERN_NEAR] = -np.inf
+    return found
+
+
+def _continuous(q: FloatArray) -> FloatArray:
+    """Return quaternions (M, 4) without jumps of sign."""
+    flips = np.cumprod(np.concatenate(([1.0], np.sign((q[1:] * q[:-1]).sum(axis=1) + 1e-12))))
+    return np.asarray(q * flips[:, None])
+
+
+def _activity(
+    time: FloatArray, change: FloatArray, begin: float | None = None, end: float | None = None
+) -> FloatArray:
+    """Return 1 where something changes fast and 0 where it rests, in steps of `PATTERN_STEP`.
+
+    What counts as fast lies between the slow tenth of the rates, which is noise, and the fast.
+    """
+    begin, end = time[0] if begin is None else begin, time[-1] if end is None else end
+    grid = np.arange(begin, end, PATTERN_STEP)
+    total = np.concatenate(([0.0], np.cumsum(change)))
+    width = 5.0 * PATTERN_STEP
+    rate = np.interp(grid + width, time, total) - np.interp(grid - width, time, total)
+    low, high = np.quantile(rate, [0.1, 0.9])
+    return np.asarray(rate > low + 0.25 * (high - low), dtype=np.float64)
+
+
+def _refined(track: Track, coarse: _Coarse) -> Lag:
+    """Return the minimum of the calibration near a lag, or else of the polynomials."""
+    parts, near = coarse.parts, coarse.lag
     steps = round(COARSE / FINE)
     lags = np.asarray(near + FINE * np.arange(-steps, steps + 1), dtype=np.float64)
     sums = np.array([_squares(track, parts, lag) for lag in lags])
@@ -119,15 +263,14 @@ def _refined(track: Track, parts: list[_Part], near: float) -> Lag:
     rows = slice(low - 3, low + 4)
     count = sum((len(one.d) - len(_exponents(one.degree))) * one.d.shape[1] for one in parts)
     rough, squares = _lowest(lags[rows], sums[rows], count, TRUNCATED)
-    found = rough
-    if rough is not None and rough.sigma < MOST:
-        found = _calibrated(track, parts, rough.value, UNLIKE * squares) or rough
+    middle = rough.value if rough is not None else float(lags[low])
+    found = _calibrated(track, parts, middle, UNLIKE * squares) or rough
     if found is None or found.sigma > WORST:
         raise InputError(
             "a motion that does not tell the lag of the readings",
             "a log with stops, turns and changes of speed before a plane; or state --lag-s",
         )
-    return found
+    return Lag(coarse.near + found.value, found.sigma)
 
 
 def _lowest(
@@ -159,16 +302,25 @@ def _calibrated(track: Track, parts: list[_Part], near: float, most: float) -> L
     origins = readings.plane_means(readings.world_t_hand)
     start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
     count = len(readings) - readings.unknowns(TERMS)
-    found, squares = None, np.inf
-    for step in (2.0 * FINE, FINE):
+    step, found, squares = COARSE, None, np.inf
+    for _ in range(ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
         solved = solve_together(problems, [start] * 7, TERMS, 1.0, options=OPTIONS)
-        found, squares = _lowest(lags, 2.0 * solved.cost, count, BETWEEN)
-        if found is None:
+        cost = np.asarray(2.0 * solved.cost)
+        if not np.isfinite(cost).all():
             return None
-        near, start = found.value, solved.parameters[3]
-    return found if squares <= most else None
+        best = int(cost.argmin())
+        start = solved.parameters[best]
+        if best in (0, 6):  # the minimum lies further on
+            near = float(lags[best])
+            continue
+        found, squares = _lowest(lags, cost, count, BETWEEN)
+        near = float(lags[best]) if found is None else found.value
+        if step == FINE:
+            break
+        step = max(step / 4.0, FINE)
+    return found if found is not None and step == FINE and squares <= most else None
 
 
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:

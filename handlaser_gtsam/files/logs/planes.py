@@ -14,6 +14,7 @@ from ...text import A_NAME, name_fault, shown
 from ..table import read_table
 from .cells import labels
 from .format import LogFormat
+from .stands import Track, find_stands
 
 RANGE = re.compile(r"(?P<plane>.+?)=(?P<first>.+?)\.\.(?P<last>.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*s\s*")
@@ -129,6 +130,28 @@ def planes_of(
             )
         which[inside] = index
     return which
+
+
+def planes_in_time(track: Track, time: FloatArray, given: LogFormat, begin: float) -> IntArray:
+    """Return which plane each time (N,) on the clock of the poses belongs to, -1 for none.
+
+    Intervals of stations count the moments at which the hand stands.
+    """
+    found = intervals(given)
+    if not found:
+        return np.zeros(len(time), dtype=np.intp)
+    if found[0].is_time:
+        return planes_of(found, [""] * len(time), time, begin)
+    stands = find_stands(track, given)
+    names = [str(i + 1) for i in range(len(stands.begin))]
+    which = planes_of(found, names, None, begin)
+    plane = np.full(len(time), -1, dtype=np.intp)
+    for index in range(len(found)):
+        own = np.flatnonzero(which == index)
+        if own.size:
+            inside = (time >= stands.begin[own[0]]) & (time <= stands.end[own[-1]])
+            plane[inside] = index
+    return plane
 
 
 def _inside(one: Interval, times: FloatArray | None, begin: float) -> np.ndarray:

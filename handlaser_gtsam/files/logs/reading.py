@@ -149,12 +149,21 @@ def _hint(error: InputError) -> str:
 def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
     both = given.readings is None
     poses = rows_of(read_log_table(path, given), given, known.sensor, readings=both)
+    if both and given.stands and not (given.lag_s or given.estimate_lag):
+        rows = poses.in_time()
+        return _report(path, rows, rows, by_time(rows, rows, given, 0.0), given, known, (0.0, None))
     if both:
         return _report(path, poses, poses, one_table(poses, given), given, known, (0.0, None))
     second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
-    second = replace(second, pose_format="", rotation="")
+    second = replace(
+        second,
+        pose_format="",
+        rotation="",
+        time_units=given.readings_time_units or given.time_units,
+    )
     table = read_log_table(given.readings or path, second)
-    readings = rows_of(table, given, known.sensor, poses=False)
+    timed = replace(given, time_units=second.time_units)
+    readings = rows_of(table, timed, known.sensor, poses=False)
     if given.plane_column and not (poses.columns.plane or readings.columns.plane):
         expected = "the name of a column of either, as its header has it"
         raise InputError(f"no column {shown(given.plane_column)} in both files", expected, path)

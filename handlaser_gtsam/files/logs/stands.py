@@ -2,8 +2,9 @@
 
 A row of poses is still if the hand is, within the limits, where it was a quarter of the shortest stand
 before and where it will be a quarter after. A stand is a run of still rows that lasts half of the
-shortest stand or more, and from whose first row no other is farther than the limits: so its ends
-have the distance of a quarter from what moves, where brakes, filters and late stamps are at work.
+shortest stand or more: so its ends have the distance of a quarter from what moves, where brakes,
+filters and late stamps are at work. Where a run creeps, as a soft start or end does, it is trimmed to
+the rows about its median position that are within the limits of it.
 """
 
 from dataclasses import dataclass
@@ -51,12 +52,34 @@ class Stands:
         Rows, both included.
     begin, end : (S,)
         Their times [s].
+    trimmed, dropped : int
+        Runs of still rows that were cut to where they do not creep, and that were left out because
+        less than half of the shortest stand is left of them.
     """
 
     first: IntArray
     last: IntArray
     begin: FloatArray
     end: FloatArray
+    trimmed: int = 0
+    dropped: int = 0
+
+    @property
+    def words(self) -> str:
+        """How many there are, and what became of the other runs."""
+        text = f"{len(self.first)} moments at which the hand stands"
+        if self.trimmed:
+            text += (
+                f", {self.trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
+            )
+        if self.dropped:
+            text += f"; {self.dropped} more left out because they are too short (--stand-s)"
+        return text
+
+    @property
+    def middle(self) -> IntArray:
+        """The row amid each stand (S,): labels that are set on arrival are right there."""
+        return np.asarray((self.first + self.last) // 2)
 
     @property
     def means(self) -> Means:
@@ -81,10 +104,6 @@ class Stands:
         inside = (stand >= 0) & (time <= self.end[np.maximum(stand, 0)])
         return np.where(inside, stand, -1).astype(np.intp)
 
-    def part(self, chosen: BoolArray) -> "Stands":
-        """Return some of the stands."""
-        return Stands(self.first[chosen], self.last[chosen], self.begin[chosen], self.end[chosen])
-
 
 def find_stands(track: Track, given: LogFormat) -> Stands:
     """Return the stands of a track.
@@ -95,24 +114,27 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
         The hand never stands still so long.
     """
     half = GAP * given.stand_s
-    still = _still(track, half, 1e-3 * given.stand_mm, np.radians(given.stand_deg))
+    limits = 1e-3 * given.stand_mm, np.radians(given.stand_deg)
+    still = _still(track, half, *limits)
     edge = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
-    first, last = edge[::2], edge[1::2] - 1
     least = given.stand_s - 2.0 * half - 1e-9
-    long = track.time[last] - track.time[first] >= least
-    first, last = first[long], last[long]
-    near = np.array(
-        [_stays(track, a, b, given) for a, b in zip(first.tolist(), last.tolist(), strict=True)],
-        dtype=bool,
-    )
-    first, last = first[near], last[near]
-    if not len(first):
+    kept, trimmed, dropped = [], 0, 0
+    for first, last in zip(edge[::2].tolist(), (edge[1::2] - 1).tolist(), strict=True):
+        a, b = _trimmed(track, first, last, *limits)
+        if track.time[b] - track.time[a] < least:
+            dropped += 1
+            continue
+        trimmed += (a, b) != (first, last)
+        kept.append((a, b))
+    if not kept:
+        short = f"; {dropped} shorter stops were found" if dropped else ""
         raise InputError(
             f"no moment at which the hand stands within {given.stand_mm:g} mm and "
-            f"{given.stand_deg:g} deg for {given.stand_s:g} s",
+            f"{given.stand_deg:g} deg for {given.stand_s:g} s{short}",
             "stations; or other limits (--stand-mm, --stand-deg, --stand-s), or --interpolate",
         )
-    return Stands(first, last, track.time[first], track.time[last])
+    begin, end = np.array(kept, dtype=np.intp).T
+    return Stands(begin, end, track.time[begin], track.time[end], trimmed, dropped)
 
 
 def _still(track: Track, half: float, most_m: float, most_rad: float) -> BoolArray:
@@ -139,11 +161,20 @@ def _near(
     return np.asarray(near & (1.0 - cosine <= 1.0 - np.cos(0.5 * most_rad) + 1e-15))
 
 
-def _stays(track: Track, first: int, last: int, given: LogFormat) -> bool:
-    """Tell whether no row of a run is farther from the first than the limits."""
+def _trimmed(
+    track: Track, first: int, last: int, most_m: float, most_rad: float
+) -> tuple[int, int]:
+    """Return the ends of the rows of a run about its median position that are within the limits."""
     rows = np.arange(first, last + 1)
-    limits = 1e-3 * given.stand_mm, np.radians(given.stand_deg)
-    return bool(_near(track, np.full(len(rows), first, dtype=np.intp), rows, *limits).all())
+    p = track.position[rows]
+    middle = int(((p - np.median(p, axis=0)) ** 2).sum(axis=1).argmin())
+    centre = np.full(len(rows), rows[middle])
+    near = _near(track, centre, rows, most_m, most_rad)
+    far = np.flatnonzero(~near)
+    before, after = far[far < middle], far[far > middle]
+    begin = before[-1] + 1 if before.size else 0
+    end = after[0] - 1 if after.size else len(rows) - 1
+    return int(rows[begin]), int(rows[end])
 
 
 def moving(track: Track, stands: Stands) -> BoolArray:

@@ -1,0 +1,226 @@
+"""Stops of a moving arm, and two clocks, by formulas of their own.
+
+A hand goes from stop to stop by minimum-jerk moves, whose ends are soft, and rests for two seconds
+with the shiver of a controller. The range of each beam follows from the plane at every moment.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+
+BEAMS = (
+    np.array([[0.03, 0.0, 0.01], [-0.02, 0.025, 0.0]]),
+    np.array([[0.08, 0.0, 1.0], [0.0, -0.1, 1.0]]),
+)
+MOVE_S = 2.0
+"""How long a move takes at speed 1."""
+
+
+@dataclass
+class Drive:
+    """Times [s], poses and ranges of a drive; where and when it rests, and before which plane."""
+
+    time: np.ndarray
+    position: np.ndarray
+    turn: Rotation
+    ranges: np.ndarray
+    rest: np.ndarray
+    plane: np.ndarray
+
+    def late(self, seconds, rate):
+        """Return the ranges at times of their own, as stamped `seconds` late."""
+        at = np.arange(self.time[0], self.time[-1], 1.0 / rate)
+        d = [np.interp(at, self.time, column) for column in self.ranges.T]
+        return at + seconds, np.column_stack(d)
+
+
+def drive(seed, stops=60, speed=1.0, rate=125.0, rest_s=2.0, turn_deg=25.0, planes=2):
+    rng = np.random.default_rng(seed)
+    n = np.array([[0.0, 0.0, -1.0], [0.26, 0.0, -0.966]])[:planes]
+    foot = np.array([[0.5, 0.0, 0.2], [0.5, 0.4, 0.25]])[:planes]
+    which = np.repeat(np.arange(planes), -(-stops // planes))[:stops]
+    faces = Rotation.from_euler("x", np.pi) * Rotation.identity()
+    angle = np.radians(turn_deg)
+    aims = faces * Rotation.from_rotvec(rng.uniform(-angle, angle, (stops, 3)))
+    places = foot[which] + np.column_stack(
+        (rng.uniform(-0.05, 0.05, (stops, 2)), rng.uniform(0.09, 0.15, stops))
+    )
+    move = MOVE_S / speed * rng.uniform(0.7, 1.3, stops - 1)
+    rests = rest_s * rng.uniform(1.0, 1.3, stops)
+    arrive = np.concatenate(([0.0], np.cumsum(rests[:-1] + move)))
+    leave = arrive + rests
+    knots = np.column_stack((arrive, leave)).ravel()
+    time = np.arange(0.0, knots[-1], 1.0 / rate)
+    leg = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 2)
+    s = (time - knots[leg]) / (knots[leg + 1] - knots[leg])
+    part = np.where(leg % 2 == 1, s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 0.0)
+    stop = leg // 2
+    following = np.minimum(stop + 1, stops - 1)
+    position = places[stop] + part[:, None] * (places[following] - places[stop])
+    position = position + 4e-6 * rng.standard_normal(position.shape)
+    way = (aims[stop].inv() * aims[following]).as_rotvec()
+    turn = aims[stop] * Rotation.from_rotvec(part[:, None] * way)
+    plane = which[np.where(part > 0.5, following, stop)]
+    r, v = BEAMS
+    v = v / np.linalg.norm(v, axis=1, keepdims=True)
+    ranges = np.empty((len(time), len(r)))
+    for i in range(len(r)):
+        origin, ray = position + turn.apply(r[i]), turn.apply(v[i])
+        gap = ((foot[plane] - origin) * n[plane]).sum(axis=1)
+        ranges[:, i] = gap / (ray * n[plane]).sum(axis=1)
+    ranges += 2e-5 * rng.standard_normal(ranges.shape)
+    return Drive(time, position, turn, ranges, np.column_stack((arrive, leave)), plane)
+
+
+def write_table(path, names, *columns):
+    rows = np.column_stack(columns)
+    lines = [
+        ",".join(f"{value:.9g}" if abs(value) < 1e6 else f"{value:.4f}" for value in row)
+        for row in rows
+    ]
+    path.write_text("\n".join([names, *lines]) + "\n")
+
+
+def write_poses(path, one, factor=1.0):
+    write_table(path, "time,x,y,z,qx,qy,qz,qw", factor * one.time, one.position, one.turn.as_quat())
+
+
+def write_readings(path, time, ranges, factor=1.0):
+    write_table(path, "time,range_1,range_2", factor * time, ranges)
+
+
+# --- stops -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stand_s", [0.25, 0.5])
+@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("rate", [30.0, 125.0])
+def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, speed, rate, stand_s):
+    """The label is set on arrival, some tenths of a second into the stop."""
+    one = drive(7, speed=speed, rate=rate)
+    late = np.searchsorted(one.time, one.time - 0.4)
+    label = np.where(one.plane[late] == 0, "A", "B")
+    rows = np.column_stack((one.position, one.turn.as_quat(), one.ranges))
+    lines = ["time,plane,x,y,z,qx,qy,qz,qw,range_1,range_2"]
+    for t, name, row in zip(one.time, label, rows, strict=True):
+        lines.append(f"{t:.6f},{name}," + ",".join(f"{x:.8f}" for x in row))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    report = hl.describe_log(path, hl.LogFormat(stands=True, stand_s=stand_s))
+    assert len(report.recording.plane_labels) == 60
+    assert report.recording.plane_labels == ("A",) * 30 + ("B",) * 30
+    assert any(line.startswith("60 moments at which the hand stands") for line in report.lines)
+
+
+def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
+    """The hand settles by half a millimetre for seconds; and once it only slows down."""
+    one = drive(3, stops=6)
+    for arrive, leave in one.rest[:3]:
+        rows = (one.time >= arrive) & (one.time <= leave)
+        one.position[rows, 0] += 3e-4 * np.exp(-(one.time[rows] - arrive) / 0.5)
+    write_table(
+        tmp_path / "log.csv",
+        "time,x,y,z,qx,qy,qz,qw,range_1,range_2",
+        one.time,
+        one.position,
+        one.turn.as_quat(),
+        one.ranges,
+    )
+    given = hl.LogFormat(stands=True, stand_s=0.25, plane="A", as_stated=True)
+    report = hl.describe_log(tmp_path / "log.csv", given)
+    assert len(report.recording.plane_labels) == 6
+    assert any("trimmed where the hand creeps" in line for line in report.lines)
+    long = hl.LogFormat(stands=True, stand_s=60.0, plane="A")
+    with pytest.raises(hl.InputError, match="no moment at which the hand stands"):
+        hl.describe_log(tmp_path / "log.csv", long)
+
+
+# --- clocks ------------------------------------------------------------------------------------------
+
+
+def joined(folder, one, offset, *, rate=80.0, factors=(1.0, 1.0), **given):
+    write_poses(folder / "poses.csv", one, factors[0])
+    write_readings(folder / "readings.csv", *one.late(offset, rate), factors[1])
+    form = hl.LogFormat(
+        readings=folder / "readings.csv", stands=True, estimate_lag=True, as_stated=True, **given
+    )
+    return hl.describe_log(folder / "poses.csv", form)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.05, -3.7, 41.0, -640.0, 5000.0])
+def test_an_offset_of_any_size_is_found(tmp_path, offset):
+    one = drive(11, stops=14, planes=1)
+    report = joined(tmp_path, one, offset, plane="A")
+    assert abs(report.lag - offset) < 2e-3
+    assert len(report.recording.plane_labels) == 14
+
+
+@pytest.mark.slow
+def test_two_clocks_may_have_two_units(tmp_path):
+    one = drive(12, stops=14, planes=1)
+    report = joined(
+        tmp_path, one, 7.25, factors=(1e3, 1.0), plane="A", time_units="ms", readings_time_units="s"
+    )
+    assert abs(report.lag - 7.25) < 2e-3
+
+
+@pytest.mark.slow
+def test_a_rough_lag_is_where_the_search_begins(tmp_path):
+    one = drive(13, stops=14, planes=1)
+    report = joined(tmp_path, one, 20.03, plane="A", lag_s=20.2)
+    assert abs(report.lag - 20.03) < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn_deg", [20.0, 70.0])
+def test_the_lag_of_a_hand_that_turns_far_is_found(tmp_path, turn_deg):
+    one = drive(14, stops=14, planes=1, turn_deg=0.5 * turn_deg, rest_s=0.3)
+    report = joined(tmp_path, one, 0.04, plane="A", stand_s=0.2)
+    assert abs(report.lag - 0.04) < 2e-3
+
+
+@pytest.mark.slow
+def test_ranges_of_planes_count_stations_in_two_tables_too(tmp_path):
+    one = drive(15, stops=20)
+    report = joined(tmp_path, one, 0.3, plane_ranges=("A=1..10", "B=11..20"))
+    assert abs(report.lag - 0.3) < 2e-3
+    assert report.recording.plane_labels == ("A",) * 10 + ("B",) * 10
+
+
+def test_clocks_that_do_not_overlap_are_called_so(tmp_path):
+    one = drive(16, stops=4, planes=1)
+    write_poses(tmp_path / "poses.csv", one)
+    at, d = one.late(900.0, 80.0)
+    write_readings(tmp_path / "readings.csv", at, np.full_like(d, 0.1))
+    form = hl.LogFormat(
+        readings=tmp_path / "readings.csv", stands=True, estimate_lag=True, plane="A"
+    )
+    with pytest.raises(hl.InputError, match="clocks that do not overlap"):
+        hl.describe_log(tmp_path / "poses.csv", form)
+
+
+def test_a_pattern_that_repeats_is_not_guessed(tmp_path):
+    """Every stop and every move takes the same time: any of several offsets would do."""
+    one = drive(17, stops=2, planes=1)
+    t = np.arange(0.0, 120.0, 0.02)
+    one.time, one.position = t, np.column_stack((0.05 * np.sin(t), 0.0 * t, 0.3 + 0.0 * t))
+    one.turn = Rotation.from_rotvec(np.zeros((len(t), 3)))
+    noise = 1e-5 * np.random.default_rng(17).standard_normal((len(t), 2))
+    one.ranges = np.column_stack((0.3 + 0.01 * np.sin(t), 0.3 - 0.01 * np.sin(t))) + noise
+    write_poses(tmp_path / "poses.csv", one)
+    write_readings(tmp_path / "readings.csv", t + 400.0, one.ranges)
+    form = hl.LogFormat(
+        readings=tmp_path / "readings.csv",
+        interpolate=True,
+        tolerance_s=0.05,
+        estimate_lag=True,
+        plane="A",
+    )
+    with pytest.raises(hl.InputError, match="stops and moves that fit offsets"):
+        hl.describe_log(tmp_path / "poses.csv", form)
