@@ -9,7 +9,7 @@ from handlaser_gtsam.arrays import frozen
 M = 4
 
 
-def as_view(array, tmp_path):
+def as_view(array, _):
     view = array.view()
     view.flags.writeable = False  # what pandas 3 hands out
     return view
