@@ -13,6 +13,8 @@ from .format import LogFormat
 from .format_checks import convention_of
 from .poses import faults
 
+GERMAN = ("%d.%m.%Y %H:%M:%S%.f", "%d.%m.%YT%H:%M:%S%.f", "%d.%m.%Y %H:%M")
+"""Dates with points begin with the day everywhere."""
 PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
 """Names of ASCII, which most are, need no closer look."""
 
@@ -74,13 +76,15 @@ def times(table: Table, column: str, given: LogFormat) -> FloatArray:
 
 def _dates(cells: pl.Series) -> FloatArray | None:
     """Return texts as times [s]; None where they are no dates."""
-    try:
-        dates = cells.str.to_datetime(time_unit="ns", time_zone="UTC")
-    except pl.exceptions.PolarsError:
-        return None
-    if dates.is_null().any():
-        return None
-    return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+    points = cells.str.replace(r",(\d+)", ".$1")  # fractions of seconds behind a comma
+    for form in (None, *GERMAN):
+        try:
+            dates = points.str.to_datetime(form, time_unit="ns", time_zone="UTC")
+        except pl.exceptions.PolarsError:
+            continue
+        if not dates.is_null().any():
+            return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+    return None
 
 
 def labels(table: Table, column: str) -> list[str]:
@@ -109,5 +113,7 @@ def _text(cells: pl.Series) -> pl.Series:
     if cells.dtype == pl.String:
         return cells
     if cells.dtype.is_float() and (cells == cells.round()).all():
-        return cells.cast(pl.Int64).cast(pl.String)
+        whole = cells.cast(pl.Int64, strict=False)
+        if not whole.is_null().any():
+            return whole.cast(pl.String)
     return cells.cast(pl.String)

@@ -105,9 +105,10 @@ def rows_of(
     """
     columns = columns_of(table, given, poses=poses, readings=readings)
     numbers: FloatArray | None = None
-    warnings: tuple[CalibrationWarning, ...] = ()
+    warnings = table.warnings
     if poses:
-        numbers, warnings = pose_numbers(table, columns.pose, given)
+        numbers, found = pose_numbers(table, columns.pose, given)
+        warnings = (*warnings, *found)
     beams: tuple[str, ...] = ()
     ranges = np.full((len(table.frame), 0), np.nan)
     if readings:
