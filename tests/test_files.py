@@ -192,3 +192,24 @@ def test_files_reach_the_disk_before_they_get_their_names(tmp_path, monkeypatch)
     monkeypatch.setattr(Path, "replace", renamed)
     write_bytes(tmp_path / "out", b"content")
     assert done == ["file synced", "renamed", "folder synced"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[noise]\nrange_sigma_mm = "0.03"', "a number"),
+        ("[noise]\nrange_sigma_mm = nan", "a finite number"),
+        ("[noise]\npose_covariance = 1.0", "an array"),
+        ("[sensor]\nrange_mm = 30", "an array"),
+        ("noise = 3", "a table"),
+        ("[log]\nplane = 3", "a text in quotes"),
+        ('[log]\nstands = "yes"', "true or false"),
+    ],
+    ids=str,
+)
+def test_faults_of_a_rig_file_are_told_in_its_own_words(tmp_path, text, expected):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(hl.InputError) as caught:
+        read_rig(path)
+    assert str(caught.value).endswith(f"; expected {expected}")

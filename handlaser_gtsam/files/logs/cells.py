@@ -1,5 +1,7 @@
 """Columns of a log as arrays: poses, times, labels."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import polars as pl
 
@@ -7,7 +9,7 @@ from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import CalibrationWarning
 from ...text import A_NAME, name_fault
-from ..table import Table, column_numbers
+from ..table import NUMBER, Table, column_numbers
 from .conventions import TIME_UNITS, Convention
 from .format import LogFormat
 from .format_checks import convention_of
@@ -33,6 +35,29 @@ def pose_numbers(
     for i, name in enumerate(columns):
         table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST, name, "a number of a pose")
     return x, doubts(table, x, columns, convention_of(given), as_stated=given.as_stated)
+
+
+def refuse_thousands(table: Table, columns: Sequence[str]) -> None:
+    """Refuse columns in which points may stand between thousands: 1.404 beside 970.
+
+    Of 1.404 alone the point is decimal, for such a column has as many decimals everywhere.
+
+    Raises
+    ------
+    InputError
+    """
+    for name in columns:
+        cells = table.frame[name]
+        if cells.dtype != pl.String:
+            continue
+        pointed = cells.str.contains(".", literal=True).fill_null(value=False)
+        grouped = cells.str.contains(r"^[+-]?[1-9]\d{0,2}\.\d{3}$").fill_null(value=False)
+        below = cells.str.contains(r"^[+-]?\d{3}$").fill_null(value=False)
+        if pointed.any() and below.any() and (pointed == grouped).all():
+            expected = (
+                "decimals, or points between thousands? state --decimal point, or --decimal comma"
+            )
+            table.refuse(grouped.to_numpy(), name, expected)
 
 
 def doubts(
@@ -76,6 +101,9 @@ def times(table: Table, column: str, given: LogFormat) -> FloatArray:
 
 def _dates(cells: pl.Series) -> FloatArray | None:
     """Return texts as times [s]; None where they are no dates."""
+    first = cells.drop_nulls().head(1)
+    if not len(first) or NUMBER.fullmatch(first[0]):  # to try all rows as dates takes long
+        return None
     points = cells.str.replace(r",(\d+)", ".$1")  # fractions of seconds behind a comma
     for form in (None, *GERMAN):
         try:

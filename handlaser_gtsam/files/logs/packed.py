@@ -1,8 +1,13 @@
 """Limits on what packed files unpack to: a file of some kilobytes can hold gigabytes of zeros."""
 
+import mmap
+import re
+import sqlite3
 import zipfile
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from ...errors import InputError
 
@@ -71,7 +76,7 @@ def refuse_zip_bomb(path: Path) -> None:
                     pass
 
 
-def zstd_bound(data: bytes) -> int:
+def zstd_bound(data: bytes | mmap.mmap) -> int:
     """Return the most bytes to which Zstandard frames can unpack, from their headers (RFC 8878).
 
     Every block states its size, or holds 128 KiB at most. Zero of what is no such frame.
@@ -92,7 +97,71 @@ def zstd_bound(data: bytes) -> int:
     return most
 
 
-def lz4_bound(data: bytes) -> int:
-    """Return the size that the header of an LZ4 frame states, or the most that its bytes can hold."""
-    stated = int.from_bytes(data[6:14], "little") if len(data) > 14 and data[4] & 0x08 else 0
-    return max(stated, 255 * len(data))
+def lz4_stated(data: bytes) -> int:
+    """Return the size that the header of an LZ4 frame states, which is allocated; zero if it does not.
+
+    The content itself can be no more than 255 times its packed size.
+    """
+    return int.from_bytes(data[6:14], "little") if len(data) > 14 and data[4] & 0x08 else 0
+
+
+def refuse_bag_bomb(path: Path) -> None:
+    """Refuse a ROS 2 or MCAP bag whose chunks, messages or files unpack to too much.
+
+    rosbags unpacks each as a whole, whatever it becomes.
+
+    Raises
+    ------
+    InputError
+    """
+    metadata = path / "metadata.yaml"
+    mode = ""
+    if path.is_dir():
+        if metadata.stat().st_size > ALWAYS:
+            raise InputError("metadata.yaml of more bytes than a bag needs", "a bag", path)
+        stated = re.search(
+            r"compression_mode:\s*['\"]?(\w+)", metadata.read_text("utf-8", "replace")
+        )
+        mode = stated[1].lower() if stated else ""
+    allowance = Allowance(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
+        if file.suffix == ".zstd" and mode == "file":
+            with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=1) as data:
+                allowance.take(file.stat().st_size, zstd_bound(data))
+        elif file.suffix == ".mcap":
+            with file.open("rb") as opened:
+                _take_chunks(opened, file.stat().st_size, allowance, messages=mode == "message")
+        elif file.suffix == ".db3" and mode == "message":
+            with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as base:
+                for (content,) in base.execute("SELECT data FROM messages"):
+                    allowance.take(len(content), zstd_bound(content))
+
+
+def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: bool) -> None:
+    """Count the chunks of an MCAP file, and messages that are packed one by one.
+
+    A record is one byte of its kind, eight of its length, and its content.
+    """
+    file.seek(len(MCAP))
+    while len(head := file.read(9)) == 9:
+        kind, length = head[0], int.from_bytes(head[1:], "little")
+        begin = file.tell()
+        if begin + length > size:  # rosbags says so
+            return
+        if kind == MCAP_CHUNK and length >= 40:
+            stated = int.from_bytes(file.read(28)[16:24], "little")
+            compression = file.read(int.from_bytes(file.read(4), "little") & 0xFF)
+            packed = int.from_bytes(file.read(8), "little")
+            content = file.read(min(packed, length))
+            bound = {b"zstd": zstd_bound, b"lz4": lz4_stated}.get(compression, len)(content)
+            allowance.take(len(content), max(stated, bound))
+        elif kind == MCAP_MESSAGE and messages:
+            content = file.read(length)[22:]
+            allowance.take(len(content), zstd_bound(content))
+        file.seek(begin + length)
+
+
+MCAP = b"\x89MCAP0\r\n"
+MCAP_MESSAGE, MCAP_CHUNK = 5, 6
+"""Kinds of records (https://mcap.dev/spec)."""

@@ -10,7 +10,7 @@ from ...model.sensor import Sensor
 from ...text import some
 from ..range_cells import code_warnings, range_numbers
 from ..table import Table
-from .cells import labels, pose_numbers, times
+from .cells import labels, pose_numbers, refuse_thousands, times
 from .columns import Columns, columns_of
 from .conventions import LENGTHS
 from .format import LogFormat
@@ -104,6 +104,9 @@ def rows_of(
     InputError
     """
     columns = columns_of(table, given, poses=poses, readings=readings)
+    if given.decimal is None:
+        ranges = [columns.range] if columns.range else list(columns.beams.values())
+        refuse_thousands(table, [*columns.pose, *ranges])
     numbers: FloatArray | None = None
     warnings = table.warnings
     if poses:

@@ -48,6 +48,8 @@ FIRST_LINES = 200
 """So many lines tell separators apart."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+"""Has points between thousands where the decimal mark is stated to be a comma."""
 
 
 def read_log_table(path: Path, given: LogFormat) -> Table:
@@ -96,7 +98,7 @@ def _of_text(path: Path, given: LogFormat) -> Table:
     table = replace(table_of(text, path, separator), warnings=warnings)
     if offset:
         table = replace(table, header_line=0, lines=table.lines - offset)
-    if '"' in text or (separator != "," and "," in text):
+    if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
     table.refuse_cut()
     return table
@@ -152,6 +154,11 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
         Numbers with commas and numbers with points, or commas that may stand between thousands.
     """
     texts = table.frame.select(pl.selectors.string())
+    if given.decimal == "comma" and not numbers_have_points:
+        grouped = pl.all().str.contains(rf"^{GROUPED.pattern}$")
+        whole = pl.all().str.replace_all(".", "", literal=True)
+        texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
+        table = replace(table, frame=table.frame.with_columns(texts))
     cells = [texts[name] for name in texts.columns]
     commas = [column.str.contains(rf"^{COMMA.pattern}$").fill_null(value=False) for column in cells]
     if given.decimal == "point" or not any(mask.any() for mask in commas):
