@@ -182,14 +182,18 @@ def test_points_that_may_stand_between_thousands_are_refused(tmp_path, log, colu
     assert "state --decimal point" in text
     assert "or --decimal comma" in text
     found = hl.read_log(path, hl.LogFormat(**given, decimal="point"))
-    assert (found.world_t_hand[0, 0] if column == "x" else found.ranges[0, 0]) == 1.404e-3
+    assert (found.world_t_hand[0, 0] if column == "x" else found.ranges[0, 0]) == pytest.approx(
+        1.404e-3
+    )
     commas = log | scaled
     commas = {name: [str(one) for one in cells] for name, cells in commas.items()}
     for name in set(commas) - {column}:
         commas[name] = [one.replace(".", ",") for one in commas[name]]
     path.write_text("\n".join([*lines_of(commas, ";"), ""]))
     found = hl.read_log(path, hl.LogFormat(**given, decimal="comma"))
-    assert (found.world_t_hand[0, 0] if column == "x" else found.ranges[0, 0]) == 1.404
+    assert (found.world_t_hand[0, 0] if column == "x" else found.ranges[0, 0]) == pytest.approx(
+        1.404
+    )
 
 
 # --- tables of values -----------------------------------------------------------------------------

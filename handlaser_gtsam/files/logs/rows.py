@@ -105,8 +105,8 @@ def rows_of(
     """
     columns = columns_of(table, given, poses=poses, readings=readings)
     if given.decimal is None:
-        ranges = [columns.range] if columns.range else list(columns.beams.values())
-        refuse_thousands(table, [*columns.pose, *ranges])
+        lengths = [columns.range] if columns.range else list(columns.beams.values())
+        refuse_thousands(table, [*columns.pose, *lengths])
     numbers: FloatArray | None = None
     warnings = table.warnings
     if poses:
