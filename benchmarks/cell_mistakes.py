@@ -121,7 +121,8 @@ class Cell:
         along = (self.h - np.einsum("mi,mi->m", self.n, self.t)) / np.einsum(
             "mi,mi->m", self.n, ray
         )
-        return self.t + along[:, None] * ray
+        found: FloatArray = self.t + along[:, None] * ray
+        return found
 
 
 def make_cell(seed: int) -> Cell:
@@ -135,8 +136,8 @@ def make_cell(seed: int) -> Cell:
     k = rng.standard_normal((beams, 2)) * [0.003, 0.02]
     plane = np.repeat(np.arange(plates), rng.integers(13, 17, plates))
     down = Rotation.from_euler("xy", [np.pi, 0.0])  # the hand looks along -z of the world
-    lean = np.column_stack((rng.uniform(-0.5, 0.5, (plates, 2)), np.zeros(plates)))
-    faces = Rotation.from_rotvec(lean) * down
+    tilt = np.column_stack((rng.uniform(-0.5, 0.5, (plates, 2)), np.zeros(plates)))
+    faces = Rotation.from_rotvec(tilt) * down
     n = faces.apply([0.0, 0.0, 1.0])  # away from the hand
     foot = np.array([0.6, 0.0, 0.2]) + rng.uniform(-0.15, 0.15, (plates, 3))
     count = len(plane)
@@ -488,8 +489,9 @@ def judge(argument: tuple[str, int], rig: Path | None) -> Row:
     beams = [str(i + 1) for i in range(len(cell.r))]
     try:
         result, judged = _calibrate(cell, beams, rig)
-    except hl.HandlaserError as error:
-        return Row(name, seed, "refused", False, _names(pattern, str(error)), 0.0, 0.0, str(error))
+    except hl.HandlaserError as refusal:
+        words = str(refusal)
+        return Row(name, seed, "refused", False, _names(pattern, words), 0.0, 0.0, words)
     outcome = "unusable" if not judged.usable else "care" if result.warnings else "silent"
     sigmas, error = _distance(cell, result, judged.reading)
     hidden = getattr(judged, "hidden", None) or 0.0

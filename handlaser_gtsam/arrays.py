@@ -9,12 +9,26 @@ BoolArray = NDArray[np.bool_]
 
 
 def frozen(values: ArrayLike) -> FloatArray:
-    """Return `values` as a read-only float array: a copy, unless they are one already."""
-    if isinstance(values, np.ndarray) and values.dtype == np.float64 and not values.flags.writeable:
+    """Return `values` as a read-only float array: a copy, unless nobody can write to them.
+
+    A read-only view of a writable array, as pandas hands out, or of a file in memory is copied: its
+    owner could change it.
+    """
+    if isinstance(values, np.ndarray) and values.dtype == np.float64 and _is_immutable(values):
         return values
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array
+
+
+def _is_immutable(values: np.ndarray) -> bool:
+    """Tell whether neither an array nor any array that it is a view of can be written to."""
+    owner: object = values
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return False
+        owner = owner.base
+    return owner is None or isinstance(owner, bytes)
 
 
 def gathered(values: FloatArray, index: IntArray) -> FloatArray:

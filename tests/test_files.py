@@ -3,7 +3,9 @@
 import json
 import math
 import os
+import stat
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from helpers import GRIPPER
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text, write_calibration
 from handlaser_gtsam.files.rig_toml import read_rig, write_rig
-from handlaser_gtsam.files.writing import write_text
+from handlaser_gtsam.files.writing import write_bytes, write_text
 
 FULL = """
 [noise]
@@ -170,3 +172,44 @@ def test_a_start_that_failed_is_null_in_the_result():
     start = replace(calibration.start, tried=(("sweep", math.inf),))
     record = json.loads(calibration_text(replace(calibration, start=start)))
     assert record["start"]["tried"] == [{"method": "sweep", "rms_m": None}]
+
+
+def test_files_reach_the_disk_before_they_get_their_names(tmp_path, monkeypatch):
+    """After a power cut there is the old file or the new one, never an empty one."""
+    done = []
+    fsync, replace = os.fsync, Path.replace
+
+    def synced(handle):
+        kind = "folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file"
+        done.append(f"{kind} synced")
+        fsync(handle)
+
+    def renamed(self, target):
+        done.append("renamed")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", renamed)
+    write_bytes(tmp_path / "out", b"content")
+    assert done == ["file synced", "renamed", "folder synced"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('[noise]\nrange_sigma_mm = "0.03"', "a number"),
+        ("[noise]\nrange_sigma_mm = nan", "a finite number"),
+        ("[noise]\npose_covariance = 1.0", "an array"),
+        ("[sensor]\nrange_mm = 30", "an array"),
+        ("noise = 3", "a table"),
+        ("[log]\nplane = 3", "a text in quotes"),
+        ('[log]\nstands = "yes"', "true or false"),
+    ],
+    ids=str,
+)
+def test_faults_of_a_rig_file_are_told_in_its_own_words(tmp_path, text, expected):
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    with pytest.raises(hl.InputError) as caught:
+        read_rig(path)
+    assert str(caught.value).endswith(f"; expected {expected}")

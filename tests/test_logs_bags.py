@@ -157,7 +157,7 @@ def test_what_a_bag_lacks_is_named(tmp_path, driven, handlaser):
     bag = write_bag(tmp_path, "ros2", partial(published, drive))
     cases = {
         "no column of planes": {},
-        "pose_format, which says nothing of a bag": {"pose_format": "kuka", "plane": "A"},
+        "--pose-format, which says nothing of a bag": {"pose_format": "kuka", "plane": "A"},
         "no topic '/none' of geometry_msgs": {"pose_topic": "/none", "plane": "A"},
         "no topic of tf": {"frames": ("base", "hand"), "plane": "A"},
         "topic '/laser/3' of type none": {"range_columns": ("/laser/3",), "plane": "A"},

@@ -131,7 +131,7 @@ def test_left_handed_matrices_are_called_so(tmp_path, log):
     [
         ({"estimate_lag": True}, "a lag, of one table"),
         ({"lag_s": 0.1}, "a lag, of one table"),
-        ({"sheet": "S"}, "sheet, which says nothing of a file that is no workbook"),
+        ({"sheet": "S"}, "--sheet, which says nothing of a file that is no workbook"),
     ],
     ids=str,
 )

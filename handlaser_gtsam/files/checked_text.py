@@ -94,12 +94,30 @@ def _first_fault(
     if fault["type"] == "missing":
         kind = expected.split(",")[0]
         return InputError(f"no field {field}", f"the field, which {kind} needs", path)
-    return InputError(f"{field} = {shown(fault['input'])}", fault["msg"], path)
+    kind, context = fault["type"], fault.get("ctx", {})
+    wanted = KINDS.get(kind.removesuffix("_type").removesuffix("_parsing"), fault["msg"])
+    if kind == "literal_error":
+        wanted = f"one of {context['expected']}"
+    return InputError(f"{field} = {shown(fault['input'])}", wanted, path)
 
 
-def json_value(text: str) -> object:
+KINDS = {
+    "bool": "true or false",
+    "dict": "a table",
+    "finite_number": "a finite number",
+    "float": "a number",
+    "int": "a whole number",
+    "list": "an array",
+    "model": "a table",
+    "string": "a text in quotes",
+    "tuple": "an array",
+}
+"""What a field must be, by the beginnings of pydantic's names of faults."""
+
+
+def json_value(text: str, parse_constant: Callable[[str], object] | None = None) -> object:
     """Return the content of a JSON text; raises a ValueError, or InputError for a field twice."""
-    return json.loads(text, object_pairs_hook=_once_each)
+    return json.loads(text, object_pairs_hook=_once_each, parse_constant=parse_constant)
 
 
 def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:

@@ -64,7 +64,7 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     cells = [table.frame[name] for name in columns]
-    warnings = code_warnings(cells, [[beam] for beam in beams], coded)
+    warnings = (*table.warnings, *code_warnings(cells, [[beam] for beam in beams], coded))
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
         rotation,

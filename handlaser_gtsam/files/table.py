@@ -7,8 +7,8 @@ swallow what follows it.
 """
 
 import re
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,8 @@ import polars as pl
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import first_repeated
-from ..errors import InputError
-from ..text import LONGEST_NAME, name_fault, shown
+from ..errors import CalibrationWarning, InputError
+from ..text import LONGEST_NAME, count, name_fault, shown
 from .checked_text import read_text
 
 SEPARATORS = ",;\t"
@@ -31,6 +31,13 @@ QUOTED = {
     for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
 }
 """A cell in quotes, with blanks around it that are no separators."""
+COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
+NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
+STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
+"""The first line by which a spreadsheet states the separator."""
+MOST_TITLES = 20
+"""A header stands behind so many lines of titles at most."""
 NANOMETRE_DECIMALS = 9
 """A length that is cut behind so many decimals is wrong by less than a nanometre."""
 
@@ -49,6 +56,8 @@ class Table:
         The line of every row in the file, from 1.
     open_ended : bool
         Whether nothing, neither a line end nor a closing quote, follows the last cell.
+    warnings : tuple of CalibrationWarning
+        What was passed over: titles above the header, cells of a workbook without a value.
     """
 
     frame: pl.DataFrame
@@ -56,6 +65,7 @@ class Table:
     header_line: int
     lines: IntArray
     open_ended: bool
+    warnings: tuple[CalibrationWarning, ...] = ()
 
     def refuse(
         self, wrong: BoolArray, column: str, expected: str, found: str | None = None
@@ -114,19 +124,64 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
         No readable file, bytes that are no UTF-8, control characters, a stray quote, a row that has not
         as many cells as the header, or a header whose names cannot be printed or stand twice.
     """
-    return table_of(table_text(path), path, known)
+    text, separator = without_separator_line(table_text(path))
+    if separator is None:
+        first = [line for line in text.split("\n", MOST_TITLES + 1) if line.strip()]
+        header = max(first[: MOST_TITLES + 1], key=lambda line: _known(line, known), default="")
+        separator = _separator(header, set(known))
+    text, warnings = without_titles(text, separator, path)
+    return replace(table_of(text, path, separator), warnings=warnings)
 
 
-def table_of(
-    text: str, path: Path, known: Collection[str] = (), separator: str | None = None
-) -> Table:
-    """Take a text apart as `read_table` does, at a separator that is given or told by `known`.
+def without_separator_line(text: str) -> tuple[str, str | None]:
+    """Return a text whose first line `sep=;` is empty, and the separator that it stated."""
+    stated = STATED.match(text)
+    return (text, None) if stated is None else (text[stated.end() :], stated[1])
+
+
+def without_titles(
+    text: str, separator: str, path: Path
+) -> tuple[str, tuple[CalibrationWarning, ...]]:
+    """Return a text without the titles above its header, whose lines stay, empty; and a warning."""
+    lines = text.split("\n", MOST_TITLES + 1)
+    first = lines[: MOST_TITLES + 1]
+    above = titles_above([[cell.strip(f'{BLANK}"') for cell in x.split(separator)] for x in first])
+    titles = [line.strip(BLANK + separator) for line in lines[:above]]
+    if not any(titles):
+        return text, ()
+    return "\n".join([""] * above + lines[above:]), titles_warning(titles, path)
+
+
+def titles_above(rows: Sequence[Sequence[str]]) -> int:
+    """Return how many of the first rows of a table stand above its header.
+
+    The header is the first row with more than half as many filled cells as the fullest row. Where a
+    cell of it is a number it is none, and nothing is passed over.
+    """
+    filled = [[cell for cell in row if cell] for row in rows]
+    most = max(map(len, filled), default=0)
+    header = next((i for i, cells in enumerate(filled) if 2 * len(cells) > most), 0)
+    return 0 if any(NUMBER.fullmatch(cell) for cell in filled[header]) else header
+
+
+def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarning, ...]:
+    """Return the warning that lines above the header were passed over."""
+    there = [title for title in titles if title]
+    words = (
+        f"{path.name}: passed over {count(len(there), 'line')} above the header: {shown(there[0])}"
+    )
+    words += ", ..." if len(there) > 1 else ""
+    return (CalibrationWarning("title-lines", words, {"lines": len(there)}),)
+
+
+def table_of(text: str, path: Path, separator: str) -> Table:
+    """Take a text apart as `read_table` does, at a separator.
 
     Raises
     ------
     InputError
     """
-    lines = _lines(text, path, known, separator)
+    lines = _lines(text, path, separator)
     if len(lines.text) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells = [_split(lines, index) for index in range(len(lines.text))]
@@ -197,17 +252,21 @@ def _refuse_control(text: str, path: Path) -> None:
         raise InputError("a carriage return within a line", expected, path, line)
 
 
-def _lines(text: str, path: Path, known: Collection[str], separator: str | None) -> _Lines:
+def _lines(text: str, path: Path, separator: str) -> _Lines:
     """Return the lines with anything but blanks and separators: the header, then the rows."""
     lines = text.split("\n")
-    header = next((line for line in lines if line.strip()), "")
-    separator = separator or _separator(header, set(known))
     blank = BLANK + separator
     kept = [index for index, line in enumerate(lines) if line.strip(blank)]
     if not kept:
         raise InputError("an empty file", "a header and one row a station", path)
     ended = kept[-1] < len(lines) - 1
     return _Lines(path, [lines[i] for i in kept], [i + 1 for i in kept], separator, ended)
+
+
+def _known(line: str, known: Collection[str]) -> int:
+    """Return how many known names a line has, whatever separates them."""
+    cells = re.split(f"[{SEPARATORS}]", line)
+    return len(set(known) & {cell.strip(f'{BLANK}"') for cell in cells})
 
 
 def _separator(header: str, known: set[str]) -> str:

@@ -8,6 +8,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 
@@ -46,6 +47,8 @@ def write_bytes(path: Path, content: bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(content)
+                file.flush()
+                os.fsync(handle)  # else a power cut may leave the new name on an empty file
             Path(name).chmod(mode)
             Path(name).replace(target)
         except BaseException:
@@ -53,6 +56,17 @@ def write_bytes(path: Path, content: bytes) -> None:
             raise
     except OSError as error:
         raise _refusal(path, error) from error
+    _sync_folder(target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, where its file system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def require_writable(path: Path) -> None:

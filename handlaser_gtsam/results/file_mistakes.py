@@ -178,7 +178,7 @@ def _second_plates(
     recording: Recording, rejected: BoolArray
 ) -> Iterator[tuple[str, Undone, Effort]]:
     """Yield planes of which every reading from some station on, or up to it, was rejected."""
-    lost = (rejected | np.isnan(recording.ranges)).all(axis=1)
+    lost: BoolArray = np.asarray((rejected | np.isnan(recording.ranges)).all(axis=1))
     for plane, name in enumerate(recording.plane_names):
         own = np.flatnonzero(recording.plane_of_station == plane)
         out = own[lost[own]]

@@ -7,6 +7,7 @@ memory: 64 bytes a pose, 16 bytes a reading.
 import math
 import re
 from array import array
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,13 +18,14 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...data.recording import LARGEST
-from ...errors import HandlaserError, InputError
+from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
 from .bag_types import Bag
 from .conventions import LENGTHS
 from .format import LogFormat
 from .frames import Frames, Stamped, track_of_rows
+from .packed import refuse_bag_bomb
 from .ros1_bag import Ros1Bag
 from .stands import Track
 
@@ -64,12 +66,13 @@ class Beam:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagContent:
-    """What a bag holds: the track of the hand, its beams, how poses came, and topics not used."""
+    """What a bag holds: the track of the hand, its beams, how poses came, topics not used, warnings."""
 
     track: Track
     beams: tuple[Beam, ...]
     poses_from: str
     unused: tuple[str, ...]
+    warnings: tuple[CalibrationWarning, ...]
 
 
 @contextmanager
@@ -95,6 +98,7 @@ def opened(path: Path) -> Iterator[Bag]:
             with path.open("rb") as file:
                 yield cast(Bag, Ros1Bag(path, file))
         else:
+            refuse_bag_bomb(path)
             with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
                 yield cast(Bag, reader)
     except (HandlaserError, MemoryError):
@@ -116,12 +120,18 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
     """
     with opened(path) as reader:
         topics = {one.topic: one.msgtype for one in reader.connections}
+        publishers = Counter(one.topic for one in reader.connections)
         beams = _beams(topics, given, path)
         poses = _pose_topics(topics, given, path)
         frames = Frames(*given.frames) if given.frames else None
         stamped = Stamped()
         wanted = {*poses, *(beam.topic for beam in beams)}
         connections = [one for one in reader.connections if one.topic in wanted]
+        for one in connections:
+            if one.msgtype != topics[one.topic]:
+                found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
+                raise InputError(found, "one type on one topic", path)
+        frame_of: dict[str, str] = {}
         of_topic = {topic: [one for one in beams if one.topic == topic] for topic in wanted}
         total = sum(one.msgcount for one in connections)
         for count, (one, received, data) in enumerate(reader.messages(connections)):
@@ -129,6 +139,8 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
                 tell("read", count // A_PART, total // A_PART + 1, "part of the bag")
             message = reader.deserialize(data, one.msgtype)
             when = received if given.receive_time else None
+            if one.topic not in poses or frames is None:
+                _refuse_other_frame(message, one.topic, frame_of, path)
             if one.topic not in poses:
                 _read(message, of_topic[one.topic], when, received, given)
             elif frames is None:
@@ -137,7 +149,34 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
                 static = one.topic.endswith(STATIC)
                 for transform in message.transforms:
                     frames.add(_time(transform, when, received), transform, static=static)
-    return _content(path, topics, wanted, poses, (frames, stamped), beams)
+    several = [] if frames is not None else poses
+    warnings = _publishers(publishers, [*several, *(beam.topic for beam in beams)])
+    return _content(path, topics, wanted, poses, (frames, stamped), beams, warnings)
+
+
+def _refuse_other_frame(message: Any, topic: str, frame_of: dict[str, str], path: Path) -> None:
+    """Refuse messages of one topic in several frames: they come from several publishers."""
+    frame = message.header.frame_id
+    first = frame_of.setdefault(topic, frame)
+    if frame != first:
+        found = f"messages in the frames {shown(first)} and {shown(frame)} on topic {topic}"
+        raise InputError(
+            found, "one publisher of one frame; record each on a topic of its own", path
+        )
+
+
+def _publishers(publishers: Counter[str], topics: list[str]) -> tuple[CalibrationWarning, ...]:
+    """Return a warning for every topic that has several publishers of one frame."""
+    return tuple(
+        CalibrationWarning(
+            "several-publishers",
+            f"{publishers[topic]} publishers on topic {topic}, all of whose messages were read; if "
+            "they are not one node that was started again, record each on a topic of its own",
+            {"publishers": publishers[topic]},
+        )
+        for topic in dict.fromkeys(topics)
+        if publishers[topic] > 1
+    )
 
 
 def _content(
@@ -147,6 +186,7 @@ def _content(
     poses: list[str],
     found: tuple[Frames | None, Stamped],
     beams: tuple[Beam, ...],
+    warnings: tuple[CalibrationWarning, ...],
 ) -> BagContent:
     """Return what was read; refuse what lacks poses or readings."""
     frames, stamped = found
@@ -162,7 +202,7 @@ def _content(
     track = track_of_rows(stamped.rows()) if frames is None else frames.track()
     words = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
     unused = tuple(name for name in topics if name not in wanted and not name_fault(name))
-    return BagContent(track, beams, words, unused)
+    return BagContent(track, beams, words, unused, warnings)
 
 
 def _time(message: Any, when: int | None, received: int) -> float:

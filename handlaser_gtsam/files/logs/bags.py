@@ -57,7 +57,8 @@ def refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path)
     plain = {one.name: one.default for one in fields(LogFormat)}
     for name in names:
         if getattr(given, name) != plain[name]:
-            raise InputError(f"{name}, which says nothing of {what}", f"a log without {name}", path)
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}, which says nothing of {what}", "a log without it", path)
 
 
 def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
@@ -102,7 +103,7 @@ def _stations(
         tuple(beam.name for beam in content.beams),
         samples,
         content.unused,
-        (),
+        content.warnings,
         (f"poses from {content.poses_from}", words, f"times count from {begin:.3f} s"),
     )
 

@@ -1,5 +1,7 @@
 """Columns of a log as arrays: poses, times, labels."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import polars as pl
 
@@ -7,12 +9,14 @@ from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import CalibrationWarning
 from ...text import A_NAME, name_fault
-from ..table import Table, column_numbers
+from ..table import NUMBER, Table, column_numbers
 from .conventions import TIME_UNITS, Convention
 from .format import LogFormat
 from .format_checks import convention_of
 from .poses import faults
 
+GERMAN = ("%d.%m.%Y %H:%M:%S%.f", "%d.%m.%YT%H:%M:%S%.f", "%d.%m.%Y %H:%M")
+"""Dates with points begin with the day everywhere."""
 PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
 """Names of ASCII, which most are, need no closer look."""
 
@@ -31,6 +35,29 @@ def pose_numbers(
     for i, name in enumerate(columns):
         table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST, name, "a number of a pose")
     return x, doubts(table, x, columns, convention_of(given), as_stated=given.as_stated)
+
+
+def refuse_thousands(table: Table, columns: Sequence[str]) -> None:
+    """Refuse columns in which points may stand between thousands: 1.404 beside 970.
+
+    Of 1.404 alone the point is decimal, for such a column has as many decimals everywhere.
+
+    Raises
+    ------
+    InputError
+    """
+    for name in columns:
+        cells = table.frame[name]
+        if cells.dtype != pl.String:
+            continue
+        pointed = cells.str.contains(".", literal=True).fill_null(value=False)
+        grouped = cells.str.contains(r"^[+-]?[1-9]\d{0,2}\.\d{3}$").fill_null(value=False)
+        below = cells.str.contains(r"^[+-]?\d{3}$").fill_null(value=False)
+        if pointed.any() and below.any() and (pointed == grouped).all():
+            expected = (
+                "decimals, or points between thousands? state --decimal point, or --decimal comma"
+            )
+            table.refuse(grouped.to_numpy(), name, expected)
 
 
 def doubts(
@@ -74,13 +101,18 @@ def times(table: Table, column: str, given: LogFormat) -> FloatArray:
 
 def _dates(cells: pl.Series) -> FloatArray | None:
     """Return texts as times [s]; None where they are no dates."""
-    try:
-        dates = cells.str.to_datetime(time_unit="ns", time_zone="UTC")
-    except pl.exceptions.PolarsError:
+    first = cells.drop_nulls().head(1)
+    if not len(first) or NUMBER.fullmatch(first[0]):  # to try all rows as dates takes long
         return None
-    if dates.is_null().any():
-        return None
-    return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+    points = cells.str.replace(r",(\d+)", ".$1")  # fractions of seconds behind a comma
+    for form in (None, *GERMAN):
+        try:
+            dates = points.str.to_datetime(form, time_unit="ns", time_zone="UTC")
+        except pl.exceptions.PolarsError:
+            continue
+        if not dates.is_null().any():
+            return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+    return None
 
 
 def labels(table: Table, column: str) -> list[str]:
@@ -109,5 +141,7 @@ def _text(cells: pl.Series) -> pl.Series:
     if cells.dtype == pl.String:
         return cells
     if cells.dtype.is_float() and (cells == cells.round()).all():
-        return cells.cast(pl.Int64).cast(pl.String)
+        whole = cells.cast(pl.Int64, strict=False)
+        if not whole.is_null().any():
+            return whole.cast(pl.String)
     return cells.cast(pl.String)

@@ -95,21 +95,22 @@ def _check_together(given: "LogFormat") -> None:
     """Refuse what contradicts each other, or lacks another field."""
     if given.pose_format and given.rotation:
         raise InputError(
-            "pose_format and rotation", "one of the two: the format says what rotation it has"
+            "--pose-format and --rotation", "one of the two: the format says what rotation it has"
         )
     if given.rotation and given.units is None:
-        raise InputError(f"rotation {given.rotation} without units", "units m or mm")
+        raise InputError(f"--rotation {given.rotation} without --units", "--units m or mm")
     turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
     if turned and given.angles is None:
-        raise InputError(f"rotation {given.rotation} without angles", "angles deg or rad")
+        raise InputError(f"--rotation {given.rotation} without --angles", "--angles deg or rad")
     if bool(given.beam_column) != bool(given.range_column):
-        raise InputError("one of beam_column and range_column", "both, of a long table")
+        raise InputError("one of --beam-column and --range-column", "both, of a long table")
     if given.beam_column and given.range_columns:
-        raise InputError("range_columns and beam_column", "a wide or a long table")
+        raise InputError("--range-columns and --beam-column", "a wide or a long table")
     planes = [bool(given.plane), bool(given.plane_ranges), given.plane_file is not None]
     if sum(planes) > 1 or (any(planes) and given.plane_column):
         raise InputError(
-            "planes stated in several ways", "one of plane, plane_column, plane_ranges, plane_file"
+            "planes stated in several ways",
+            "one of --plane, --plane-column, --plane-ranges, --plane-file",
         )
     if given.plane and name_fault(given.plane):
         raise InputError(name_fault(given.plane).rstrip(","), "a name for the plane")
@@ -118,6 +119,8 @@ def _check_together(given: "LogFormat") -> None:
             f"{len(given.frames)} frames", "two: the world and the hand, as tf calls them"
         )
     if given.frames and given.pose_topic:
-        raise InputError("frames and pose_topic", "one of the two")
+        raise InputError("--frames and --pose-topic", "one of the two")
     if given.stands and given.interpolate:
-        raise InputError("stands and interpolate", "one of the two: the arm stands, or it moves")
+        raise InputError(
+            "--stands and --interpolate", "one of the two: the arm stands, or it moves"
+        )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ...errors import InputError
+from .packed import Allowance
 
 MAGIC = b"#ROSBAG V2.0\n"
 HEADER, CHUNK, CONNECTION, MESSAGE, CHUNK_INFO = 3, 5, 7, 2, 6
@@ -46,6 +47,7 @@ class Ros1Bag:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._path, self._file = path, file
+        self._allowance = Allowance(path)
         if file.readline(32) != MAGIC:
             raise self._fault("no bag of version 2.0")
         fields, _ = self._record(file)
@@ -73,11 +75,12 @@ class Ros1Bag:
         by_number = {one.number: one for one in wanted}
         file = self._file
         file.seek(self._begin)
+        self._allowance = Allowance(self._path)
         while file.tell() < self._end:
             fields, data = self._record(file, only=CHUNK)
             if _kind(fields) != CHUNK:
                 continue
-            chunk = BytesIO(self._unpacked(fields["compression"], data))
+            chunk = BytesIO(self._unpacked(fields["compression"], data, _int(fields["size"])))
             size = len(chunk.getbuffer())
             while chunk.tell() < size:
                 inner, content = self._record(chunk, only=MESSAGE)
@@ -112,16 +115,24 @@ class Ros1Bag:
                 )
         return result
 
-    def _unpacked(self, compression: bytes, data: bytes) -> bytes:
+    def _unpacked(self, compression: bytes, data: bytes, size: int) -> bytes:
+        """Return the content of a chunk, which has the size that its header states."""
+        self._allowance.take(len(data), size)
         if compression == b"none":
-            return data
-        if compression == b"bz2":
-            return bz2.decompress(data)
-        if compression == b"lz4":
+            found = data
+        elif compression == b"bz2":
+            found = bz2.BZ2Decompressor().decompress(data, size + 1)
+        elif compression == b"lz4":
             import lz4.frame
 
-            return bytes(lz4.frame.decompress(data))
-        raise self._fault(f"chunks with the compression {compression[:20]!r}")
+            # The bytes of an LZ4 frame hold 255 times as many at most; what its header states is not
+            # allocated by a decompressor that is told how much to return.
+            found = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1))
+        else:
+            raise self._fault(f"chunks with the compression {compression[:20]!r}")
+        if len(found) != size:
+            raise self._fault(f"a chunk that does not unpack to the {size} bytes that it states")
+        return found
 
     def _record(self, file: BinaryIO, only: int | None = None) -> tuple[Fields, bytes]:
         """Return the fields and the data of a record; no data where it is not of the `only` kind."""

@@ -10,7 +10,7 @@ from ...model.sensor import Sensor
 from ...text import some
 from ..range_cells import code_warnings, range_numbers
 from ..table import Table
-from .cells import labels, pose_numbers, times
+from .cells import labels, pose_numbers, refuse_thousands, times
 from .columns import Columns, columns_of
 from .conventions import LENGTHS
 from .format import LogFormat
@@ -104,10 +104,14 @@ def rows_of(
     InputError
     """
     columns = columns_of(table, given, poses=poses, readings=readings)
+    if given.decimal is None:
+        lengths = [columns.range] if columns.range else list(columns.beams.values())
+        refuse_thousands(table, [*columns.pose, *lengths])
     numbers: FloatArray | None = None
-    warnings: tuple[CalibrationWarning, ...] = ()
+    warnings = table.warnings
     if poses:
-        numbers, warnings = pose_numbers(table, columns.pose, given)
+        numbers, found = pose_numbers(table, columns.pose, given)
+        warnings = (*warnings, *found)
     beams: tuple[str, ...] = ()
     ranges = np.full((len(table.frame), 0), np.nan)
     if readings:

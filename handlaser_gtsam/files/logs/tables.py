@@ -4,8 +4,8 @@ A table of text is taken apart by `files.table`, without any guess. Its separato
 are recognised where only one of each is possible; else they must be stated.
 """
 
-import json
 import logging
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,25 +16,40 @@ import numpy as np
 import polars as pl
 
 from ...data.recording import first_repeated
-from ...errors import InputError
+from ...errors import CalibrationWarning, InputError
 from ...text import LONGEST_NAME, name_fault, shown
-from ..table import SEPARATORS, Table, table_of, table_text
+from ..checked_text import json_value
+from ..table import (
+    COMMA,
+    NUMBER,
+    POINT,
+    SEPARATORS,
+    Table,
+    table_of,
+    table_text,
+    without_separator_line,
+    without_titles,
+)
 from .format import LogFormat
 from .format_checks import DELIMITERS
+from .workbooks import read_sheet
 
-WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+WORKBOOKS = (".xlsx", ".xlsm")
+OLD_BOOKS = (".xls", ".xlsb", ".ods")
+"""Workbooks in whose cells errors cannot be told from empty cells: they are refused."""
 PARQUET, LINES = (".parquet", ".pq"), (".jsonl", ".ndjson")
-BOOKS = (*WORKBOOKS, *PARQUET)
+BOOKS = (*WORKBOOKS, *OLD_BOOKS, *PARQUET)
 """Endings of files that are no lines of text,"""
 FOREIGN = (*BOOKS, *LINES)
 """and of files that are no text with separators."""
+MOST_CELLS = 100_000_000
+"""More cells of a Parquet file do not fit into memory, at eight bytes each and several copies."""
 FIRST_LINES = 200
 """So many lines tell separators apart."""
-COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
-POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
-NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+"""Has points between thousands where the decimal mark is stated to be a comma."""
 
 
 def read_log_table(path: Path, given: LogFormat) -> Table:
@@ -49,10 +64,10 @@ def read_log_table(path: Path, given: LogFormat) -> Table:
     if suffix in FOREIGN:
         if not path.is_file():
             raise InputError("no readable file", "a table", path)
-        frame = _foreign(path, given)
-        table = _of_values(frame, path, 2 if suffix in WORKBOOKS else 1)
-        if suffix in WORKBOOKS:
-            table = _with_points(table, given, numbers_have_points=True)
+        if suffix in OLD_BOOKS:
+            expected = "the workbook saved as .xlsx, or the sheet as CSV"
+            raise InputError(f"a {suffix} file, which is not read", expected, path)
+        table = _foreign(path, given)
     else:
         table = _of_text(path, given)
     if not len(table.frame):
@@ -68,18 +83,22 @@ def _of_text(path: Path, given: LogFormat) -> Table:
     if names:
         text = re.sub(r"(?m)^[ \t]*#.*$", "", text)
     tum = given.pose_format == "tum" and not given.delimiter
-    separator = " " if tum else DELIMITERS.get(given.delimiter) or _separator(text, path)
+    text, stated = without_separator_line(text)
+    stated = " " if tum else DELIMITERS.get(given.delimiter) or stated
+    separator = stated or _separator(text, path)
+    warnings: tuple[CalibrationWarning, ...] = ()
     if separator == " ":
         text = "\n".join("\t".join(line.split()) for line in text.split("\n"))
         separator = "\t"
     if names:
         text, offset = separator.join(names) + "\n" + text, 1
     else:
+        text, warnings = without_titles(text, separator, path)
         _refuse_no_header(text, separator, path)
-    table = table_of(text, path, (), separator)
+    table = replace(table_of(text, path, separator), warnings=warnings)
     if offset:
         table = replace(table, header_line=0, lines=table.lines - offset)
-    if '"' in text or (separator != "," and "," in text):
+    if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
     table.refuse_cut()
     return table
@@ -106,6 +125,10 @@ def _separator(text: str, path: Path) -> str:
         raise InputError(
             f"lines that {both} divide alike", "one of them as separator: state --delimiter", path
         )
+    if not possible:  # titles above the header are never half of the lines
+        counts = {one: {_cells(x, one) for x in lines[len(lines) // 2 :]} for one in SEPARATORS}
+        possible = [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
+        possible = possible if len(possible) == 1 else []
     if possible:
         return possible[0]
     if (
@@ -131,6 +154,11 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
         Numbers with commas and numbers with points, or commas that may stand between thousands.
     """
     texts = table.frame.select(pl.selectors.string())
+    if given.decimal == "comma" and not numbers_have_points:
+        grouped = pl.all().str.contains(rf"^{GROUPED.pattern}$")
+        whole = pl.all().str.replace_all(".", "", literal=True)
+        texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
+        table = replace(table, frame=table.frame.with_columns(texts))
     cells = [texts[name] for name in texts.columns]
     commas = [column.str.contains(rf"^{COMMA.pattern}$").fill_null(value=False) for column in cells]
     if given.decimal == "point" or not any(mask.any() for mask in commas):
@@ -169,85 +197,78 @@ def _refuse_ambiguous(table: Table, commas: list[pl.Series]) -> None:
 # --- tables of values -----------------------------------------------------------------------------
 
 
-def _foreign(path: Path, given: LogFormat) -> pl.DataFrame:
-    """Return a table of another kind as Polars reads it."""
+def _foreign(path: Path, given: LogFormat) -> Table:
+    """Return a table of another kind."""
     suffix = path.suffix.lower()
     try:
-        if suffix in WORKBOOKS:
-            return _workbook(path, given)
-        if suffix in PARQUET:
-            return pl.read_parquet(path)
-        text = table_text(path)
-        if not text.strip():
-            raise InputError("an empty file", "an object a line", path)
-        if TRUTH.search(text):  # Polars 1.30 takes those among numbers for 1 and 0
-            _refuse_bad_line(path)
-        return pl.read_ndjson(text.encode(), infer_schema_length=None)
-    except InputError:
+        with _silent():
+            if suffix in WORKBOOKS:
+                return _workbook(path, given)
+            if suffix in PARQUET:
+                return _of_values(_parquet(path), path)
+            text = table_text(path)
+            if not text.strip():
+                raise InputError("an empty file", "an object a line", path)
+            _refuse_bad_line(text, path)
+            frame = pl.read_ndjson(text.encode(), infer_schema_length=None)
+            return _of_values(frame, path)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path, error.line, error.column) from error
+    except (KeyboardInterrupt, SystemExit, MemoryError):
         raise
-    except Exception as error:  # Polars and its readers have no common root
-        if suffix in LINES:
-            _refuse_bad_line(path)
-        what = (
-            str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
-        )
-        raise InputError(f"no table ({what})", f"a {suffix} file", path) from error
+    except (
+        BaseException
+    ) as error:  # Polars and its readers have no common root, and their panics none
+        what = str(error).strip().splitlines() or [type(error).__name__]
+        raise InputError(f"no table ({what[0][:120]})", f"a {suffix} file", path) from error
 
 
-def _workbook(path: Path, given: LogFormat) -> pl.DataFrame:
-    try:
-        import fastexcel
-    except ImportError as error:
-        raise InputError(
-            "a workbook, but no package that reads it",
-            "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV",
-            path,
-        ) from error
-    book = fastexcel.read_excel(path)
-    sheets = book.sheet_names
-    if given.sheet and given.sheet not in sheets:
-        expected = f"one of {', '.join(map(shown, sheets))}"
-        raise InputError(f"no sheet {shown(given.sheet)}", expected, path)
-    if not given.sheet and len(sheets) > 1:
-        listed = ", ".join(map(shown, sheets))
-        raise InputError(f"{len(sheets)} sheets, {listed}", "one of them: state --sheet", path)
-    sheet = given.sheet or sheets[0]
-    head = book.load_sheet(sheet, header_row=None, n_rows=1, dtypes="string").to_polars()
-    names = [name for name in head.row(0) if name] if len(head) else []
-    twice = first_repeated(names)
-    if twice is not None:  # the reader would give the second one a name that nobody wrote
-        raise InputError("the same name twice", "every column once", path, 1, names[twice])
-    with _silent("fastexcel"):
-        found, texts = (
-            book.load_sheet(sheet, dtypes=kind, schema_sample_rows=None).to_polars()
-            for kind in (None, "string")
-        )
-    truths = [name for name in texts.columns if texts[name].is_in(["true", "false"]).any()]
-    table: pl.DataFrame = found.with_columns(
-        texts[name] for name in truths
-    )  # 1 and 0 among numbers
-    return table
+def _parquet(path: Path) -> pl.DataFrame:
+    """Return a Parquet file; equal values are packed so well that its size says nothing."""
+    lazy = pl.scan_parquet(path)
+    rows, columns = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
+    if rows * columns > MOST_CELLS:
+        found = f"{rows} rows of {columns} columns"
+        raise InputError(found, f"at most {MOST_CELLS} cells", path)
+    return lazy.collect()
+
+
+def _workbook(path: Path, given: LogFormat) -> Table:
+    sheet = read_sheet(path, given)
+    table = _of_values(sheet.rows, path)
+    lines, header = table.lines + sheet.header_line, sheet.header_line
+    table = replace(table, header_line=header, lines=lines, warnings=sheet.warnings)
+    return _with_points(table, given, numbers_have_points=True)
 
 
 @contextmanager
-def _silent(name: str) -> Iterator[None]:
-    """Keep the warnings of a library to itself: what matters of them is refused."""
-    logger = logging.getLogger(name)
+def _silent() -> Iterator[None]:
+    """Keep what libraries log, or write to stderr in a panic, to themselves: it is refused."""
+    logger = logging.getLogger("fastexcel")
     before, logger.disabled = logger.disabled, True
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
     try:
         yield
     finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
         logger.disabled = before
 
 
-def _refuse_bad_line(path: Path) -> None:
-    """Name the line of JSON Lines that is none, or has another kind of value than those before."""
+def _refuse_bad_line(text: str, path: Path) -> None:
+    """Refuse a line of JSON Lines that is none, or has another kind of value than those before."""
     kinds: dict[str, tuple[str, int]] = {}
-    for number, line in enumerate(table_text(path).split("\n"), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         if not line.strip():
             continue
         try:
-            fields = json.loads(line, parse_constant=_refuse_constant)
+            fields = json_value(line, parse_constant=_refuse_constant)
+        except InputError as error:
+            raise InputError(error.found, error.expected, path, number) from error
+        except RecursionError as error:
+            raise InputError("too deep nesting", "an object a line", path, number) from error
         except ValueError as error:
             found = f"no JSON ({str(error)[:80]})"
             raise InputError(found, "an object a line", path, number) from error
@@ -261,7 +282,6 @@ def _refuse_bad_line(path: Path) -> None:
                 raise InputError(kind, expected, path, number, shown(name)[1:-1])
 
 
-TRUTH = re.compile(r"\b(true|false)\b")
 JSON_KINDS = (
     (bool, "a truth value"),
     ((int, float), "a number"),
@@ -275,9 +295,9 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name}, which JSON has not; null is no reading")
 
 
-def _of_values(frame: pl.DataFrame, path: Path, first: int) -> Table:
+def _of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
-    lines = np.arange(first, first + len(frame), dtype=np.intp)
+    lines = np.arange(1, 1 + len(frame), dtype=np.intp)
     flat: list[pl.Series] = []
     for column in frame.get_columns():
         flat += _flat(column)
@@ -295,7 +315,7 @@ def _of_values(frame: pl.DataFrame, path: Path, first: int) -> Table:
     for column in flat:
         empty &= column.is_null().to_numpy()
     keep = np.flatnonzero(~empty)
-    return Table(table[keep], path, 1 if first == 2 else 0, lines[keep], False)
+    return Table(table[keep], path, 0, lines[keep], False)
 
 
 def _flat(column: pl.Series) -> list[pl.Series]:
@@ -310,8 +330,11 @@ def _flat(column: pl.Series) -> list[pl.Series]:
         count = longest if isinstance(longest, int) else 0
         parts = [values.list.get(i, null_on_oob=True).alias(f"{name}[{i}]") for i in range(count)]
         return [one for part in parts for one in _flat(part)]
-    if kind.is_float():
+    if kind.is_float() or kind.is_decimal():
         return [column.cast(pl.Float64).fill_nan(None)]
+    if kind == pl.Binary:
+        expected = "numbers or texts; leave the column out"
+        raise InputError("a column of binary values", expected, None, None, shown(name)[1:-1])
     if kind.is_numeric():
         return [column]
     if isinstance(kind, (pl.Datetime, pl.Date)):

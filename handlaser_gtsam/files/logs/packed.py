@@ -1,0 +1,167 @@
+"""Limits on what packed files unpack to: a file of some kilobytes can hold gigabytes of zeros."""
+
+import mmap
+import re
+import sqlite3
+import zipfile
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from ...errors import InputError
+
+ALWAYS = 1 << 26
+"""So many bytes may be unpacked from any file: one large message, or one small sheet."""
+MOST_TIMES = 100
+"""Above that, a file may unpack to so many times its bytes; logs reach ten to twenty."""
+A_PART = 1 << 22
+"""Bytes that are unpacked at once."""
+
+
+@dataclass(slots=True)
+class Allowance:
+    """What may still be unpacked from a file.
+
+    Attributes
+    ----------
+    path : Path
+    packed, unpacked : int
+        Bytes until now.
+    """
+
+    path: Path
+    packed: int = 0
+    unpacked: int = 0
+
+    @property
+    def left(self) -> int:
+        """How many bytes may be unpacked still."""
+        return ALWAYS + MOST_TIMES * self.packed - self.unpacked
+
+    def take(self, packed: int, unpacked: int) -> None:
+        """Count a part of the file.
+
+        Raises
+        ------
+        InputError
+            The parts until now unpack to more than is plausible of a log.
+        """
+        self.packed += packed
+        self.unpacked += unpacked
+        if self.left < 0:
+            found = f"{self.packed} packed bytes that unpack to {self.unpacked} or more"
+            expected = (
+                f"at most {MOST_TIMES} times as many, as logs do; write the log again unpacked"
+            )
+            raise InputError(found, expected, self.path)
+
+
+def refuse_zip_bomb(path: Path) -> None:
+    """Refuse an archive whose parts unpack to too much, or to more than it says.
+
+    Raises
+    ------
+    InputError
+    zipfile.BadZipFile
+        No archive, or a part that is not what it says.
+    """
+    allowance = Allowance(path)
+    with zipfile.ZipFile(path) as archive:
+        for part in archive.infolist():
+            allowance.take(part.compress_size, part.file_size)
+        for part in archive.infolist():
+            with archive.open(part) as file:
+                while file.read(A_PART):  # zipfile compares size and checksum
+                    pass
+
+
+def zstd_bound(data: bytes | mmap.mmap) -> int:
+    """Return the most bytes to which Zstandard frames can unpack, from their headers (RFC 8878).
+
+    Every block states its size, or holds 128 KiB at most. Zero of what is no such frame.
+    """
+    at, most = 0, 0
+    while data[at : at + 4] == b"\x28\xb5\x2f\xfd":
+        flags = data[at + 4]
+        single, checksum = bool(flags & 0x20), bool(flags & 0x04)
+        sizes = (1 if single else 0, 2, 4, 8)[flags >> 6]
+        at += 5 + (0 if single else 1) + (0, 1, 2, 4)[flags & 3] + sizes
+        last = False
+        while not last and at + 3 <= len(data):
+            header = int.from_bytes(data[at : at + 3], "little")
+            last, kind, size = bool(header & 1), header >> 1 & 3, header >> 3
+            most += 1 << 17 if kind == 2 else size
+            at += 3 + (1 if kind == 1 else size)
+        at += 4 if checksum else 0
+    return most
+
+
+def lz4_stated(data: bytes) -> int:
+    """Return the size that the header of an LZ4 frame states, which is allocated; zero if it does not.
+
+    The content itself can be no more than 255 times its packed size.
+    """
+    return int.from_bytes(data[6:14], "little") if len(data) > 14 and data[4] & 0x08 else 0
+
+
+def refuse_bag_bomb(path: Path) -> None:
+    """Refuse a ROS 2 or MCAP bag whose chunks, messages or files unpack to too much.
+
+    rosbags unpacks each as a whole, whatever it becomes.
+
+    Raises
+    ------
+    InputError
+    """
+    metadata = path / "metadata.yaml"
+    mode = ""
+    if path.is_dir():
+        if metadata.stat().st_size > ALWAYS:
+            raise InputError("metadata.yaml of more bytes than a bag needs", "a bag", path)
+        stated = re.search(
+            r"compression_mode:\s*['\"]?(\w+)", metadata.read_text("utf-8", "replace")
+        )
+        mode = stated[1].lower() if stated else ""
+    allowance = Allowance(path)
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
+        if file.suffix == ".zstd" and mode == "file":
+            with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=1) as data:
+                allowance.take(file.stat().st_size, zstd_bound(data))
+        elif file.suffix == ".mcap":
+            with file.open("rb") as opened:
+                _take_chunks(opened, file.stat().st_size, allowance, messages=mode == "message")
+        elif file.suffix == ".db3" and mode == "message":
+            with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as base:
+                for (content,) in base.execute("SELECT data FROM messages"):
+                    allowance.take(len(content), zstd_bound(content))
+
+
+def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: bool) -> None:
+    """Count the chunks of an MCAP file, and messages that are packed one by one.
+
+    A record is one byte of its kind, eight of its length, and its content.
+    """
+    file.seek(len(MCAP))
+    while len(head := file.read(9)) == 9:
+        kind, length = head[0], int.from_bytes(head[1:], "little")
+        begin = file.tell()
+        if begin + length > size:  # rosbags says so
+            return
+        if kind == MCAP_CHUNK and length >= 40:
+            stated = int.from_bytes(file.read(28)[16:24], "little")
+            compression = file.read(int.from_bytes(file.read(4), "little") & 0xFF)
+            packed = int.from_bytes(file.read(8), "little")
+            content = file.read(min(packed, length))
+            bound = {b"zstd": zstd_bound, b"lz4": lz4_stated}.get(compression, len)(content)
+            allowance.take(len(content), max(stated, bound))
+        elif kind == MCAP_MESSAGE and messages:
+            content = file.read(length)[22:]
+            allowance.take(len(content), zstd_bound(content))
+        file.seek(begin + length)
+
+
+MCAP = b"\x89MCAP0\r\n"
+MCAP_MESSAGE, MCAP_CHUNK = 5, 6
+"""Kinds of records (https://mcap.dev/spec)."""
