@@ -148,7 +148,7 @@ def estimated_lag(
 
 @dataclass(frozen=True, slots=True)
 class _Coarse:
-    """The best of the lags near an offset [s], and the mean square residual of the polynomials [m^2]."""
+    """The best lag near an offset [s], and the mean square residual of the polynomials [m^2]."""
 
     near: float
     lag: float

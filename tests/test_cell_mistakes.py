@@ -1,0 +1,88 @@
+"""Recordings with one mistake of a cell each: none is silent and wrong; headlines name causes."""
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks.cell_mistakes import AFTER, BEFORE, judge, make_cell
+
+NAMED = (
+    "everything-in-mm",
+    "positions-in-mm",
+    "ranges-in-inches",
+    "poses-inverted",
+    "quaternions-scalar-first",
+    "axis-negated",
+    "two-axes-exchanged",
+    "sensors-exchanged-one-plate",
+    "sensors-exchanged-from-middle",
+    "output-inverted",
+    "unit-changes-half-way",
+    "labels-exchanged-from-middle",
+    "two-plates-one-label",
+    "plate-moves-20mm",
+)
+HARMLESS = ("none", "gross-3%", "readings-1mm", "poses-rounded", "tool-wrong-throughout")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMED)
+def test_the_headline_names_the_mistake(name):
+    rows = [judge((name, seed), None) for seed in (3, 4)]
+    assert all(row.named for row in rows), [row.headline for row in rows]
+    assert not any(row.outcome == "silent" for row in rows)
+    # What is named is said once.
+    assert all(row.headline.count("read so") <= 1 for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_does_no_harm_stays_usable_and_right(name):
+    for seed in (3, 4):
+        row = judge((name, seed), None)
+        assert row.outcome in ("silent", "care"), row.headline
+        assert not row.wrong
+
+
+def test_a_beam_that_hits_the_plane_from_behind_is_named():
+    row = judge(("output-inverted", 1), None)
+    assert row.outcome == "unusable"
+    assert "from its two sides" in row.headline
+    assert "beam 1 looks inverted" in row.headline
+
+
+def test_the_study_has_more_than_forty_mistakes():
+    assert len(BEFORE) + len(AFTER) - 1 >= 40
+
+
+def test_sizes_of_systematic_errors_do_not_grow_with_the_samples():
+    """A mean of 100 readings with a hundredth of the variance is one reading of a better sensor."""
+    cell = make_cell(5)
+    cell.record_poses()
+    cell.read()
+    one = hl.Recording(
+        cell.recorded_R,
+        cell.recorded_t,
+        cell.d,
+        tuple(cell.labels),
+        tuple(str(i) for i in range(cell.d.shape[1])),
+    )
+    many = hl.Recording(
+        cell.recorded_R,
+        cell.recorded_t,
+        cell.d,
+        tuple(cell.labels),
+        one.beam_names,
+        samples=np.full(cell.d.shape, 100.0),
+    )
+    poses = {"pose_translation_sigma": 4e-5, "pose_rotation_sigma": 1.4e-4}
+    first = hl.calibrate(one, hl.Noise(2e-5, **poses))
+    second = hl.calibrate(many, hl.Noise(2e-4, **poses))
+    sizes = {error.code: error for error in second.systematic}
+    tested = [error for error in first.systematic if not error.confounded]
+    assert {error.code for error in tested} >= {"incidence", "cubic", "drift", "sag", "displaced"}
+    for error in tested:
+        other = sizes[error.code]
+        # The levels of the noise in the readings, which the two take alike, differ by rounding.
+        assert other.detectable == pytest.approx(error.detectable, rel=0.05), error.code
+        assert np.allclose(other.location_shift, error.location_shift, rtol=0.05, atol=1e-9)
