@@ -333,6 +333,7 @@ def test_chunks_of_mcap_are_judged_before_they_are_unpacked(tmp_path):
     path = tmp_path / "log.mcap"
     bomb = zstd_zeros(25_000)
     assert zstd_bound(bomb) == 25_000 << 17
+    assert zstd_bound(b"\x53\x2a\x4d\x18" + struct.pack("<I", 3) + b"abc" + bomb) == 25_000 << 17
     assert "packed bytes that unpack to" in fault(mcap(path, bomb, 1000))
     assert "packed bytes that unpack to" in fault(mcap(path, b"", 1 << 40))
     lying = b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", 1 << 40) + bytes(9)
