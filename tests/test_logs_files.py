@@ -167,6 +167,25 @@ def test_german_dates(tmp_path, log, form):
     assert hl.read_log(tmp_path / "poses.csv", given).ranges.shape == (ROWS, 2)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_cells_in_quotes_are_what_they_are_without(tmp_path, log, separator):
+    plain = tmp_path / "plain.csv"
+    plain.write_text("\n".join([*lines_of(log, separator), ""]))
+    names = log | {"plane": [f'the "{one}"{separator} again' for one in log["plane"]]}
+    names = names if separator != "\t" else log
+    quoted = {f' "{name}" ': cells for name, cells in names.items()}
+    quoted = {
+        name: ['"' + str(one).replace('"', '""') + '" ' for one in cells]
+        for name, cells in quoted.items()
+    }
+    path = tmp_path / "quoted.csv"
+    path.write_text("\n".join([*lines_of(quoted, separator), ""]))
+    found, wanted = hl.read_recording(path), hl.read_recording(plain)
+    assert (found.ranges == wanted.ranges).all()
+    assert (found.world_t_hand == wanted.world_t_hand).all()
+    assert found.plane_labels == tuple(names["plane"])
+
+
 @pytest.mark.parametrize("column", ["x", "range_a"])
 def test_points_that_may_stand_between_thousands_are_refused(tmp_path, log, column):
     """Millimetres as German spreadsheets write them: 1.404 is one metre and 404 mm, or 1.4 mm."""
@@ -314,6 +333,7 @@ def test_chunks_of_mcap_are_judged_before_they_are_unpacked(tmp_path):
     path = tmp_path / "log.mcap"
     bomb = zstd_zeros(25_000)
     assert zstd_bound(bomb) == 25_000 << 17
+    assert zstd_bound(b"\x53\x2a\x4d\x18" + struct.pack("<I", 3) + b"abc" + bomb) == 25_000 << 17
     assert "packed bytes that unpack to" in fault(mcap(path, bomb, 1000))
     assert "packed bytes that unpack to" in fault(mcap(path, b"", 1 << 40))
     lying = b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", 1 << 40) + bytes(9)

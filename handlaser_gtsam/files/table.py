@@ -284,6 +284,18 @@ def _split(lines: _Lines, index: int) -> str:
     line, separator = lines.text[index], lines.separator
     if '"' not in line:
         return line.replace(separator, UNIT)
+    # Quotes without quotes inside, by far the most frequent: what stands between two of them begins
+    # and ends with a separator.
+    parts, blanks = line.split('"'), BLANK.replace(separator, "")
+    between = [part.strip(blanks) for part in parts[::2]]
+    if (
+        len(parts) % 2
+        and all(one.startswith(separator) and one.endswith(separator) for one in between[1:-1])
+        and (not between[0] or between[0].endswith(separator))
+        and (not between[-1] or between[-1].startswith(separator))
+    ):
+        parts[::2] = [one.replace(separator, UNIT) for one in between]
+        return "".join(parts)
     cells, at = [], 0
     while at <= len(line):
         quoted = QUOTED[separator].match(line, at)

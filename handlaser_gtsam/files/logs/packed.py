@@ -82,7 +82,12 @@ def zstd_bound(data: bytes | mmap.mmap) -> int:
     Every block states its size, or holds 128 KiB at most. Zero of what is no such frame.
     """
     at, most = 0, 0
-    while data[at : at + 4] == b"\x28\xb5\x2f\xfd":
+    while len(data) >= at + 5:
+        if data[at + 1 : at + 4] == b"\x2a\x4d\x18" and data[at] & 0xF0 == 0x50:  # is skipped
+            at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
+            continue
+        if data[at : at + 4] != b"\x28\xb5\x2f\xfd":
+            break
         flags = data[at + 4]
         single, checksum = bool(flags & 0x20), bool(flags & 0x04)
         sizes = (1 if single else 0, 2, 4, 8)[flags >> 6]

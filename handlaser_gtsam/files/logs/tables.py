@@ -216,9 +216,7 @@ def _foreign(path: Path, given: LogFormat) -> Table:
         raise InputError(error.found, error.expected, path, error.line, error.column) from error
     except (KeyboardInterrupt, SystemExit, MemoryError):
         raise
-    except (
-        BaseException
-    ) as error:  # Polars and its readers have no common root, and their panics none
+    except BaseException as error:  # panics of Polars and its readers are no Exception
         what = str(error).strip().splitlines() or [type(error).__name__]
         raise InputError(f"no table ({what[0][:120]})", f"a {suffix} file", path) from error
 
