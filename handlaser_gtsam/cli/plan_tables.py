@@ -77,5 +77,7 @@ def _enough(plan: Plan, goal: Goal) -> Iterator[str]:
             f"{count(len(plan), 'station')} do not reach the limits and the goal of the rig file: more "
             "of them, or less noise"
         )
+    elif plan.reached == 0:
+        yield "the limits and the goal of the rig file are reached already: no station is needed"
     else:
         yield f"{count(plan.reached, 'station')} reach the limits and the goal of the rig file"

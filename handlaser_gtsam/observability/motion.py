@@ -163,13 +163,16 @@ def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:
     words = []
     for plane in check.planes:
         first = (
-            f"no normal by itself (Lemma 1): translations at one orientation span "
-            f"{plane.translations} of 3 directions"
+            f"normal by a search, not in closed form: translations at one orientation span "
+            f"{plane.translations} of the 3 directions of Lemma 1"
         )
         if plane.translations == 3:
             stations = some(plane.translating, 8)
             first = f"normal in closed form (Lemma 1) from the translations of stations {stations}"
-        second = f"no direction by itself (Lemma 2): turns about {plane.axes} of 2 axes"
+        second = (
+            f"directions only together with other planes: turns about {plane.axes} of the 2 axes of "
+            "Lemma 2"
+        )
         if plane.axes >= 2:
             second = f"directions (Lemma 2) from {plane.orientations} orientations"
         few = [name for name, n in zip(beams, plane.readings, strict=True) if n == 0]

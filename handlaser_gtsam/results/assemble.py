@@ -40,6 +40,7 @@ from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
 from .warnings import (
+    FAR_OFF,
     fit_warnings,
     implausible_mounts,
     misfit,
@@ -243,8 +244,12 @@ def _motion_determines(used: Readings, solution: Solution) -> bool:
 
 
 def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
-    """Tell whether readings that fitted would determine everything, and these do not fit."""
-    return suspicious(used, fit) and _motion_determines(used, solution)
+    """Tell whether readings that fitted would determine everything, and these do not fit.
+
+    Readings that scatter as much as is stated of them do fit, however little they spread.
+    """
+    expected = fit.range_sigma_given and fit.sigma0 <= FAR_OFF
+    return not expected and suspicious(used, fit) and _motion_determines(used, solution)
 
 
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:

@@ -52,7 +52,8 @@ def _given_poses(result: CalibrationData) -> list[str]:
     """Return the pose sigmas that were not estimated."""
     pose = None if result.variances is None else result.variances.pose
     if result.fit.poses == "exact" or pose is None:
-        return ["hand poses exact"]
+        variables = result.fit.poses == "estimated"
+        return ["hand poses as variables of the graph" if variables else "hand poses exact"]
     variance, estimated = np.einsum("sii->si", pose).mean(axis=0), result.noise_estimate
     given = {
         "pose translation": f"{math.sqrt(float(variance[3:].mean())) * MM:.2g} mm",

@@ -5,6 +5,7 @@ import numpy as np
 from ..data.recording import Recording
 from .beam_rows import beam_rows
 from .calibration_fields import CalibrationData
+from .improvement import WELL_CONDITIONED
 from .limits import worst_of_each
 from .lines import MM, UNDETERMINED, WIDTH, as_many, count, some, wrapped
 from .noise_lines import noise_words, range_error_words
@@ -92,8 +93,10 @@ def _observability(result: CalibrationData) -> str:
         return f"{known}; {UNDETERMINED}: {'; '.join(found.undetermined)}"
     words = (
         f"observability: all {found.unknowns} unknowns determined, condition number "
-        f"{found.condition:.0f} (usual demand: below 100)"
+        f"{found.condition:.0f} (usual demand: below {WELL_CONDITIONED:.0f})"
     )
+    if found.condition >= WELL_CONDITIONED:
+        words += "; the standard deviations hold all the same, and more varied motion lowers both"
     return f"{words}; known worst: {found.weakest}" if found.weakest else words
 
 

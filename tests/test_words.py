@@ -1,0 +1,61 @@
+"""What the screen says is true: of goals that are reached, of poses that are variables, of motions."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from helpers import GRIPPER
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.cli.plan_tables import _enough
+from handlaser_gtsam.observability.motion import check_motion, lemma_words
+from handlaser_gtsam.results.noise_lines import noise_words
+from handlaser_gtsam.results.summary import _observability
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return hl.read_recording(GRIPPER / "recording.csv")
+
+
+@pytest.fixture(scope="module")
+def calibration(recording):
+    return hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0))
+
+
+def test_a_goal_that_is_reached_needs_no_station():
+    goal = SimpleNamespace(stated=True)
+    assert list(_enough(SimpleNamespace(reached=0), goal)) == [
+        "the limits and the goal of the rig file are reached already: no station is needed"
+    ]
+    assert next(iter(_enough(SimpleNamespace(reached=3), goal))).startswith("3 stations reach")
+
+
+def test_poses_that_are_variables_are_not_called_exact(calibration):
+    assert "hand poses exact" in noise_words(calibration)
+    fit = replace(calibration.fit, poses="estimated")
+    words = noise_words(replace(calibration, fit=fit, variances=None))
+    assert "hand poses as variables of the graph" in words
+    assert "exact" not in words
+
+
+def test_a_motion_without_translations_is_no_fault_where_it_suffices():
+    """Every station has an orientation of its own, and everything is determined all the same."""
+    from benchmarks.cell_mistakes import make_cell
+
+    cell = make_cell(2)
+    cell.record_poses()
+    cell.read()
+    names = tuple(str(i) for i in range(cell.d.shape[1]))
+    one = hl.Recording(cell.recorded_R, cell.recorded_t, cell.d, tuple(cell.labels), names)
+    found = check_motion(one)
+    assert not found.undetermined
+    words = " ".join(lemma_words(found, names))
+    assert "normal by a search" in words
+    assert "no normal" not in words
+
+
+def test_a_large_condition_number_says_what_counts(calibration):
+    found = replace(calibration.observability, condition=760.0)
+    words = _observability(replace(calibration, observability=found))
+    assert "the standard deviations hold all the same" in words
