@@ -157,6 +157,43 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
     until(lambda: not stopped.open)
 
 
+def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_on):
+    """One byte a while would hold a connection for ever."""
+    monkeypatch.setattr(patience, "HEAD", 0.4)
+    live = look_on(server.port)
+    until(lambda: server.clients == 1)
+    with socket.create_connection(("127.0.0.1", server.port)) as slow:
+        slow.settimeout(10.0)
+        slow.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1")
+        with contextlib.suppress(ConnectionResetError):
+            assert slow.recv(1) == b""
+    server.publish("state", "[3]")
+    until(lambda: live.state == [3])
+    assert live.open
+
+
+def test_connections_are_limited(server, monkeypatch, look_on):
+    monkeypatch.setattr(patience, "MOST_CONNECTIONS", 4)
+    live = look_on(server.port)
+    until(lambda: server.clients == 1)
+    with contextlib.ExitStack() as stack:
+        opened = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            for _ in range(8)
+        ]
+        ended = 0
+        for one in opened:
+            one.settimeout(0.5)
+            with contextlib.suppress(TimeoutError):
+                try:
+                    ended += one.recv(1) == b""
+                except ConnectionResetError:
+                    ended += 1
+        assert ended == 5
+    server.publish("state", "[4]")
+    until(lambda: live.state == [4])
+
+
 def test_a_status_follows_the_state_that_it_speaks_of():
     hub = Hub("")
     hub.publish("status", "[2]")
@@ -506,6 +543,7 @@ def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
                 os.kill(worker.process.pid, signal.SIGKILL)
         return shown.newest["status"]["error"]
 
+    # One that ends amid the work is tried once more; one that ends again is named.
     shown.path.write_text("".join(LINES[:24]))
     assert "the calibration ended with signal 9" in until(killed)
     shown.is_at("refused", 21)

@@ -73,6 +73,7 @@ class Follower:
         self._asked: tuple[Fingerprint, bool, float] | None = None
         self._answered: tuple[Fingerprint, bool] | None = None
         self._refused_since: float | None = None
+        self._ended_at: Fingerprint | None = None
 
     def stop(self) -> None:
         """Let `run` return."""
@@ -121,6 +122,11 @@ class Follower:
         except (EOFError, OSError):
             worker.end()
             self._worker = None
+            if (
+                self._ended_at != self._asked[0]
+            ):  # it may have been for want of memory: try once more
+                self._ended_at, self._asked = self._asked[0], None
+                return
             code = worker.process.exitcode or 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             answer = Answer(error=f"the calibration ended with {how}; the next change begins anew")

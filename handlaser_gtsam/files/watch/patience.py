@@ -1,4 +1,4 @@
-"""HTTP that hangs up on who has stopped reading for long."""
+"""HTTP that hangs up on clients that stop reading, leave a request unfinished, or are too many."""
 
 import asyncio
 
@@ -6,13 +6,42 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PATIENCE = 30.0
 """Seconds in which a client that is sent something has to read any of it."""
+HEAD = 10.0
+"""Seconds in which a client has to send the whole head of a request."""
+MOST_CONNECTIONS = 256
+"""Connections at one time: 64 tabs with the two or three that a browser opens ahead of need."""
 
 
 class PatientProtocol(H11Protocol):
-    """uvicorn's HTTP, which waits for a client that does not read, but not for ever."""
+    """uvicorn's HTTP, which waits for clients, but not for ever."""
 
     _waiting: asyncio.TimerHandle | None = None
+    _head: asyncio.TimerHandle | None = None
     _left = 0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, and wait for the head of a request."""
+        super().connection_made(transport)
+        if len(self.connections) > MOST_CONNECTIONS:
+            transport.abort()
+        else:
+            self._head = self.loop.call_later(HEAD, transport.abort)
+
+    def data_received(self, data: bytes) -> None:
+        """Take a part of a request; the head has come once there is a cycle that answers it."""
+        super().data_received(data)
+        whole = self.cycle is not None and not self.cycle.response_complete
+        if whole and self._head is not None:
+            self._head.cancel()
+            self._head = None
+        elif not whole and self._head is None:
+            self._head = self.loop.call_later(HEAD, self._judge_head)
+
+    def _judge_head(self) -> None:
+        """Hang up where the head of a further request is not whole, and nothing is being answered."""
+        self._head = None
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.abort()
 
     def pause_writing(self) -> None:
         """Begin to wait: what was sent fills all buffers on the way."""
@@ -27,6 +56,8 @@ class PatientProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
         self._rest()
+        if self._head is not None:
+            self._head.cancel()
         super().connection_lost(exc)
 
     def _wait(self) -> None:
