@@ -5,6 +5,7 @@ import pytest
 
 import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import AFTER, BEFORE, judge, make_cell
+from handlaser_gtsam.results.verdict import verdict
 
 NAMED = (
     "everything-in-mm",
@@ -49,6 +50,30 @@ def test_a_beam_that_hits_the_plane_from_behind_is_named():
     assert row.outcome == "unusable"
     assert "from its two sides" in row.headline
     assert "beam 1 looks inverted" in row.headline
+
+
+def test_readings_of_coarse_steps_are_called_coarse():
+    """A sensor of 1 mm resolution at about 5 mm: neither stations nor the cell are at fault."""
+    cell = make_cell(1)
+    cell.record_poses()
+    cell.read()
+    small = 0.045
+    names = tuple(str(i) for i in range(cell.d.shape[1]))
+    d = np.round(small * cell.d, 3)
+    found = hl.calibrate(
+        hl.Recording(cell.recorded_R, small * cell.recorded_t, d, tuple(cell.labels), names)
+    )
+    assert found.status == "not_converged"
+    words = verdict(found).sentence
+    assert "they are rounded to 1 mm where they spread by" in words
+    assert "stations" not in words
+
+
+def test_labels_that_change_late_are_named_once():
+    row = judge(("label-late-by-three", 3), None)
+    named = ("stations have the label of another plane", "look like another plane's")
+    assert sum(row.headline.count(words) for words in named) == 1
+    assert not row.wrong
 
 
 def test_the_study_has_more_than_forty_mistakes():

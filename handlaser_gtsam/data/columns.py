@@ -134,13 +134,13 @@ def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) 
     limit = np.maximum(JITTER * abs(factor), RELATIVE * np.abs(b))
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
         spread = float(np.ptp(a))
-        limit = np.maximum(limit, min(max(_rounding(a), _rounding(b)), ROUNDED_PART * spread))
+        limit = np.maximum(limit, min(max(rounding(a), rounding(b)), ROUNDED_PART * spread))
         limit = np.maximum(limit, min(PART_OF_SIGMA * (sigma or 0.0), PART_OF_SPREAD * spread))
     return int((off <= limit).sum())
 
 
-def _rounding(d: FloatArray) -> float:
-    """Return half the last decimal of a column that was rounded [m]; zero for one that was not."""
+def rounding(d: FloatArray) -> float:
+    """Return half the last decimal of readings that were rounded [m]; zero where they were not."""
     for decimals in range(COARSEST, FINEST + 1):
         step = 10.0**-decimals
         if (np.abs(d - np.round(d, decimals)) < 1e-3 * step).all():

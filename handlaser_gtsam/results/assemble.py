@@ -40,6 +40,7 @@ from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
 from .warnings import (
+    COARSE,
     FAR_OFF,
     fit_warnings,
     implausible_mounts,
@@ -50,6 +51,8 @@ from .warnings import (
 )
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
+MANY_LABELS = 4
+"""So many wrong labels are no slips, but have one cause, and are named once."""
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
@@ -161,14 +164,18 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
     found = sorted(
         (int(problem.order.stations[station]), plane) for station, plane in why.other_plane.items()
     )
-    return tuple(
-        CalibrationWarning(
-            "wrong-label",
-            f"station {recording.station_names[station]} is labelled plane "
-            f"{recording.plane_labels[station]} but fits plane {planes[plane]}: correct its label",
-        )
+    words = [
+        f"station {recording.station_names[station]} is labelled plane "
+        f"{recording.plane_labels[station]} but fits plane {planes[plane]}"
         for station, plane in found
-    )
+    ]
+    if len(words) >= MANY_LABELS:
+        message = (
+            f"{len(words)} stations have the label of another plane than they fit: {words[0]}, "
+        )
+        message += "and so on; correct when labels change"
+        return (CalibrationWarning("file-mistake", message, {"stations": len(words)}),)
+    return tuple(CalibrationWarning("wrong-label", f"{one}: correct its label") for one in words)
 
 
 def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
@@ -196,6 +203,8 @@ def _ways(
     wrong: CalibrationWarning | None,
 ) -> tuple[CalibrationWarning, ...]:
     """Say how else the file could be read, where it does not fit or a beam loses many readings."""
+    if wrong is not None and wrong.code == COARSE:
+        return ()
     recording, rejected = problem.recording, None
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..data.columns import rounding
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
@@ -43,6 +44,8 @@ FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 LONG_RANGE = 100.0
 """A median reading above this [m] is probably in millimetres."""
+COARSE = "coarse-readings"
+"""The code of readings whose rounding alone explains why they fit so badly."""
 CHECKS = (
     "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
     "inverse, plane labels are right, and look for outliers"
@@ -69,8 +72,17 @@ def misfit(
             "the readings fit only with true ranges below half or above three times of them, which no "
             f"sensor has; {CHECKS}",
         )
-    if fit.dof <= 0 or fit.rms <= POOR_FIT * readings.spread():
+    spread = readings.spread()
+    if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
         return None
+    half = rounding(readings.distance)
+    if fit.rms <= half:
+        return CalibrationWarning(
+            COARSE,
+            f"the readings do not fit: they are rounded to {2e3 * half:.3g} mm where they spread by "
+            f"{spread * 1e3:.3g} mm; write more decimals, use a finer sensor, or vary the ranges more",
+            {"rounding_m": 2.0 * half, "spread_m": spread},
+        )
     return poor_fit(readings, fit)
 
 
@@ -140,7 +152,8 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     if fit.dof <= 0:
         return False
     far = fit.range_sigma_given and fit.sigma0 > FAR_OFF
-    return bool(far or fit.rms > SUSPICIOUS_FIT * readings.spread())
+    least = max(SUSPICIOUS_FIT * readings.spread(), rounding(readings.distance))
+    return bool(far or fit.rms > least)
 
 
 def fit_warnings(
