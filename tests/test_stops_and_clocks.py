@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import FULL
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -16,6 +17,7 @@ BEAMS = (
     np.array([[0.03, 0.0, 0.01], [-0.02, 0.025, 0.0]]),
     np.array([[0.08, 0.0, 1.0], [0.0, -0.1, 1.0]]),
 )
+SEEDS = range(20) if FULL else (7,)
 MOVE_S = 2.0
 """How long a move takes at speed 1."""
 
@@ -100,9 +102,10 @@ def write_readings(path, time, ranges, factor=1.0):
 @pytest.mark.parametrize("stand_s", [0.25, 0.5])
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("rate", [30.0, 125.0])
-def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, speed, rate, stand_s):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, seed, speed, rate, stand_s):
     """The label is set on arrival, some tenths of a second into the stop."""
-    one = drive(7, speed=speed, rate=rate)
+    one = drive(seed, speed=speed, rate=rate)
     late = np.searchsorted(one.time, one.time - 0.4)
     label = np.where(one.plane[late] == 0, "A", "B")
     rows = np.column_stack((one.position, one.turn.as_quat(), one.ranges))
@@ -154,8 +157,9 @@ def joined(folder, one, offset, *, rate=80.0, factors=(1.0, 1.0), **given):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.05, -3.7, 41.0, -640.0, 5000.0])
-def test_an_offset_of_any_size_is_found(tmp_path, offset):
-    one = drive(11, stops=14, planes=1)
+@pytest.mark.parametrize("seed", range(4) if FULL else (11,))
+def test_an_offset_of_any_size_is_found(tmp_path, seed, offset):
+    one = drive(seed, stops=14, planes=1)
     report = joined(tmp_path, one, offset, plane="A")
     assert abs(report.lag - offset) < 2e-3
     assert len(report.recording.plane_labels) == 14
