@@ -464,7 +464,9 @@ def test_readings_that_do_not_fit_are_no_calibration(gripper):
     found = hl.calibrate(dataclasses.replace(part, ranges=spoilt), hl.Noise(3e-5, **EXACT))
     assert found.status == "not_converged"
     page = Page(report_text(found, hl.ReportOptions()))
-    assert [data for tag, data in page.words if tag == "h1"] == ["Not usable, no calibration"]
+    assert [data for tag, data in page.words if tag == "h1"] == [
+        "Not usable, the readings do not fit"
+    ]
     assert "There is no calibration." in page.text
     assert page.table("mounts") == page.table("planes") == []
     assert not re.search(r"\b(nan|inf|None)\b", page.text)

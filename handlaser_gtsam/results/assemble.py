@@ -1,6 +1,7 @@
 """From a solution to the result people see."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,9 @@ from .warnings import (
 )
 
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
+MOST_EXCHANGED = 1.0 / 3.0
+"""Where readings of beams are exchanged and one of them loses more than this part of its own, it is not
+sure which of the two mounts is whose, or whether both are one."""
 MANY_LABELS = 4
 """So many wrong labels are no slips, but have one cause, and are named once."""
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
@@ -69,7 +73,9 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, names)
     ways = _ways(problem, used, fit, solution, wrong)
-    if ways and (wrong is not None or suspicious(used, fit)):
+    if ways and (
+        wrong is not None or suspicious(used, fit) or _loses_much(fit, problem.recording.beam_names)
+    ):
         wrong, ways = ways[0], ways[1:]
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
@@ -250,6 +256,14 @@ def _motion_determines(used: Readings, solution: Solution) -> bool:
     """Tell whether readings without noise would determine everything."""
     at, terms = solution.parameters, solution.observability.terms
     return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
+
+
+def _loses_much(fit: Fit, names: Sequence[str]) -> bool:
+    """Tell whether a beam loses so many readings that those of another may have taken their place."""
+    kept = (~np.isnan(fit.residuals)).sum(axis=0)
+    out = Counter(one.beam for one in fit.rejected if one.reason not in BY_LIMITS)
+    lost = (out[name] / (out[name] + left) for name, left in zip(names, kept, strict=True) if left)
+    return max(lost, default=0.0) > MOST_EXCHANGED
 
 
 def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:

@@ -35,13 +35,15 @@ FAR_READING = 4.0
 """A residual of so many sigmas is worth a look."""
 MANY_LEFT_OUT = 0.1
 """More outliers than this part of the readings are no accident."""
-MOST_LOST = 0.4
-"""A beam that loses more than this part of its readings is not calibrated: up to a third may be gross
-errors, and with half of them another solution would do as well."""
+MOST_LOST = 0.5
+"""A beam that loses this part of its readings or more is not calibrated: another solution would do as
+well."""
 BAD_ROBOT = 10.0
 """Pose sigmas that are surely so many times what is expected stand for something else."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
+NO_MOUNT = 10.0
+"""And one further away than this [m] is on no vehicle either: its millimetres were read as metres."""
 LONG_RANGE = 100.0
 """A median reading above this [m] is probably in millimetres."""
 COARSE = "coarse-readings"
@@ -102,7 +104,7 @@ def implausible_mounts(
 ) -> CalibrationWarning | None:
     """Say that beams lie where none can be: far from the hand, or on both sides of a plane."""
     far = float(np.linalg.norm(parameters.locations, axis=1).max())
-    if far > FAR_BEAM:
+    if far > NO_MOUNT:
         return CalibrationWarning(
             "far-beam",
             f"a beam lies {far:.3g} m from the hand's origin, where no hand reaches: the lengths look "
@@ -136,7 +138,7 @@ def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
     out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
     kept = (~np.isnan(fit.residuals)).sum(axis=0)
     for name, left in zip(recording.beam_names, kept.tolist(), strict=True):
-        if out[name] > MOST_LOST * (out[name] + left):
+        if out[name] and out[name] >= MOST_LOST * (out[name] + left):
             return CalibrationWarning(
                 "contradicting-beam",
                 f"{out[name]} of the {out[name] + left} readings of beam {name} contradict the "
@@ -166,7 +168,7 @@ def fit_warnings(
     parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
     return (
-        *_of_the_file(readings, fit),
+        *_of_the_file(readings, parameters, fit),
         *_same_mounts(parameters, fit, names),
         *_wrong_sigmas(fit, solution.redundancy, treated=treated),
         *(() if treated else _pose_errors(fit, noise)),
@@ -175,7 +177,9 @@ def fit_warnings(
     )
 
 
-def _of_the_file(readings: Readings, fit: Fit) -> Iterator[CalibrationWarning]:
+def _of_the_file(
+    readings: Readings, parameters: Parameters, fit: Fit
+) -> Iterator[CalibrationWarning]:
     """Yield warnings of many outliers, and of lengths that look like millimetres."""
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_LEFT_OUT * total:
@@ -189,6 +193,10 @@ def _of_the_file(readings: Readings, fit: Fit) -> Iterator[CalibrationWarning]:
     if median > LONG_RANGE:
         words = f"the median reading is {median:.0f} m; is the file in millimetres?"
         yield CalibrationWarning("long-ranges", words, {"median_m": median})
+    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+    if FAR_BEAM < far <= NO_MOUNT:
+        words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
+        yield CalibrationWarning("far-beam", words, {"distance_m": far})
 
 
 def _same_mounts(
