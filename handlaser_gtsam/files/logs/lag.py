@@ -254,7 +254,7 @@ def _activity(
 
 
 def _refined(track: Track, coarse: _Coarse) -> Lag:
-    """Return the minimum of the calibration near a lag, or else of the polynomials."""
+    """Return the minimum of the calibration near a lag."""
     parts, near = coarse.parts, coarse.lag
     steps = round(COARSE / FINE)
     lags = np.asarray(near + FINE * np.arange(-steps, steps + 1), dtype=np.float64)
@@ -264,7 +264,8 @@ def _refined(track: Track, coarse: _Coarse) -> Lag:
     count = sum((len(one.d) - len(_exponents(one.degree))) * one.d.shape[1] for one in parts)
     rough, squares = _lowest(lags[rows], sums[rows], count, TRUNCATED)
     middle = rough.value if rough is not None else float(lags[low])
-    found = _calibrated(track, parts, middle, UNLIKE * squares) or rough
+    # Polynomials alone may find a minimum far from the true offset: a calibration must fit there.
+    found = _calibrated(track, parts, middle, UNLIKE * squares)
     if found is None or found.sigma > WORST:
         raise InputError(
             "a motion that does not tell the lag of the readings",
