@@ -243,7 +243,9 @@ def test_columns_of_decimals_are_numbers_and_binary_ones_are_refused(tmp_path, l
 def test_labels_that_are_floats(tmp_path, log, label):
     path = tmp_path / "log.parquet"
     pl.DataFrame(log | {"plane": [label] * ROWS}).write_parquet(path)
-    assert hl.read_log(path).plane_names == (str(label).removesuffix(".0"),)
+    (name,) = hl.read_log(path).plane_names
+    assert float(name) == label  # 1e300 or 1e+300, as the version of polars has it
+    assert not name.endswith(".0")
 
 
 def test_a_panic_of_a_library_is_one_line(tmp_path, log, monkeypatch, handlaser):
