@@ -143,6 +143,20 @@ def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
         hl.describe_log(tmp_path / "log.csv", long)
 
 
+def test_a_log_without_planes_says_how_many_stations_there_are(tmp_path):
+    one = drive(5, stops=9)
+    write_table(
+        tmp_path / "log.csv",
+        "time,x,y,z,qx,qy,qz,qw,range_1,range_2",
+        one.time,
+        one.position,
+        one.turn.as_quat(),
+        one.ranges,
+    )
+    with pytest.raises(hl.InputError, match="9 stations, and no column of planes"):
+        hl.describe_log(tmp_path / "log.csv", hl.LogFormat(stands=True))
+
+
 # --- clocks ------------------------------------------------------------------------------------------
 
 

@@ -180,7 +180,7 @@ def _planes(
         return [given.plane] * len(log.names), every, ()
     if log.planes is None:
         raise InputError(
-            "no column of planes",
+            f"{len(log.names)} stations, and no column of planes",
             "--plane NAME if all stations look at one plane, --plane-column for its name, or "
             "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)",
             log.path,
