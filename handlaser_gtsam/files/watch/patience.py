@@ -1,6 +1,7 @@
 """HTTP that hangs up on clients that stop reading, leave a request unfinished, or are too many."""
 
 import asyncio
+from typing import cast
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -19,13 +20,14 @@ class PatientProtocol(H11Protocol):
     _head: asyncio.TimerHandle | None = None
     _left = 0
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin, and wait for the head of a request."""
-        super().connection_made(transport)
+        stream = cast(asyncio.Transport, transport)
+        super().connection_made(stream)
         if len(self.connections) > MOST_CONNECTIONS:
-            transport.abort()
+            stream.abort()
         else:
-            self._head = self.loop.call_later(HEAD, transport.abort)
+            self._head = self.loop.call_later(HEAD, stream.abort)
 
     def data_received(self, data: bytes) -> None:
         """Take a part of a request; the head has come once there is a cycle that answers it."""
