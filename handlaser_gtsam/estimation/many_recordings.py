@@ -117,7 +117,7 @@ def _solved(
     if starts is None:
         starts = [find_start(one, sigma).parameters for one in local]
     found = solve_together(local, starts, terms, sigma, prior, options)
-    if unequal(variances, terms):
+    if any(unequal(variances, terms, one) for one in local):
         for _ in range(ROUNDS):
             both = [
                 weighed(one, at, variances, terms)

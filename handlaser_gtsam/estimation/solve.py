@@ -87,7 +87,7 @@ def settle(
     if task.learns or (scales.unknown and not alike):
         learning = _Learning(task, scales, base, known)
         return Solved(learning.solved(first), learning)
-    if alike and not unequal(base, task.terms):
+    if alike and not unequal(base, task.terms, readings):
         return Solved(first)
     # A common sigma is found by sigma0 without any effort.
     return Solved(task.weighted(first, with_scales(scales, base, known)))

@@ -22,7 +22,7 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .equation import corrected, residuals, scene
-from .weighting import Variances, Whitening, noise_slopes, whitening
+from .weighting import Variances, Whitening, slopes, whitening
 
 MOST_NOISE = 4.0
 """Standard deviations of a reading that count as noise: what is farther off is none of it."""
@@ -61,10 +61,10 @@ def freed_of_noise(
     """
     d, x = readings.distance, scene(at, readings)
     variance = variances.range_sigma[readings.beam] ** 2
-    heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
-    share = noise_slopes(at, readings) * variance
     if readings.samples is not None:
-        share = share / np.sqrt(readings.samples)
+        variance = variance / readings.samples
+    heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
+    share = slopes(at, readings) * variance
     most = MOST_NOISE * np.sqrt(variance)
     level = d + np.clip(share * heavy, -most, most)
     constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)

@@ -275,13 +275,15 @@ def noise_slopes(parameters: Parameters, readings: Readings) -> FloatArray:
     return slope if readings.samples is None else slope / np.sqrt(readings.samples)
 
 
-def unequal(variances: Variances, terms: int) -> bool:
+def unequal(variances: Variances, terms: int, readings: Readings) -> bool:
     """Tell whether residuals differ in their weights, or are correlated.
 
-    Range errors of any `terms` make them differ: they change what noise does to a residual.
+    Range errors of any `terms` make them differ: they change what noise does to a residual. So do
+    readings that are means of several.
     """
     return bool(
         terms
+        or readings.samples is not None
         or variances.pose is not None
         or variances.incidence_sigma > 0.0
         or np.ptp(variances.range_sigma) > 0.0

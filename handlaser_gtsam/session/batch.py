@@ -176,7 +176,7 @@ class BatchProblem:
         graph, marginal = self.problem(self.at, self.poses)
         result = evaluated(graph, "the incremental estimate")
         variances = self.config.variances(len(self.recording.plane_labels))
-        differ = unequal(variances, max(self.config.terms))
+        differ = unequal(variances, max(self.config.terms), graph.readings)
         found, learned = self._observability(graph, marginal), self.config.learned
         own, how = (variances, marginal) if differ else (None, None)
         prior = self.config.prior
