@@ -4,7 +4,7 @@
 
 Every recording has 2 to 4 plates, 13 to 16 stations before each and 2 to 4 triangulation sensors that
 read 40 to 170 mm. The formulas share nothing with the package. The recording goes through a file, as
-at a cell, and is calibrated with nothing given unless `--rig` says so.
+at a cell, and is calibrated with nothing given but the kind of sensor unless `--rig` says more.
 
     refused    an error message instead of a result
     unusable   the verdict says that the result is not to be used
@@ -494,8 +494,8 @@ def judge(argument: tuple[str, int], rig: Path | None) -> Row:
         return Row(name, seed, "refused", False, _names(pattern, words), 0.0, 0.0, words)
     outcome = "unusable" if not judged.usable else "care" if result.warnings else "silent"
     sigmas, error = _distance(cell, result, judged.reading)
-    hidden = getattr(judged, "hidden", None) or 0.0
-    wrong = sigmas > MOST_SIGMAS and error > (judged.spot_error or 0.0) + hidden
+    stated = (judged.spot_error or 0.0) + (judged.hidden_error or 0.0)
+    wrong = sigmas > MOST_SIGMAS and error > stated
     return Row(
         name, seed, outcome, wrong, _names(pattern, judged.sentence), sigmas, error, judged.sentence
     )
@@ -511,10 +511,7 @@ def _calibrate(cell: Cell, beams: list[str], rig: Path | None):  # type: ignore[
             lines.append(",".join([label, *(f"{value:.9g}" for value in (*t, *q, *d))]))
         path.write_text("\n".join(lines) + "\n")
         recording = hl.read_recording(path)
-    if rig is None:
-        result = hl.calibrate(recording)
-        return result, verdict(result, recording)
-    known = hl.read_rig(rig)
+    known = hl.Rig(sensor=hl.Sensor(kind="triangulation")) if rig is None else hl.read_rig(rig)
     result = hl.calibrate(recording, known.noise, hl.CalibrationOptions(sensor=known.sensor))
     return result, verdict(result, recording, known.limits)
 

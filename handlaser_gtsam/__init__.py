@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from .keys import BeamKeys as BeamKeys
     from .model.joint import JointCovariance as JointCovariance
     from .model.losses import Loss as Loss
+    from .model.plausible import Plausible as Plausible
     from .model.sensor import Rejected as Rejected
     from .model.sensor import Sensor as Sensor
     from .model.weighting import Variances as Variances
@@ -179,6 +180,7 @@ _NAMES = {
     "keys": "BeamKeys",
     "model.joint": "JointCovariance",
     "model.losses": "Loss",
+    "model.plausible": "Plausible",
     "model.sensor": "Rejected Sensor",
     "model.weighting": "Variances Whitening whitening",
     "observability.rank": "Indices ObservabilityOptions",

@@ -86,7 +86,8 @@ def _calibrated(
             start = start.part(order.beams, order.planes).seen_from(origins)
         selection = select(recording, local, ordered, options, start)
         # 4. Covariances of what is determined, in the names and the order of the recording.
-        result = assemble(Problem(recording, readings, order, origins, noise), selection)
+        problem = Problem(recording, readings, order, origins, noise, options.sensor)
+        result = assemble(problem, selection)
     return _logged(replace(result, recording=recording), found.warnings)
 
 

@@ -94,7 +94,8 @@ def codes(found: Calibration | Recording) -> list[str]:
 
 def error_of(shift: FloatArray, **columns: Any) -> SystematicError:
     """Return a systematic error that moves the location of every beam by `shift` (B, 3) [m]."""
-    still = np.zeros_like(shift)
+    still, spots = np.zeros_like(shift), np.zeros((len(shift), 4, 3))
+    spots[:, 0] = shift
     found = SystematicError(
         "sag",
         subject="",
@@ -105,10 +106,13 @@ def error_of(shift: FloatArray, **columns: Any) -> SystematicError:
         found=True,
         explained_by="",
         detectable=1e-4,
+        plausible=np.inf,
         location_shift=shift,
         direction_shift=still,
         location_error=shift,
         direction_error=still,
+        spot_shift=spots,
+        spot_error=spots,
         alike=(),
         confounded=False,
         message="a sag of 0.1 mm over the plate",

@@ -295,6 +295,7 @@ OPTIONS = (
     hl.LogFormat,
     hl.Noise,
     hl.ObservabilityOptions,
+    hl.Plausible,
     hl.Sensor,
 )
 

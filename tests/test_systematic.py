@@ -24,7 +24,7 @@ from handlaser_gtsam.results.systematic import systematic_errors
 
 SIGMA = 1e-4
 TESTED = (*WHOLE, "displaced", "beam-on-plane")
-BY_NATURE = {"inverse-cosine", "tool-frame", "range-offset"}
+BY_NATURE = {"inverse-cosine", "tilt", "tool-frame", "range-offset"}
 FREE, NONE = (np.inf, np.inf), (0.0, 0.0)
 
 
@@ -98,6 +98,8 @@ class Scene:
             s = s + size * (np.arange(len(t)) / (len(t) - 1) - 0.5)[:, None]
         if code == "beam-on-plane":
             s[self.plane == plane, beam] += size
+        if code == "carry-over":
+            s = s + size * (np.roll(s, 1, axis=1) - s)
         if code == "cubic":
             s = third_order(s, size)
         return s

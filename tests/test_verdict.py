@@ -126,7 +126,7 @@ def test_usable_within_its_limits(calibration, recording):
     assert len(found.limits) == 1 + 2 * 4
     nearest = max(found.limits, key=lambda one: one.ratio)
     assert nearest.comparison in found.sentence
-    assert len(found.sentence) <= 200
+    assert len(found.sentence) <= 240
     assert found.sentence.count("\n") == 0
 
 
@@ -181,12 +181,11 @@ def test_a_systematic_error_counts_by_what_it_does_to_the_spot(
     """Its estimated effect counts against the 95 % radius of the same beam, whatever could hide."""
     clean = verdict(calibration, recording)
     beam = list(calibration.beams).index(clean.spot_beam)
-    still, shift = np.zeros((4, 3)), np.zeros((4, 3))
+    shift = np.zeros((4, 3))
     shift[beam, 1] = factor * clean.spot_error
-    effect = {"location_error": shift, "direction_error": still}
-    if turns:
-        effect = {"location_error": still, "direction_error": shift / clean.reading}
-    one = error_of(100.0 * shift, **effect)
+    effect = np.zeros((4, 4, 3))
+    effect[:, 1 if turns else 0] = shift / clean.reading if turns else shift
+    one = error_of(100.0 * shift, spot_error=effect)
     found = verdict(replace(calibration, systematic=(one,)), recording)
     assert found.code == code
     assert found.usable == (code != "systematic-error")

@@ -194,6 +194,8 @@ class SystematicRecord(FileRecord):
     direction_error_rad: Many[Known]
     message: str
     remedy: str
+    plausible: float | None = None
+    spot_shift_m: Known = ()
 
 
 class TriedRecord(FileRecord):

@@ -46,7 +46,12 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         ],
         range_error_scales=None if scales is None else record(scales, schema.ScalesRecord),
         systematic=[
-            record(one, schema.SystematicRecord, explained_by=one.explained_by or None)
+            record(
+                one,
+                schema.SystematicRecord,
+                explained_by=one.explained_by or None,
+                spot_shift_m=one.spots(_reading(calibration, reading), unnoticed=True),
+            )
             for one in calibration.systematic
         ],
         start={
@@ -135,12 +140,16 @@ def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> Record
 
 
 def _spot(calibration: Calibration, name: str, reading: float | None) -> Record | None:
-    d = calibration.fit.median_reading if reading is None else reading
+    d = _reading(calibration, reading)
     if calibration.covariance is None or math.isnan(d):  # a graph that does not tell its readings
         return None
     found = spot(calibration, name, d)
     sigmas = {"along_sigma_m": found.along, "across_sigma_m": found.across}
     return record(found, schema.SpotRecord, reading_m=d, **sigmas)
+
+
+def _reading(calibration: Calibration, reading: float | None) -> float:
+    return calibration.fit.median_reading if reading is None else reading
 
 
 def _plane(plane: Plane) -> Record:

@@ -4,7 +4,11 @@
               or instead of the latter two pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units;
               pose_translation_prior_mm, pose_rotation_prior_deg: what pose sigmas that are not given
               are expected to be
-    [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent
+    [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent, kind: triangulation,
+              time-of-flight, confocal, ultrasonic or other
+    [plausible]  largest plausible sizes of systematic errors, instead of those of the kind:
+              incidence_mm, tilt_mm, cubic_mm, drift_mm, carry_over_percent, beam_on_plane_mm, sag_mm,
+              displaced_mm, lag_percent, turn_scale_percent, translation_scale_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
     [log]     how logs are written, see `rig_log`
     [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
@@ -23,6 +27,7 @@ from pydantic import Strict
 
 from ..data.noise import Noise
 from ..errors import InputError
+from ..model.plausible import Plausible
 from ..model.sensor import Sensor
 from ..planning.bounds import Bounds
 from ..planning.goal import Goal
@@ -52,6 +57,29 @@ class _Sensor(FileRecord):
     range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
     linearity_percent: float | None = None
+    kind: str | None = None
+
+
+class _Plausible(FileRecord):
+    incidence_mm: float | None = None
+    tilt_mm: float | None = None
+    cubic_mm: float | None = None
+    drift_mm: float | None = None
+    carry_over_percent: float | None = None
+    beam_on_plane_mm: float | None = None
+    sag_mm: float | None = None
+    displaced_mm: float | None = None
+    lag_percent: float | None = None
+    turn_scale_percent: float | None = None
+    translation_scale_percent: float | None = None
+
+    def to_si(self) -> Plausible:
+        """Return the sizes in metres, and as parts."""
+        sizes = {}
+        for name, value in dict(self).items():
+            field, _, unit = name.rpartition("_")
+            sizes[field] = scaled(value, {"mm": 1e-3, "percent": 0.01}[unit])
+        return Plausible(**sizes)
 
 
 class _Limits(FileRecord):
@@ -63,6 +91,7 @@ class _Limits(FileRecord):
 class _Rig(FileRecord):
     noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
+    plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
     workspace: WorkspaceTable | None = None
@@ -170,6 +199,8 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
             span[1] * mm,
             math.radians(90.0 if incidence is None else incidence),
             Sensor().linearity if linearity is None else 0.01 * linearity,
+            rig.sensor.kind,
+            rig.plausible.to_si(),
         ),
         limits,
         _workspace(rig, folder),

@@ -1,16 +1,17 @@
 """What a sensor can measure, how linear it is, and which readings that leaves."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import require_number
+from ..checks import require_kind, require_number, require_word
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Readings, Recording
 from ..errors import InputError
 from . import equation
+from .plausible import KINDS, Plausible, plausible_sizes
 
 LEAST_LINEARITY, MOST_LINEARITY = 1e-6, 0.3
 """No sensor is more or less linear."""
@@ -30,12 +31,19 @@ class Sensor:
     linearity : float
         What its data sheet calls linearity, as a part of the reading: the scale about
         which those of the range errors are learned.
+    kind : str, optional
+        `triangulation`, `time-of-flight`, `confocal`, `ultrasonic` or `other`: how it may err beside
+        what is estimated. Where it is not stated, results count random errors only.
+    plausible : Plausible
+        What is known of single systematic errors; instead of what is plausible for the kind.
     """
 
     range_min: float = 0.0
     range_max: float = math.inf
     max_incidence: float = math.pi / 2.0
     linearity: float = 0.01
+    kind: str | None = None
+    plausible: Plausible = field(default_factory=Plausible)
 
     def __post_init__(self) -> None:
         for name in ("range_min", "range_max"):
@@ -52,11 +60,22 @@ class Sensor:
         if not LEAST_LINEARITY <= self.linearity <= MOST_LINEARITY:
             expected = f"{LEAST_LINEARITY:g} to {MOST_LINEARITY:g}: a part of the reading"
             raise InputError(f"linearity {self.linearity:g}", expected)
+        if self.kind is not None:
+            require_word("sensor kind", self.kind, tuple(KINDS))
+        require_kind("plausible", self.plausible, Plausible)
 
     @property
     def range_stated(self) -> bool:
         """Whether the range is stated at all."""
         return self.range_min != 0.0 or math.isfinite(self.range_max)
+
+    def plausible_sizes(self, largest: float) -> dict[str, float]:
+        """Return the plausible size [m, or a part] by code of a systematic error.
+
+        The largest reading [m] stands for the measuring range where that is not stated.
+        """
+        span = self.range_max - self.range_min
+        return plausible_sizes(self.kind, self.plausible, span if math.isfinite(span) else largest)
 
     def can_read(self, d: FloatArray) -> BoolArray:
         """Tell which readings [m] the sensor can give."""

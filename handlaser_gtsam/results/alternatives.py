@@ -9,7 +9,8 @@ farther along n changes e by c h, a reading that is f too long by -g'(d) f, and 
 that is xi beside the recorded one by -J xi. Positive sizes: readings too long (`incidence`, `cubic`,
 `beam-on-plane`), or longer and longer (`drift`); edges of the plate farther from the sensor than its
 middle (`sag`); a plane farther away (`displaced`); true poses ahead in time (`lag`); true turns and
-translations larger than reported. A cubic error is a function of the reading itself, not of the
+translations larger than reported. Of carry-over each channel keeps a part of the one before it, and the
+first one of the last. A cubic error is a function of the reading itself, not of the
 true range: it is the next term of g.
 """
 
@@ -22,7 +23,16 @@ from ..data.recording import Readings
 from ..model.weighting import slopes
 from .projection import Projection, Rows
 
-WHOLE = ("incidence", "cubic", "sag", "lag", "drift", "turn-scale", "translation-scale")
+WHOLE = (
+    "incidence",
+    "cubic",
+    "sag",
+    "lag",
+    "drift",
+    "turn-scale",
+    "translation-scale",
+    "carry-over",
+)
 """Codes of the errors that concern all readings, in the order of the columns."""
 LEAST_STATIONS = 2
 """A plane is taken as displaced only where it has so many stations before and after."""
@@ -173,7 +183,7 @@ def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
 
 
 def _whole_columns(rows: Rows) -> FloatArray:
-    """Return the columns (N, 7) of the errors `WHOLE`."""
+    """Return the columns (N, 8) of the errors `WHOLE`."""
     at, readings, position = rows.at, rows.readings, rows.position
     x, d = model.scene(at, readings), readings.level
     found = model.linearize(x, d, with_pose=True)
@@ -190,8 +200,20 @@ def _whole_columns(rows: Rows) -> FloatArray:
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, :1])),
             longer * (position / max(int(position.max()), 1) - 0.5),
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, 1:])),
+            longer * _from_channel_before(readings, rows.channel),
         )
     )
+
+
+def _from_channel_before(readings: Readings, channel: IntArray) -> FloatArray:
+    """Return by how much (N,) the reading of the channel before is longer; zero where there is none."""
+    order = np.argsort(channel)
+    before = np.empty_like(order)
+    before[order] = np.roll(order, 1)
+    _, station = np.unique(readings.station, return_inverse=True)
+    d = np.full((int(station.max()) + 1, readings.beams), np.nan)
+    d[station, readings.beam] = readings.level
+    return np.nan_to_num(d[station, before[readings.beam]] - readings.level)
 
 
 def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:

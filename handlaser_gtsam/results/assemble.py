@@ -113,6 +113,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         covariance=whole,
         correlations=() if whole is None else strong_correlations(whole),
         systematic=systematic,
+        sensor_kind=problem.sensor.kind,
     )
     return with_scales(result, problem, solution, growth)
 
@@ -152,12 +153,22 @@ def _tested(
     prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
     rows = linear_rows(
-        at, solution.problem.readings, how, prior, problem.order.stations[used.station]
+        at,
+        solution.problem.readings,
+        how,
+        prior,
+        problem.order.stations[used.station],
+        problem.order.beams,
     )
     known, stations = fit.range_sigma_given, problem.recording.station_names
-    found = systematic_errors(rows, names, stations, known=known, dof=fit.dof)
+    plausible = problem.sensor.plausible_sizes(float(used.distance.max()))
+    found = systematic_errors(rows, names, stations, known=known, dof=fit.dof, plausible=plausible)
     beams = [i for _, i in names.beams]
-    moves = ("location_shift", "direction_shift", "location_error", "direction_error")
+    moves = [
+        f"{what}_{size}"
+        for what in ("location", "direction", "spot")
+        for size in ("shift", "error")
+    ]
     ordered = tuple(
         replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
     )

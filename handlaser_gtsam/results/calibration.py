@@ -78,6 +78,8 @@ class Calibration(CalibrationData):
     cost : float
         What the solver minimised, as GTSAM counts it: half the squares (or the robust loss) of the
         residuals and the priors in units of their standard deviations. NaN where nothing was solved.
+    sensor_kind : str or None
+        What the options say of the sensor: which systematic errors are plausible of it.
 
     Notes
     -----

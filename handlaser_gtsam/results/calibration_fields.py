@@ -98,6 +98,7 @@ class CalibrationData(Value):
     recording: Recording | None = None
     range_error_prior: RangeErrorPrior | None = None
     cost: float = math.nan
+    sensor_kind: str | None = None
 
     @property
     def success(self) -> bool:

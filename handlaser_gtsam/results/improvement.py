@@ -1,8 +1,9 @@
 """The one thing that would improve a calibration most, decided from its numbers.
 
 What makes the stated numbers wrong comes first: a systematic error, many outliers, given sigmas that
-the residuals contradict. Then what the spot error is made of: its largest share, where that is more
-than half; otherwise, and where the residuals alone say how noisy the readings are, more stations.
+the residuals contradict, a systematic error that may hide. Then what the spot error is made of: its
+largest share, where that is more than half; otherwise, and where the residuals alone say how noisy the
+readings are, more stations.
 """
 
 import math
@@ -16,6 +17,7 @@ from .significance import SINGLE_LEVEL
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
 from .warnings import MANY_LEFT_OUT
+from .wording import WORDING
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""
@@ -38,7 +40,7 @@ class Improvement:
     Attributes
     ----------
     code : str
-        `systematic`, `outliers`, `sigmas`, `limit-rms`, `poses`, `range-span`, `motion`,
+        `systematic`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `poses`, `range-span`, `motion`,
         `more-stations`, `more-motion` or `recording`.
     words : str
         What to do, without a full stop.
@@ -57,6 +59,7 @@ def improvement(
     shares: VarianceShares | None,
     harmful: SystematicError | None,
     failed: tuple[LimitCheck, ...],
+    doubtful: SystematicError | None = None,
 ) -> Improvement:
     """Return the one thing that would improve a converged calibration most.
 
@@ -69,6 +72,8 @@ def improvement(
         The systematic error found that harms most.
     failed : tuple of LimitCheck
         Limits that are exceeded.
+    doubtful : SystematicError, optional
+        The one that may be there unnoticed, where that counts for more than the noise.
     """
     fit = calibration.fit
     outliers, total = fit.outliers, fit.readings + fit.outliers
@@ -84,6 +89,8 @@ def improvement(
     if any(one.quantity == "rms" for one in failed):
         words = "less noise of sensor or robot (more stations do not lower residuals)"
         return Improvement("limit-rms", words)
+    if doubtful is not None:
+        return Improvement("hidden", f"to see it, {WORDING[doubtful.code].reveal}")
     return _largest_share(calibration, shares) or _stations(calibration, failed)
 
 

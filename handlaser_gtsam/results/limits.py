@@ -1,12 +1,16 @@
 """Pass or fail: a calibration against the limits its user set."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
+
+import numpy as np
 
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA
 from .calibration_fields import CalibrationData
 from .lines import DEG, MM
+from .systematic import SystematicError
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]
 
@@ -48,12 +52,15 @@ class LimitCheck:
         "beam NAME", or "without plane NAME"; empty where it concerns everything.
     value, limit : float
         [m], or [rad] of a direction.
+    random : float
+        The part of a standard deviation that the noise makes; NaN where that is all.
     """
 
     quantity: Quantity
     subject: str
     value: float
     limit: float
+    random: float = math.nan
 
     @property
     def held(self) -> bool:
@@ -71,7 +78,9 @@ class LimitCheck:
         owner = f"{self.subject}: " if self.subject else ""
         scale, unit = self._unit
         value, limit = self.value * scale, self.limit * scale
-        return f"{owner}{self._name} {value:.4g} {unit} above {limit:.4g} {unit}"
+        noise = self.random * scale
+        of_noise = "" if math.isnan(noise) else f" ({noise:.4g} {unit} of it random errors)"
+        return f"{owner}{self._name} {value:.4g} {unit}{of_noise} above {limit:.4g} {unit}"
 
     @property
     def comparison(self) -> str:
@@ -89,16 +98,34 @@ class LimitCheck:
 
 
 def checked(calibration: CalibrationData, limits: Limits) -> tuple[LimitCheck, ...]:
-    """Compare a converged calibration with every limit that is given, beam by beam."""
-    found = list(rms_checked("", calibration.fit.rms, limits))
-    for beam in calibration.beams.values():
+    """Compare a converged calibration with every limit that is given, beam by beam.
+
+    A systematic error that may be there unnoticed, and moves a beam by up to h, counts beside the
+    noise with h / sqrt(3), the standard deviation of what lies anywhere within +-h (GUM, JCGM
+    100:2008, 4.3.7).
+    """
+    found, hidden = list(rms_checked("", calibration.fit.rms, limits)), hidden_errors(calibration)
+    for number, beam in enumerate(calibration.beams.values()):
         location, direction, owner = beam.location_sigma, beam.direction_sigma, f"beam {beam.name}"
+        shifts = np.nan_to_num([one.location_shift[number] for one in hidden]).reshape(-1, 3)
+        turns = np.nan_to_num([one.direction_shift[number] for one in hidden]).reshape(-1, 3)
         if location is not None and limits.location_sigma is not None:
-            value = float(location.max())
-            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma))
+            noise, square = float(location.max()), location**2 + (shifts**2).sum(axis=0) / 3.0
+            value = math.sqrt(float(square.max()))
+            random = noise if value > noise else math.nan
+            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma, random))
         if direction is not None and limits.direction_sigma is not None:
-            found.append(LimitCheck("direction_sigma", owner, direction, limits.direction_sigma))
+            value = math.hypot(direction, float(np.linalg.norm(turns)) / math.sqrt(3.0))
+            random = direction if value > direction else math.nan
+            found.append(
+                LimitCheck("direction_sigma", owner, value, limits.direction_sigma, random)
+            )
     return tuple(found)
+
+
+def hidden_errors(calibration: CalibrationData) -> list[SystematicError]:
+    """Return the systematic errors that may be there unnoticed, of which a plausible size is known."""
+    return [one for one in calibration.systematic if not one.found and math.isfinite(one.plausible)]
 
 
 def rms_checked(subject: str, rms: float, limits: Limits) -> tuple[LimitCheck, ...]:

@@ -12,6 +12,7 @@ from ..data.ordering import Order
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..model.joint import JointCovariance
+from ..model.sensor import Sensor
 from ..observability.wording import Names
 from .reports import Beam, Plane
 
@@ -30,6 +31,7 @@ class Problem:
     origins : (P, 3)
         Origin of the frame in which each plane is solved, in the world [m]; axes are the world's.
     noise : Noise
+    sensor : Sensor
     """
 
     recording: Recording
@@ -37,14 +39,21 @@ class Problem:
     order: Order
     origins: FloatArray
     noise: Noise
+    sensor: Sensor
 
     @classmethod
     def as_recorded(
-        cls, recording: Recording, readings: Readings, origins: FloatArray, noise: Noise
+        cls,
+        recording: Recording,
+        readings: Readings,
+        origins: FloatArray,
+        noise: Noise,
+        sensor: Sensor,
     ) -> "Problem":
         """Return the problem of readings that are numbered as in the recording."""
         sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
-        return cls(recording, readings, Order(*(np.arange(size) for size in sizes)), origins, noise)
+        order = Order(*(np.arange(size) for size in sizes))
+        return cls(recording, readings, order, origins, noise, sensor)
 
     @property
     def names(self) -> Names:

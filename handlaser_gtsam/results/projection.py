@@ -36,6 +36,8 @@ class Rows:
         where it is not in the model.
     position : (N,)
         Order in time of each reading's station in the recording.
+    channel : (B,)
+        Which column of the recording each beam is.
     J : (N, 10)
         Derivatives of the residuals by the unknowns of the own beam (7) and plane (3).
     residual : (N,)
@@ -48,6 +50,7 @@ class Rows:
     how: Whitening
     prior: FloatArray
     position: IntArray
+    channel: IntArray
     J: FloatArray
     residual: FloatArray
     normal: NormalEquations
@@ -64,13 +67,22 @@ class Rows:
 
 
 def linear_rows(
-    at: Parameters, readings: Readings, how: Whitening, prior: FloatArray, position: IntArray
+    at: Parameters,
+    readings: Readings,
+    how: Whitening,
+    prior: FloatArray,
+    position: IntArray,
+    channel: IntArray | None = None,
 ) -> Rows:
-    """Return the linear problem at a solution, see `Rows`; raises GrazingBeamError like the model."""
+    """Return the linear problem at a solution, see `Rows`; raises GrazingBeamError like the model.
+
+    Where no channels are given, the beams are the columns of the recording in their order.
+    """
+    channel = np.arange(readings.beams) if channel is None else channel
     columns, _ = jacobian_columns(at, readings, 2)
     normal = normal_equations(at, readings, 2, whitening=how)
     J = np.ascontiguousarray(columns[: WIDTH + 3].T)
-    return Rows(at, readings, how, prior, position, J, columns[-1], normal)
+    return Rows(at, readings, how, prior, position, channel, J, columns[-1], normal)
 
 
 @dataclass(frozen=True, slots=True)

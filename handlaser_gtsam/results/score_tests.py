@@ -5,6 +5,7 @@ shows by improbable range errors, and not by residuals, widens that prior until 
 a strained member is judged as if range errors had no prior.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,11 +87,15 @@ class ScoreTests:
         Estimated size, its standard deviation, their ratio, and the probability after Holm.
     detectable : (m,)
         Infinite where not determined.
+    unnoticed : (m,)
+        The smaller of what is detectable and what is plausible.
     critical, delta : float
         The |z| from which on an error is found, and the mean of z that exceeds it with `POWER`.
     """
 
-    def __init__(self, rows: Rows, dof: int | None) -> None:
+    def __init__(
+        self, rows: Rows, dof: int | None, plausible: Mapping[str, float] | None = None
+    ) -> None:
         self.rows, self.dof, prior = rows, dof, rows.prior
         self.kinds = alternatives(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
@@ -109,6 +114,9 @@ class ScoreTests:
         self.left = np.where(self.strained, loose.left, bound.left)
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
         self._test(scale)
+        largest = {} if plausible is None else plausible
+        most = np.array([largest.get(code, np.inf) for code in self.codes.tolist()])
+        self.unnoticed = np.minimum(self.detectable, most)
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -166,11 +174,44 @@ class ScoreTests:
         self.detectable = np.where(self.determined, smallest, np.inf)
 
     def shifts(self, members: IntArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return by how much r and v of every beam (m, B, 3) are wrong by members of some sizes."""
+        """Return by how much r and v of every beam (m, B, 3) are wrong by members of some sizes.
+
+        NaN where a size is infinite.
+        """
+        x = self._moved_by(members, sizes)
+        return x[:, :, :3], self._turns(x)
+
+    def spots(self, members: IntArray, sizes: FloatArray) -> FloatArray:
+        """Return by how much laser spots are wrong (m, B, 4, 3), by powers 0 to 3 of the reading [m].
+
+        The spot x = r + g(d) v is wrong by dr + g(d) dv + (d dk1 + d^2 dk2) v, and by what a cubic
+        error itself makes g wrong by. Other errors of readings are nothing at right angles, amid the
+        recording, or where all channels read alike, which is where spots are judged.
+        """
+        at, x = self.rows.at, self._moved_by(members, sizes)
+        k, v, turn = at.range_errors[:, :, None], at.directions, self._turns(x)
+        cubic = np.where(self.codes[members] == "cubic", sizes, 0.0)
+        own = cubic / self.rows.readings.level.max() ** 3
+        parts = (
+            x[:, :, :3],
+            (1.0 + k[:, 0]) * turn + x[:, :, 5:6] * v,
+            k[:, 1] * turn + x[:, :, 6:7] * v,
+            own[:, None, None] * v,
+        )
+        return np.stack(parts, axis=2)
+
+    def _moved_by(self, members: IntArray, sizes: FloatArray) -> FloatArray:
+        """Return by how much the unknowns of every beam (m, B, 7) are wrong."""
+        sizes = np.where(np.isfinite(sizes), sizes, np.nan)
+        beams = len(self.rows.at.directions)
+        return np.asarray(
+            -self.moved[members].reshape(len(members), beams, WIDTH) * sizes[:, None, None]
+        )
+
+    def _turns(self, x: FloatArray) -> FloatArray:
+        """Return the turns (m, B, 3) of beams of which the unknowns (m, B, 7) are wrong."""
         basis = model.tangent_basis(self.rows.at.directions)
-        sizes = np.where(self.determined[members], sizes, np.nan)
-        x = -self.moved[members].reshape(len(members), len(basis), WIDTH) * sizes[:, None, None]
-        return x[:, :, :3], np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5])
+        return np.asarray(np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5]))
 
     def representatives(self) -> IntArray:
         """Return the clearest determined member of every family, the clearest first."""

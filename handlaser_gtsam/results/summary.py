@@ -10,7 +10,7 @@ from .limits import worst_of_each
 from .lines import MM, UNDETERMINED, WIDTH, as_many, count, some, wrapped
 from .noise_lines import noise_words, range_error_words
 from .systematic import SystematicError
-from .verdict import Verdict, spot_shift
+from .verdict import Verdict
 from .wording import size_in_words
 
 LINES = 30
@@ -38,7 +38,7 @@ def screen_lines(
     def some_lines(text: str, most: int) -> list[str]:
         return wrapped(text, as_many(most, width), width)
 
-    lines = some_lines(verdict.sentence, 3)
+    lines = some_lines(verdict.sentence, 5)
     lines += some_lines(_counts(result, recording), 1)
     if any(beam.sigma is not None for beam in beams):
         lines += beam_rows(beams, width)
@@ -130,14 +130,14 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     worst = max(sensitive, key=lambda one: _moved(one, reading, unnoticed=True))
     return (
         f"{words}; the worst unnoticed: {worst.code} below "
-        f"{size_in_words(worst.detectable, worst.unit)}, moving a spot by "
+        f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
         f"{_moved(worst, reading, unnoticed=True) * MM:.2g} mm"
     )
 
 
 def _moved(one: SystematicError, reading: float, *, unnoticed: bool) -> float:
     """Return how far a systematic error moves the laser spot [m] that it moves most."""
-    return float(np.nan_to_num(spot_shift(one, reading, unnoticed=unnoticed)).max())
+    return float(np.nan_to_num(one.spots(reading, unnoticed=unnoticed)).max())
 
 
 def _codes(codes: list[str]) -> str:

@@ -16,12 +16,13 @@ All members of all families are tested together with Holm's correction, which ne
 Planes with more than `alternatives.MOST_SPLITS` splits are tested at so many of them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from .. import model
+from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..observability.wording import Names
 from .projection import Rows
@@ -52,11 +53,16 @@ class SystematicError(Value):
     detectable : float
         The size at which the least detectable member is found with probability `POWER` at the level
         at which it is tested; infinite where confounded.
+    plausible : float
+        The largest size that is plausible of such a sensor, plate or robot; infinite where not stated.
     location_shift, direction_shift : (B, 3)
         What may go unnoticed: how wrong r [m] and v [rad] of every beam would be by the member that
-        moves that beam most, at the size at which that member is detectable. NaN where confounded.
+        moves that beam most, at the smaller of the sizes that are detectable and plausible. NaN where
+        both are infinite.
     location_error, direction_error : (B, 3)
         How wrong r [m] and v [rad] are if the error has the size estimated. NaN where confounded.
+    spot_shift, spot_error : (B, 4, 3)
+        Likewise of laser spots: what goes with the powers 0 to 3 of the reading [m].
     alike : tuple of str
         Codes of other errors that this recording cannot tell from it.
     confounded : bool
@@ -73,14 +79,31 @@ class SystematicError(Value):
     found: bool
     explained_by: str
     detectable: float
+    plausible: float
     location_shift: FloatArray
     direction_shift: FloatArray
     location_error: FloatArray
     direction_error: FloatArray
+    spot_shift: FloatArray
+    spot_error: FloatArray
     alike: tuple[str, ...]
     confounded: bool
     message: str
     remedy: str
+
+    @property
+    def unnoticed(self) -> float:
+        """The size that may go unnoticed: the smaller of what is detectable and what is plausible."""
+        return min(self.detectable, self.plausible)
+
+    def spots(self, reading: float, *, unnoticed: bool) -> FloatArray:
+        """Return how far it moves the spot of every beam (B,) at a reading [m]; NaN if unknown.
+
+        At the size that may go `unnoticed`, or at the size estimated.
+        """
+        shift = self.spot_shift if unnoticed else self.spot_error
+        powers = reading ** np.arange(shift.shape[1])
+        return np.asarray(np.linalg.norm(np.einsum("bpi,p->bi", shift, powers), axis=1))
 
     @property
     def warning(self) -> str:
@@ -91,7 +114,13 @@ class SystematicError(Value):
 
 
 def systematic_errors(
-    rows: Rows, names: Names, stations: Sequence[str], *, known: bool, dof: int
+    rows: Rows,
+    names: Names,
+    stations: Sequence[str],
+    *,
+    known: bool,
+    dof: int,
+    plausible: Mapping[str, float] | None = None,
 ) -> tuple[SystematicError, ...]:
     """Test the residuals at a solution for systematic errors; the clearest come first.
 
@@ -104,6 +133,8 @@ def systematic_errors(
     known : bool
         Whether the size of the noise was given; else a common factor was estimated.
     dof : int
+    plausible : mapping, optional
+        The largest plausible size by code; of codes that are not there it is not known.
 
     Returns
     -------
@@ -113,7 +144,8 @@ def systematic_errors(
     """
     if dof < (1 if known else 2):
         return ()
-    found = ScoreTests(rows, None if known else dof)
+    plausible = {} if plausible is None else plausible
+    found = ScoreTests(rows, None if known else dof, plausible)
     first, reports = found.representatives(), []
     if first.size:
         rho = found.correlations(first)
@@ -123,10 +155,13 @@ def systematic_errors(
             codes = dict.fromkeys(found.codes[same[number]].tolist())
             others = tuple(code for code in codes if code != found.codes[member])
             subject = _subject(found, member, names, stations)
-            reports.append(_report(found, member, subject, explained[number], others, names))
+            report = _report(found, member, subject, explained[number], others, names)
+            reports.append(replace(report, plausible=plausible.get(report.code, np.inf)))
     tested = {report.code for report in reports}
     untold = [code for code in WORDING if code not in tested]
-    return (*reports, *(_confounded(code, rows.readings.beams) for code in untold))
+    if rows.readings.beams == 1:
+        untold = [code for code in untold if code != "carry-over"]
+    return (*reports, *(_confounded(found, code, names, plausible) for code in untold))
 
 
 def _report(
@@ -141,8 +176,8 @@ def _report(
     words, beams, clear = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
     family = np.flatnonzero((found.codes == code) & found.determined)
     detectable = float(found.detectable[family].max())
-    shift, turn = (_worst(x) for x in found.shifts(family, found.detectable[family]))
-    error, twist = (x[0] for x in found.shifts(np.array([member]), found.size[[member]]))
+    shift, turn, spot = _worst(found, family, found.unnoticed[family])
+    error, twist, off = _worst(found, np.array([member]), found.size[[member]])
     if clear:
         effect = _effect(error, twist, beams, "wrong by")
         phrase = words.with_size(size, subject)
@@ -151,7 +186,8 @@ def _report(
         message += f"; it may also be {' or '.join(others)}" if others and not explained else ""
     else:
         effect = _effect(shift, turn, beams, "wrong by up to")
-        message = f"{words.with_size(detectable)} would go unnoticed, and make {effect}"
+        largest = words.with_size(float(found.unnoticed[family].max()))
+        message = f"{largest} would go unnoticed, and make {effect}"
     return SystematicError(
         code,
         subject,
@@ -162,10 +198,13 @@ def _report(
         found=clear,
         explained_by=explained if clear else "",
         detectable=detectable,
+        plausible=np.inf,
         location_shift=shift,
         direction_shift=turn,
         location_error=error,
         direction_error=twist,
+        spot_shift=spot,
+        spot_error=off,
         alike=others,
         confounded=False,
         message=message,
@@ -173,10 +212,23 @@ def _report(
     )
 
 
-def _confounded(code: str, beams: int) -> SystematicError:
+def _confounded(
+    found: ScoreTests, code: str, names: Names, plausible: Mapping[str, float]
+) -> SystematicError:
     """Return the report of an error that the recording cannot show."""
-    words, unknown = WORDING[code], np.full((beams, 3), np.nan)
+    words, size = WORDING[code], plausible.get(code, np.inf)
+    family = np.flatnonzero(found.codes == code)
+    unknown = np.full((found.rows.readings.beams, 3), np.nan)
+    shift, turn, spot = unknown, unknown, np.full((len(unknown), 4, 3), np.nan)
+    if code == "tilt" and np.isfinite(size):
+        shift, turn, spot = _sideways(found.rows.at.directions, size)
+    elif family.size:
+        shift, turn, spot = _worst(found, family, np.full(len(family), size))
     message = f"{words.without_size()} cannot be told from {words.confounded}"
+    if np.isfinite(size):
+        effect = _effect(shift, turn, names.sorted_beams(), "wrong by up to")
+        message = f"{words.with_size(size)} cannot be told from {words.confounded}, and would "
+        message += f"make {effect}"
     return SystematicError(
         code,
         subject="",
@@ -187,10 +239,13 @@ def _confounded(code: str, beams: int) -> SystematicError:
         found=False,
         explained_by="",
         detectable=np.inf,
-        location_shift=unknown,
-        direction_shift=unknown,
+        plausible=size,
+        location_shift=shift,
+        direction_shift=turn,
         location_error=unknown,
         direction_error=unknown,
+        spot_shift=spot,
+        spot_error=np.full_like(spot, np.nan),
         alike=(),
         confounded=True,
         message=message,
@@ -198,10 +253,31 @@ def _confounded(code: str, beams: int) -> SystematicError:
     )
 
 
-def _worst(shifts: FloatArray) -> FloatArray:
-    """Return of every beam the largest of its shifts (m, B, 3)."""
-    member = np.linalg.norm(shifts, axis=2).argmax(axis=0)
-    return np.asarray(shifts[member, np.arange(shifts.shape[1])])
+def _sideways(directions: FloatArray, size: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the shifts of r, v and spots by readings that err by `size` [m] times tan(tilt).
+
+    With dr across the beam a plane that is tilted by the angle a towards dr is met |dr| tan a earlier.
+    Which way the sensor is turned is not known: any way does.
+    """
+    shift = size * model.tangent_basis(directions)[:, :, 0]
+    spot = np.zeros((len(shift), 4, 3))
+    spot[:, 0] = shift
+    return shift, np.zeros_like(shift), spot
+
+
+def _worst(
+    found: ScoreTests, family: IntArray, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return of every beam its largest shifts of r, of v and of the spot by members of some sizes."""
+    shifts = (*found.shifts(family, sizes), found.spots(family, sizes))
+    powers = found.rows.readings.typical_range() ** np.arange(4)
+    amounts = [*shifts[:2], np.einsum("mbpi,p->mbi", shifts[2], powers)]
+    beams = np.arange(shifts[0].shape[1])
+    worst = [np.linalg.norm(one, axis=2).argmax(axis=0) for one in amounts]
+    location, turn, spot = (
+        np.asarray(shift[member, beams]) for shift, member in zip(shifts, worst, strict=True)
+    )
+    return location, turn, spot
 
 
 def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: str) -> str:

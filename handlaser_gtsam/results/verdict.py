@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..data.recording import Recording
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
-from .limits import LimitCheck, Limits, checked, worst_of_each
+from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import count
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
@@ -26,6 +25,8 @@ OPENING = {
     "not-converged": "Not usable, no calibration",
 }
 """How a sentence begins, by the code of its verdict."""
+RANDOM_ONLY = "; random errors only: state [sensor] kind"
+"""What stands beside a radius where nothing says which systematic errors are plausible."""
 CAUSE = "file-mistake"
 """Code of the warning that names why readings do not fit."""
 
@@ -54,6 +55,10 @@ class Verdict:
         alone.
     harmful : SystematicError or None
         The systematic error found that moves a laser spot most.
+    hidden : SystematicError or None
+        The one that may be there unnoticed and moves a laser spot most, as far as is plausible.
+    hidden_error : float or None
+        How far [m]; None where nothing says what is plausible.
     limits : tuple of LimitCheck
         Every value that has a limit.
     shares : VarianceShares or None
@@ -71,6 +76,8 @@ class Verdict:
     spot_beam: str = ""
     spot_error: float | None = None
     harmful: SystematicError | None = None
+    hidden: SystematicError | None = None
+    hidden_error: float | None = None
     limits: tuple[LimitCheck, ...] = ()
     shares: VarianceShares | None = None
     confirmed_by: int = 0
@@ -122,27 +129,34 @@ def verdict(
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
     shares = variance_shares(calibration, beam, reading, recording) if beam else None
-    code = "usable-with-care" if harmful or calibration.warnings else "usable"
+    hidden, beyond = _most_hidden(calibration, reading)
+    doubtful = hidden if (beyond or 0.0) > max(radii.values(), default=np.inf) else None
+    code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
-    best = improvement(calibration, shares, harmful, failed)
-    found = Verdict(code, (), best, reading, beam, radii.get(beam), harmful, checks, shares)
+    best = improvement(calibration, shares, harmful, failed, doubtful)
+    found = Verdict(
+        *(code, (), best, reading, beam, radii.get(beam), harmful, hidden, beyond, checks, shares)
+    )
     causes = [_clause(one.message) for one in calibration.warnings if one.code == CAUSE]
-    return replace(found, findings=(*causes, *_findings(found, len(calibration.warnings))))
+    return replace(found, findings=(*causes, *_findings(found, calibration)))
 
 
-def spot_shift(one: SystematicError, reading: float, *, unnoticed: bool) -> FloatArray:
-    """Return how far a systematic error moves the spots (B,) [m]; NaN if unknown.
+def _most_hidden(
+    calibration: CalibrationData, reading: float
+) -> tuple[SystematicError | None, float | None]:
+    """Return the systematic error that may hide and moves a laser spot most, and how far [m].
 
-    One of the size that goes `unnoticed`, or of the size estimated.
+    Nothing where no plausible size is known.
     """
-    location, direction = one.location_error, one.direction_error
-    if unnoticed:
-        location, direction = one.location_shift, one.direction_shift
-    shift: FloatArray = np.linalg.norm(location + reading * direction, axis=1)
-    return shift
+    worst, most = None, None
+    for one in hidden_errors(calibration):
+        shift = float(np.nan_to_num(one.spots(reading, unnoticed=True)).max())
+        if most is None or shift > most:
+            worst, most = one, shift
+    return worst, most
 
 
 def _most_harmful(
@@ -156,9 +170,7 @@ def _most_harmful(
     for one in calibration.systematic:
         if not one.found or one.explained_by:
             continue
-        shifts = dict(
-            zip(calibration.beams, spot_shift(one, reading, unnoticed=False), strict=True)
-        )
+        shifts = dict(zip(calibration.beams, one.spots(reading, unnoticed=False), strict=True))
         ratios = [shifts[beam] / radius for beam, radius in radii.items() if radius > 0.0]
         ratio = max((float(x) for x in ratios if np.isfinite(x)), default=0.0)
         if ratio > most:
@@ -166,15 +178,19 @@ def _most_harmful(
     return worst, max(most, 0.0)
 
 
-def _findings(found: Verdict, warnings: int) -> Iterator[str]:
+def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     """Yield the parts of the sentence on what converged."""
+    warnings = len(calibration.warnings)
     if found.code == "outside-limits":
         yield failures(found.limits)
     if found.code == "systematic-error" and found.harmful is not None:
         yield _clause(found.harmful.message)
     elif found.spot_error is not None:
         at = f"beam {found.spot_beam} at {_mm(found.reading)} mm"
+        at += RANDOM_ONLY if calibration.sensor_kind is None else ""
         yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
+        if found.hidden is not None and found.hidden_error is not None:
+            yield hidden_words(found.hidden, found.spot_error + found.hidden_error)
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}"
@@ -184,6 +200,15 @@ def _findings(found: Verdict, warnings: int) -> Iterator[str]:
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
     yield best_improvement(found.best)
+
+
+def hidden_words(one: SystematicError, whole: float) -> str:
+    """Say how far a spot may be off [m] if a systematic error is there unnoticed."""
+    words = WORDING[one.code]
+    return (
+        f"up to {_mm(whole)} mm if there is {words.with_size(one.unnoticed)}, which is plausible and "
+        "this recording would not show"
+    )
 
 
 def best_improvement(best: Improvement) -> str:

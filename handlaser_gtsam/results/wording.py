@@ -20,6 +20,8 @@ class Wording:
         What it cannot be told from.
     anywhere : str
         The subject where no member is meant.
+    reveal : str
+        What would show an error that may be there unseen.
     """
 
     phrase: str
@@ -27,6 +29,7 @@ class Wording:
     unit: str = "m"
     confounded: str = UNKNOWNS
     anywhere: str = ""
+    reveal: str = ""
 
     def with_size(self, size: float, subject: str | None = None) -> str:
         """Return the phrase with a size, and a subject: any one where none is meant."""
@@ -43,28 +46,34 @@ WORDING = {
     "incidence": Wording(
         "a range error of {size} at an incidence of 45 deg that grows with its squared tangent",
         "measure at smaller angles of incidence, or give the sensor's largest incidence",
+        reveal="add stations at large and at small angles of incidence with the same readings",
     ),
     "cubic": Wording(
         "a third-order range error of {size} at the largest reading",
         "measure over a shorter span of ranges around the working distance, or linearise the sensor",
+        reveal="add stations over the whole span of ranges at the same angles of incidence",
     ),
     "sag": Wording(
         "a curvature of the plate by {size} from the middle of its spots to the farthest one",
         "use a flatter plate, support it evenly, or measure a smaller part of it",
+        reveal="add stations that look at the middle and at the edges of the plate from several sides",
     ),
     "lag": Wording(
         "a lag between poses and readings by {size} of the step to the next station",
         "let the hand come to rest before reading, and synchronise the clocks of robot and sensor",
         "1",
+        reveal="reach some stations again from another side",
     ),
     "drift": Wording(
         "a drift of the readings by {size} over the recording",
         "let the sensor warm up, and record in a shorter time",
+        reveal="repeat the first stations at the end",
     ),
     "displaced": Wording(
         "a displacement by {size} of {subject}",
         "fix the plate, and give the stations after the displacement a plane label of their own",
         anywhere="one plane from some station on",
+        reveal="record more stations before each plane, and repeat the first ones at the end",
     ),
     "beam-on-plane": Wording(
         "a bias of {size} of {subject}",
@@ -72,11 +81,13 @@ WORDING = {
         confounded="the offset of the plane or the location of the beam: it takes two beams that see "
         "the same two planes",
         anywhere="one beam on one plane",
+        reveal="add a plane of the same surface",
     ),
     "turn-scale": Wording(
         "a scale error of the robot's turns by {size}",
         "have the robot's joints calibrated, and check the unit and the convention of its angles",
         "1",
+        reveal="turn the hand further, and about other axes",
     ),
     "translation-scale": Wording(
         "a scale error of the robot's translations by {size}",
@@ -84,8 +95,22 @@ WORDING = {
         "the scale of the sensor is known",
         "1",
         "k1 of all beams, because every length scales together",
+        reveal="measure a known length with the robot",
+    ),
+    "carry-over": Wording(
+        "a carry-over of {size} from one channel to the next",
+        "sample slower, put a buffer before the converter, or use a converter for each sensor",
+        "1",
+        reveal="cover one sensor while another reads a fixed distance; state carry_over_percent = 0 in "
+        "the rig file's [plausible] where every sensor has a converter of its own",
     ),
     # Errors that no recording can show.
+    "tilt": Wording(
+        "a range error of {size} at an incidence of 45 deg that changes its sign with the side",
+        "calibrate once more with the sensor turned by half a turn about its beam, and take the mean",
+        confounded="a location of the beam to the side",
+        reveal="calibrate once more with the sensor turned by half a turn about its beam",
+    ),
     "inverse-cosine": Wording(
         "a range error proportional to 1/cos(incidence)",
         "nothing is needed for the beams; measure the offset of a plane by other means if it matters",

@@ -194,7 +194,9 @@ class BatchProblem:
             solution,
         )
         noise = self.config.noise
-        problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise)
+        problem = Problem.as_recorded(
+            self.recording, self.readings, self.origins, noise, self.config.sensor
+        )
         return assemble(problem, selection)
 
     def rejected(self, contents: Contents, reason: str | None = None) -> BoolArray:

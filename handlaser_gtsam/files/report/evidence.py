@@ -10,7 +10,6 @@ from ...results.lines import MM, count
 from ...results.noise_lines import noise_words, range_error_words
 from ...results.significance import DOUBTFUL_LEVEL, chance
 from ...results.systematic import SystematicError
-from ...results.verdict import spot_shift
 from ...results.wording import size_in_words
 from ...validation.hold_out import HoldOut
 from .correlations import FLAGGED, MOST_BEAMS, correlations_of
@@ -181,10 +180,10 @@ def _systematic(one: SystematicError, reading: float) -> tuple[Cell, ...]:
     if one.confounded:
         state = Cell("cannot be told", 1.0)
     name = text(one.code.replace("-", " "))
-    if one.confounded:
+    if one.confounded and not math.isfinite(one.plausible):
         return name, state, *[Cell(NONE)] * 3
-    size = one.size if one.found else one.detectable
-    shift = spot_shift(one, reading, unnoticed=not one.found)
+    size = one.size if one.found else one.unnoticed
+    shift = one.spots(reading, unnoticed=not one.found)
     most = float(np.nan_to_num(shift).max()) if shift.size else math.nan
     below = Cell(size_in_words(size, one.unit), size) if math.isfinite(size) else Cell(NONE)
     return name, state, significant(one.p_value, 2), below, significant(most * MM, 2)
