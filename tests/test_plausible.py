@@ -9,6 +9,8 @@ from helpers import GRIPPER
 import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
 from handlaser_gtsam.model.plausible import KINDS
+from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.information import told_by, with_errors
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.spot_error import spot_at
 from handlaser_gtsam.results.verdict import verdict
@@ -217,3 +219,78 @@ def test_tilts_of_a_sensor_look_like_another_place():
         assert np.linalg.norm(mean - truth) < 0.05 * 5e-4
         off = np.linalg.norm(first.beams[name].location - truth)
         assert off == pytest.approx(5e-4, rel=0.1)
+
+
+# Stations that tell what may hide
+
+
+def planned_in_cell(tells, seed=1):
+    """Plan 12 stations after the recording of a cell, read there, and calibrate with all."""
+    noise = hl.Noise(2e-5, pose_translation_sigma=4e-5, pose_rotation_sigma=math.radians(0.008))
+    sensor = hl.Sensor(0.02, 0.25, math.radians(65.0), kind="triangulation")
+    options = hl.CalibrationOptions(sensor=sensor)
+    cell = make_cell(seed)
+    cell.record_poses()
+    cell.read()
+    before = hl.calibrate(recording_of(cell), noise, options)
+    plan = hl.plan(before, 12, sensor, goal=hl.Goal(tells=tells))
+    first = [cell.labels.index(label) for label in plan.stations.plane_labels]
+    more = make_cell(seed)
+    more.R, more.t = plan.stations.world_R_hand, plan.stations.world_t_hand
+    more.plane, more.n, more.h = cell.plane[first], cell.n[first], cell.h[first]
+    more.record_poses()
+    more.read()
+    names = [f"later {i}" for i in range(len(first))]
+    later = recording_of(more)
+    later = hl.Recording(
+        later.world_R_hand, later.world_t_hand, later.ranges, more.labels, later.beam_names, names
+    )
+    after = hl.calibrate(hl.join([recording_of(cell), later]), noise, options)
+    size = {one.code: one.detectable for one in after.systematic}["incidence"]
+    return before, plan, after, size
+
+
+def test_planned_stations_tell_an_error_with_incidence():
+    before, plan, after, told = planned_in_cell(("incidence",))
+    _, other, _, without = planned_in_cell(())
+    assert told < 0.9 * without
+    shift = [
+        {one.code: one for one in found.systematic}["incidence"].spots(0.1, unnoticed=True).max()
+        for found in (before, after)
+    ]
+    assert shift[1] < 0.1 * shift[0]
+    # What may be there counts in the forecast, before and after.
+    assert plan.forecast.location_sigma[0] > 3.0 * other.forecast.location_sigma[0]
+    assert plan.forecast.location_sigma[-1] > other.forecast.location_sigma[-1]
+
+
+def test_a_belief_with_errors_is_that_of_the_joint_information():
+    cell = cell_with("drift", 0.0, noisy=True)
+    found = calibrated(cell)
+    belief = belief_of(found)
+    joint = with_errors(belief, found.recording, {"incidence": 1e-3, "carry-over": 0.02})
+    rows = told_by(joint, found.recording).reshape(-1, len(joint.covariance))
+    own = belief.of_beams + np.arange(2)
+    x = np.delete(np.arange(len(joint.covariance)), own)
+    information = np.diag(np.zeros(len(joint.covariance)))
+    information[np.ix_(x, x)] = np.linalg.inv(belief.covariance)
+    information[np.ix_(own, x)] = rows[:, own].T @ rows[:, x]
+    information[np.ix_(x, own)] = information[np.ix_(own, x)].T
+    information[np.ix_(own, own)] = rows[:, own].T @ rows[:, own]
+    information[own, own] += 3.0 / np.array([1e-3, 0.02]) ** 2
+    unit = 1.0 / np.sqrt(np.diagonal(information))
+    inverse = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
+    scale = np.sqrt(np.outer(np.diagonal(inverse), np.diagonal(inverse)))
+    assert np.allclose(joint.covariance / scale, inverse / scale, atol=1e-4)
+
+
+def test_a_goal_that_tells_what_has_no_size_is_refused(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[goal]\ntells = ["incidence"]\n')
+    with pytest.raises(hl.InputError, match=r"kind in \[sensor\]"):
+        hl.read_rig(rig)
+    rig.write_text('[goal]\ntells = ["drift"]\n')
+    with pytest.raises(hl.InputError, match="a goal that tells 'drift'"):
+        hl.read_rig(rig)
+    rig.write_text('[sensor]\nkind = "confocal"\n[goal]\ntells = ["incidence", "cubic"]\n')
+    assert hl.read_rig(rig).goal.tells == ("incidence", "cubic")

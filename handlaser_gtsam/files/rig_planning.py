@@ -8,15 +8,17 @@
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
              plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
-             working_distance_mm
+             working_distance_mm, tells = ["incidence", "cubic", "carry-over"]: systematic errors that
+             stations are to tell
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be put anew
 """
 
 import math
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, Strict
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
@@ -116,6 +118,7 @@ class GoalTable(FileRecord):
     direction_sigma_deg: float | None = None
     spot_mm: float | None = None
     working_distance_mm: float | None = None
+    tells: Annotated[tuple[str, ...], Strict(False)] = ()
 
     def to_si(self) -> Goal:
         """Return the goal."""
@@ -123,7 +126,8 @@ class GoalTable(FileRecord):
         location, spot, distance = (None if x is None else x * MM for x in lengths)
         angle = self.direction_sigma_deg
         return Goal(
-            self.criterion, location, None if angle is None else angle * DEG, spot, distance
+            *(self.criterion, location, None if angle is None else angle * DEG, spot, distance),
+            self.tells,
         )
 
 

@@ -192,20 +192,23 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         scaled(rig.limits.location_sigma_mm, mm),
         scaled(rig.limits.direction_sigma_deg, deg),
     )
+    sensor = Sensor(
+        span[0] * mm,
+        span[1] * mm,
+        math.radians(90.0 if incidence is None else incidence),
+        Sensor().linearity if linearity is None else 0.01 * linearity,
+        rig.sensor.kind,
+        rig.plausible.to_si(),
+    )
+    goal = rig.goal.to_si().within(limits)
+    goal.plausible(sensor, 1.0)  # refuses errors of which no size is known
     return Rig(
         noise_of(rig.noise),
-        Sensor(
-            span[0] * mm,
-            span[1] * mm,
-            math.radians(90.0 if incidence is None else incidence),
-            Sensor().linearity if linearity is None else 0.01 * linearity,
-            rig.sensor.kind,
-            rig.plausible.to_si(),
-        ),
+        sensor,
         limits,
         _workspace(rig, folder),
         None if rig.blind is None else rig.blind.to_si(),
-        rig.goal.to_si().within(limits),
+        goal,
         rig.placement.to_si(),
         rig.log.to_format(folder),
     )

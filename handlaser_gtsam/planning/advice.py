@@ -9,11 +9,10 @@ from ..errors import HandlaserError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.lines import MM, wrapped
-from .belief import belief_of
 from .bounds import Bounds
 from .completing import completing_motion
 from .goal import Goal
-from .information import told
+from .information import judged, told
 from .replacing import planned_with_spare
 from .route import Plan, Task
 from .workspace import Workspace, picked, reachable, workspace_of
@@ -44,7 +43,7 @@ def next_stations(
     goal, rng = Goal() if goal is None else goal, np.random.default_rng(0)
     workspace = workspace_of(recording) if workspace is None else workspace
     try:
-        belief = belief_of(calibration)
+        belief = judged(calibration, goal, sensor)
         task = Task(belief, workspace, sensor, goal, recording.station_names)
         pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
         chosen = task.chosen(told(belief, pool)[None], FEW).candidates

@@ -41,9 +41,9 @@ class Belief:
     mean : Parameters
         World frame.
     covariance : (U, U)
-        What the next calibration starts from. U = 7 B + 3 P tangent coordinates: (r, tangent of v, k1,
-        k2) a beam, (tangent of n, offset at the plane's origin) a plane. A range error that is not
-        modelled has zero rows.
+        What the next calibration starts from. U = 7 B + E + 3 P tangent coordinates: (r, tangent of v,
+        k1, k2) a beam, the sizes of `errors`, (tangent of n, offset at the plane's origin) a plane. A
+        range error that is not modelled has zero rows.
     beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
         Tangent bases of directions and normals.
     origins : (P, 3)
@@ -54,6 +54,8 @@ class Belief:
     spread : (U, U)
         How far the truth may be from the mean. It differs from `covariance` in what a person knows
         and the calibration does not use: where a plate stands roughly.
+    errors : tuple of str
+        Codes of systematic errors of readings that may be there: stations that tell them are worth it.
     """
 
     mean: Parameters
@@ -64,6 +66,7 @@ class Belief:
     variances: Variances
     plane_names: tuple[str, ...]
     spread: FloatArray
+    errors: tuple[str, ...] = ()
 
     @property
     def beams(self) -> int:
@@ -72,8 +75,13 @@ class Belief:
 
     @property
     def of_beams(self) -> int:
-        """How many unknowns the beams have; those of the planes follow."""
+        """How many unknowns the beams have."""
         return BEAM * self.beams
+
+    @property
+    def before_planes(self) -> int:
+        """How many unknowns stand before those of the planes."""
+        return self.of_beams + len(self.errors)
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and planes drawn from the spread."""
@@ -83,7 +91,8 @@ class Belief:
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
-        beam, plane = x[: self.of_beams].reshape(-1, BEAM), x[self.of_beams :].reshape(-1, PLANE)
+        beam = x[: self.of_beams].reshape(-1, BEAM)
+        plane = x[self.before_planes :].reshape(-1, PLANE)
         at = self.mean
         normals = at.normals + np.einsum("pij,pj->pi", self.plane_bases, plane[:, :2])
         normals = model.normalized(normals)
@@ -117,7 +126,7 @@ class Belief:
             offsets=np.concatenate((self.mean.offsets[:keep], -(n * points).sum(axis=1))),
         )
         bounds = [(0.5 * x.tilt, 0.5 * x.tilt, 0.5 * x.within) for x in plates.values()]
-        known = self.of_beams + PLANE * keep
+        known = self.before_planes + PLANE * keep
         return Belief(
             at,
             _extended(self.covariance[:known, :known], np.tile(UNKNOWN_PLANE, len(plates))),
@@ -127,6 +136,7 @@ class Belief:
             self.variances,
             (*self.plane_names[:keep], *plates),
             _extended(self.spread[:known, :known], np.ravel(bounds)),
+            self.errors,
         )
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import model
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.recording import Recording
@@ -19,7 +18,7 @@ from . import moves
 from .belief import Belief, belief_about
 from .bounds import Bounds
 from .goal import Goal
-from .information import after, told
+from .information import after, told_by
 from .moves import KNOWN, Cell
 from .route import Plan, Task, planned
 from .workspace import Workspace, joined, picked, require_facing, require_range, workspace_of
@@ -63,7 +62,7 @@ def completing_motion(
         _before_planes(belief_about(bounds, at, variances, sensor), bounds, recording)
         for at in drawn
     ]
-    known = [after(one.covariance, _told(one, taken, recording)) for one in judged]
+    known = [after(one.covariance, _told(one, recording)) for one in judged]
     pool = _pool(cell, taken, rng)
     if len(pool.plane) < COUNTS[-1]:
         expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
@@ -72,13 +71,13 @@ def completing_motion(
         chosen, left = moves.best_beside(cell, judged, known, pool, count)
         if left <= KNOWN:
             break
-    return _plan(cell, recording, taken, picked(pool, chosen), Goal() if goal is None else goal)
+    return _plan(cell, recording, picked(pool, chosen), Goal() if goal is None else goal)
 
 
-def _plan(cell: Cell, recording: Recording, taken: Stations, chosen: Stations, goal: Goal) -> Plan:
+def _plan(cell: Cell, recording: Recording, chosen: Stations, goal: Goal) -> Plan:
     """Return the plan of chosen stations, with a forecast for the middle of the bounds."""
     belief = _before_planes(moves.middle_of(cell), cell.bounds, recording)
-    C = after(belief.covariance, _told(belief, taken, recording))
+    C = after(belief.covariance, _told(belief, recording))
     belief, names = replace(belief, covariance=C), recording.station_names
     return planned(Task(belief, cell.workspace, cell.sensor, goal, names), chosen)[0]
 
@@ -93,19 +92,15 @@ def _taken(recording: Recording) -> Stations:
     return Stations(recording.world_R_hand, recording.world_t_hand, recording.plane_of_station)
 
 
-def _told(belief: Belief, taken: Stations, recording: Recording) -> FloatArray:
+def _told(belief: Belief, recording: Recording) -> FloatArray:
     """Return what was told by the readings that there are, at stations where all beams can read."""
-    n = belief.mean.normals[taken.plane]
-    n_hand = np.einsum("mji,mj->mi", taken.world_R_hand, n)
-    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
-    if not facing.any():
+    rows = told_by(belief, recording)
+    if not len(rows):
         raise InputError(
             "bounds of beams and plate that face each other at no station of the recording",
             "the normal of the plate away from the sensor, and directions in the hand frame",
         )
-    rows = told(belief, picked(taken, np.flatnonzero(facing)))
-    read = ~np.isnan(recording.ranges[facing])
-    return np.where(read[..., None], rows, 0.0)
+    return rows
 
 
 def _pool(cell: Cell, taken: Stations, rng: np.random.Generator) -> Stations:

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_number, require_word
+from ..checks import require_kind, require_number, require_word
 from ..data.noise import MOST_SIGMA
 from ..data.recording import LARGEST
 from ..data.value import Value
+from ..errors import InputError
 from ..model.sensor import Sensor
+from ..results.alternatives import OF_READINGS
 from ..results.limits import Limits
 from ..results.lines import DEG, MM
 from .choice import CRITERIA, Criterion
@@ -36,6 +38,9 @@ class Goal:
         Radius around every laser spot that is to hold it with 95 % [m].
     working_distance : float, optional
         A reading [m]; the middle of the sensor's range where not given.
+    tells : tuple of str
+        Systematic errors that the stations are to tell: `incidence`, `cubic`, `carry-over`. What they
+        may be counts in all that is to be reached.
 
     Raises
     ------
@@ -48,6 +53,7 @@ class Goal:
     direction_sigma: float | None = None
     spot: float | None = None
     working_distance: float | None = None
+    tells: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_word("criterion", self.criterion, CRITERIA)
@@ -56,11 +62,34 @@ class Goal:
                 require_number(name, getattr(self, name), 0.0, MOST_SIGMA, above=True)
         if self.working_distance is not None:
             require_number("working_distance", self.working_distance, -LARGEST, LARGEST, unit="m")
+        require_kind("tells", self.tells, tuple, "codes of systematic errors in a tuple")
+        for code in self.tells:
+            require_word("a goal that tells", code, OF_READINGS)
 
     @property
     def stated(self) -> bool:
         """Whether there is anything to reach."""
         return any(x is not None for x in (self.location_sigma, self.direction_sigma, self.spot))
+
+    def plausible(self, sensor: Sensor, largest: float) -> dict[str, float]:
+        """Return the plausible sizes of the errors that are to be told.
+
+        Given the `largest` reading [m]; that of a cubic error is told at a reading of one metre.
+
+        Raises
+        ------
+        InputError
+            A size that is not known, or nothing.
+        """
+        known = sensor.plausible_sizes(largest)
+        for code in self.tells:
+            if not known.get(code, 0.0) > 0.0:
+                found = f"a goal that tells {code}, of which no plausible size is stated"
+                raise InputError(
+                    found, "kind in [sensor] of the rig file, or a size in [plausible]"
+                )
+        known["cubic"] = known.get("cubic", 0.0) / largest**3
+        return {code: known[code] for code in dict.fromkeys(self.tells)}
 
     @property
     def units(self) -> tuple[float, float]:

@@ -9,16 +9,23 @@ beams and of that plane are not zero. From the covariance C before the station f
 after it (the update of a Kalman filter).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..data.recording import Readings
+from ..data.recording import Readings, Recording
+from ..errors import InputError
+from ..model.sensor import Sensor
 from ..model.weighting import Variances, own_variances, whitening
+from ..results.alternatives import OF_READINGS, errors_of_readings
+from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from ..validation.simulate import Stations, read_back
-from .belief import BEAM, PLANE, Belief
+from .belief import BEAM, PLANE, Belief, belief_of
+from .goal import Goal
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +96,87 @@ def told(belief: Belief, stations: Stations) -> FloatArray:
     rows = np.zeros((count, beams, len(belief.covariance)))
     of_beams = root[..., None] * J[:, None, :, :BEAM]
     rows[..., : belief.of_beams] = of_beams.reshape(count, beams, belief.of_beams)
-    first = belief.of_beams + PLANE * stations.plane
+    if belief.errors:
+        errors = errors_of_readings(belief.mean, readings, x, np.arange(beams))
+        wanted = [OF_READINGS.index(code) for code in belief.errors]
+        of_errors = errors[:, wanted].reshape(count, beams, -1)
+        rows[..., belief.of_beams : belief.before_planes] = root @ of_errors
+    first = belief.before_planes + PLANE * stations.plane
     columns = (first[:, None] + np.arange(PLANE))[:, None]
     rows[np.arange(count)[:, None, None], np.arange(beams)[:, None], columns] = root @ J[..., BEAM:]
     return rows
+
+
+def judged(calibration: Calibration | Mounts, goal: Goal, sensor: Sensor) -> Belief:
+    """Return what a calibration knows, and of the errors that a goal is to tell.
+
+    Raises
+    ------
+    InputError
+        No covariance; or errors of which no plausible size is known, or no recording that shows them.
+    """
+    belief = belief_of(calibration)
+    if not goal.tells:
+        return belief
+    recording = calibration.recording if isinstance(calibration, Calibration) else None
+    if recording is None or not isinstance(calibration, Calibration):
+        raise InputError(
+            "a goal that tells systematic errors without the recording behind the calibration",
+            "a calibration from its recording",
+        )
+    used = calibration.used_in(recording)
+    return with_errors(belief, used, goal.plausible(sensor, float(np.nanmax(used.ranges))))
+
+
+def told_by(belief: Belief, recording: Recording) -> FloatArray:
+    """Return the rows (M, B, U) of the readings of a recording before the planes of a belief.
+
+    Of stations where all beams can read at the mean.
+    """
+    number = {name: p for p, name in enumerate(belief.plane_names)}
+    plane = np.array([number.get(label, -1) for label in recording.plane_labels])
+    n_hand = np.einsum("mji,mj->mi", recording.world_R_hand, belief.mean.normals[plane])
+    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
+    at = np.flatnonzero(facing & (plane >= 0))
+    stations = Stations(recording.world_R_hand[at], recording.world_t_hand[at], plane[at])
+    if not at.size:
+        return np.zeros((0, belief.beams, len(belief.covariance)))
+    read = ~np.isnan(recording.ranges[at])
+    return np.where(read[..., None], told(belief, stations), 0.0)
+
+
+def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, float]) -> Belief:
+    r"""Return a belief in which systematic errors may be there that the recording did not show.
+
+    Parameters
+    ----------
+    belief : Belief
+        Of a calibration that left them out.
+    recording : Recording
+        Behind that calibration.
+    plausible : mapping
+        Largest size by code. An error is taken for Gaussian with a third of its square.
+
+    Notes
+    -----
+    With C the covariance of the unknowns x, J and A the whitened derivatives of the recorded readings
+    by x and by the sizes a, the joint information of a is V^-1 = A'A - A'J C J'A + 3 / plausible^2, and
+
+        cov(a) = V,   cov(x, a) = -C J'A V,   cov(x) = C + C J'A V A'J C.
+    """
+    count, first, C = len(plausible), belief.of_beams, belief.covariance
+    wide = np.insert(np.insert(C, [first] * count, 0.0, axis=0), [first] * count, 0.0, axis=1)
+    joint = replace(belief, covariance=wide, spread=wide, errors=tuple(plausible))
+    rows = told_by(joint, recording).reshape(-1, len(wide))
+    own = first + np.arange(count)
+    A, J = rows[:, own], np.delete(rows, own, axis=1)
+    response = C @ (J.T @ A)
+    values, axes = np.linalg.eigh(A.T @ A - (J.T @ A).T @ response)  # rounding apart, not negative
+    shown = (axes * np.maximum(values, 0.0)) @ axes.T
+    V = np.linalg.inv(shown + np.diag([3.0 / size**2 for size in plausible.values()]))
+    move = np.insert(-response, [first] * count, np.eye(count), axis=0)
+    covariance = wide + move @ V @ move.T
+    return replace(joint, covariance=covariance, spread=covariance)
 
 
 def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
@@ -159,7 +243,7 @@ def _spread(belief: Belief, stations: Stations, rows: FloatArray) -> FloatArray:
     found = np.empty(rows.shape[:2])
     beam = BEAM * np.arange(belief.beams)[:, None] + np.arange(BEAM)
     for plane in np.unique(stations.plane):
-        own = belief.of_beams + PLANE * plane + np.arange(PLANE)
+        own = belief.before_planes + PLANE * plane + np.arange(PLANE)
         index = np.hstack((beam, np.tile(own, (belief.beams, 1))))
         here = stations.plane == plane
         part = rows[:, here]

@@ -12,9 +12,8 @@ from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations
-from .belief import belief_of
 from .goal import Goal
-from .information import told
+from .information import judged, told
 from .plate import Placement, Plate, standing
 from .refine import refined
 from .replacing import planned_with_spare
@@ -111,7 +110,7 @@ def _task(
                 "no recording that shows the workspace", "a workspace: [workspace] in a rig file"
             )
         workspace = workspace_of(recording)
-    belief = belief_of(calibration)
+    belief = judged(calibration, goal, sensor)
     if plates is not None:
         belief = belief.before(plates)
     if not belief.plane_names:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import slopes
 from .projection import Projection, Rows
@@ -34,6 +35,8 @@ WHOLE = (
     "carry-over",
 )
 """Codes of the errors that concern all readings, in the order of the columns."""
+OF_READINGS = ("incidence", "cubic", "carry-over")
+"""Codes of those that a reading has by itself, whenever it is taken."""
 LEAST_STATIONS = 2
 """A plane is taken as displaced only where it has so many stations before and after."""
 MOST_SPLITS = 32
@@ -188,21 +191,38 @@ def _whole_columns(rows: Rows) -> FloatArray:
     x, d = model.scene(at, readings), readings.level
     found = model.linearize(x, d, with_pose=True)
     longer = -slopes(at, readings)
-    tangent_square = 1.0 / model.cosines(x) ** 2 - 1.0
+    errors = errors_of_readings(at, readings, x, rows.channel, float(d.max()))
+    incidence, cubic, carry_over = errors.T
     spot = found.normal / found.offset[:, None]
     square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
     poses = _pose_errors(readings, position)
     return np.column_stack(
         (
-            longer * tangent_square,
-            longer * (d / d.max()) ** 3,
+            incidence,
+            cubic,
             found.offset * square / max(float(square.max()), 1e-300),
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, :1])),
             longer * (position / max(int(position.max()), 1) - 0.5),
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, 1:])),
-            longer * _from_channel_before(readings, rows.channel),
+            carry_over,
         )
     )
+
+
+def errors_of_readings(
+    at: Parameters,
+    readings: Readings,
+    x: model.Scene,
+    channel: IntArray,
+    largest: float = 1.0,
+) -> FloatArray:
+    """Return the columns (N, 3) of the errors `OF_READINGS`.
+
+    The size of a cubic one is that at the `largest` reading [m]; `channel` (B,) is that of `Rows`.
+    """
+    by_one = 1.0 / model.cosines(x) ** 2 - 1.0, (readings.level / largest) ** 3
+    errors = np.column_stack((*by_one, _from_channel_before(readings, channel)))
+    return np.asarray(-slopes(at, readings)[:, None] * errors)
 
 
 def _from_channel_before(readings: Readings, channel: IntArray) -> FloatArray:
