@@ -452,7 +452,7 @@ AFTER: dict[str, tuple[Mistake, str]] = {
     "arm-model-0.3mm": (arm_errors, ""),
     "positions-scaled-0.3%": (scaled(1.003, 1.0), ""),
     "turns-scaled-0.3%": (
-        turned(lambda R: Rotation.from_rotvec(1.003 * (R.mean().inv() * R).as_rotvec())),
+        turned(lambda R: R.mean() * Rotation.from_rotvec(1.003 * (R.mean().inv() * R).as_rotvec())),
         "",
     ),
     "base-displaced-1mm": (wrong_base, "displacement|moved"),

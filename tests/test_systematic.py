@@ -23,7 +23,7 @@ from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
 
 SIGMA = 1e-4
-TESTED = (*WHOLE, "displaced", "beam-on-plane")
+TESTED = (*dict.fromkeys(WHOLE), "displaced", "beam-on-plane")
 BY_NATURE = {"inverse-cosine", "tilt", "tool-frame", "range-offset"}
 FREE, NONE = (np.inf, np.inf), (0.0, 0.0)
 
@@ -357,6 +357,18 @@ def test_an_injected_error_is_found_named_and_its_effect_is_right(code, terms):
     assert np.linalg.norm(turned - expected) < 0.2 * np.linalg.norm(turned) + 1e-9
 
 
+def test_a_sensor_that_warms_up_is_found_to_drift():
+    scene = Scene()
+    noise = SIGMA * np.random.default_rng(7).standard_normal((48, 3))
+    size = 8.0 * SIGMA
+    time = np.arange(48) / 47.0
+    found = report(solved(scene, scene.ranges() - size * np.exp(-8.0 * time)[:, None] + noise))
+    one = found["drift"]
+    assert one.found
+    assert not one.explained_by
+    assert one.size == pytest.approx(size, abs=4.0 * one.sigma)
+
+
 def test_nothing_is_found_in_a_clean_recording():
     scene = Scene()
     noise = SIGMA * np.random.default_rng(3).standard_normal((48, 3))
@@ -443,7 +455,7 @@ def drawn(scene, rng, count, code="", size=0.0):
 @pytest.mark.parametrize("known", [True, False])
 def test_without_errors_p_values_are_uniform_and_warnings_rare(known):
     rng, scene = np.random.default_rng(5), Scene()
-    smallest, sizes = [], {code: [] for code in ("sag", "lag", "drift")}
+    smallest, sizes = [], {code: [] for code in ("sag", "lag", "cubic")}
     dof = 48 * 3 - 21 - 12
     for problem in drawn(scene, rng, 200):
         found = report(problem, known)

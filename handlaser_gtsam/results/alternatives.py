@@ -30,11 +30,17 @@ WHOLE = (
     "sag",
     "lag",
     "drift",
+    "drift",
     "turn-scale",
     "translation-scale",
     "carry-over",
 )
-"""Codes of the errors that concern all readings, in the order of the columns."""
+"""Codes of the errors that concern all readings, in the order of the columns.
+
+A drift is steady, or that of a sensor that warms up.
+"""
+WARMING = 8.0
+"""A sensor that warms up does so within an eighth of the recording: a few minutes of half an hour."""
 OF_READINGS = ("incidence", "cubic", "carry-over")
 """Codes of those that a reading has by itself, whenever it is taken."""
 LEAST_STATIONS = 2
@@ -186,7 +192,7 @@ def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
 
 
 def _whole_columns(rows: Rows) -> FloatArray:
-    """Return the columns (N, 8) of the errors `WHOLE`."""
+    """Return the columns (N, 9) of the errors `WHOLE`."""
     at, readings, position = rows.at, rows.readings, rows.position
     x, d = model.scene(at, readings), readings.level
     found = model.linearize(x, d, with_pose=True)
@@ -195,14 +201,15 @@ def _whole_columns(rows: Rows) -> FloatArray:
     incidence, cubic, carry_over = errors.T
     spot = found.normal / found.offset[:, None]
     square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
-    poses = _pose_errors(readings, position)
+    poses, time = _pose_errors(readings, position), position / max(int(position.max()), 1)
     return np.column_stack(
         (
             incidence,
             cubic,
             found.offset * square / max(float(square.max()), 1e-300),
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, :1])),
-            longer * (position / max(int(position.max()), 1) - 0.5),
+            longer * (time - 0.5),
+            -longer * np.exp(-WARMING * time),
             *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, 1:])),
             carry_over,
         )

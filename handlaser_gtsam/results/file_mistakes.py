@@ -29,6 +29,12 @@ SPARE = 15
 """So many readings of one beam more than unknowns tell a mistake from a chance fit."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
+MANY_LOST = 0.1
+"""Where more than this part of the readings is rejected, labels may be exchanged."""
+SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
+"""Parts of the way to the next station, or back to the one before, at which readings may be taken."""
+CLOSE_SHARE = 1e-3
+"""Known so well, they leave a hundredth of the misfit that they have at a tenth of the way."""
 UNIT_GAP = 3.0
 """Readings that differ by this factor on both sides of a station, without overlap, have two units."""
 SPLITS = 9
@@ -66,20 +72,31 @@ def better_ways(
             *_swaps(recording, terms),
             *_unit_changes(recording),
             *_mixed_labels(recording, terms),
+            *_on_the_way(recording, terms),
         ]
     else:
         mistakes = [*_exchanges(recording, rejected), *_second_plates(recording, rejected)]
+    found = _much_better(recording, terms, mistakes)
+    if not found and rejected is not None and rejected.mean() > MANY_LOST:
+        found = _much_better(recording, terms, [*_mixed_labels(recording, terms)])
+    return tuple(
+        f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
+        for ratio, words in sorted(found, reverse=True)
+    )
+
+
+def _much_better(
+    recording: Recording, terms: int, mistakes: list[tuple[str, Undone, Effort]]
+) -> list[tuple[float, str]]:
+    """Return by how much the misfit falls without each of some mistakes, where that is much."""
     if not mistakes:
-        return ()
+        return []
     now, found = misfit(recording, terms, "normal"), []
     for words, undone, effort in mistakes:
         ratio = now / max(misfit(undone(recording), terms, effort), 1e-30)
         if ratio >= MUCH_BETTER:
             found.append((ratio, words))
-    return tuple(
-        f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
-        for ratio, words in sorted(found, reverse=True)
-    )
+    return found
 
 
 def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
@@ -247,6 +264,49 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undon
         words = f"the labels {names[0]} and {names[1]} look exchanged from station {station} on"
     late = np.flatnonzero(rows)[split]
     yield words, partial(undone, names=tuple(names), split=int(late)), "normal"
+
+
+def _on_the_way(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+    """Yield that readings were taken on the way to the next station, or from the last.
+
+    Near the right part of the way the misfit is quadratic in it: a parabola through three tells it.
+    """
+    one = _one_beam(recording)
+    values = {0.0: misfit(one, terms, "glance")}
+    for share in SHARES:
+        values[share] = misfit(_moved_on(one, share), terms, "glance")
+    for _ in range(len(SHARES)):
+        best = min(values, key=lambda share: values[share])
+        near = sorted(values, key=lambda share: abs(share - best))[:3]
+        a, b, _ = np.polyfit(near, [values[share] for share in near], 2)
+        share = float(np.clip(-0.5 * b / a, SHARES[0], SHARES[-1])) if a > 0.0 else best
+        if min(abs(share - known) for known in values) < CLOSE_SHARE:
+            break
+        values[share] = misfit(_moved_on(one, share), terms, "glance")
+    if values[0.0] < PROMISING * values[best] or best == 0.0:
+        return
+    where = (
+        f"{100.0 * abs(best):.2g} % of the way {'to the next' if best > 0.0 else 'from the last'}"
+    )
+    words = (
+        f"readings look as if taken {where} station: the hand was not at rest, or they came late"
+    )
+    yield words, partial(_moved_on, share=best), "normal"
+
+
+def _moved_on(recording: Recording, share: float) -> Recording:
+    """Return a recording whose poses are moved a part of the way to the next of the same plane.
+
+    Or, where it is negative, towards the one before. The last, or the first, of a plane stays.
+    """
+    plane, count = recording.plane_of_station, len(recording.plane_of_station)
+    other = np.clip(np.arange(count) + (1 if share > 0.0 else -1), 0, count - 1)
+    other = np.where(plane[other] == plane, other, np.arange(count))
+    R, t = recording.world_R_hand, recording.world_t_hand
+    part = abs(share)
+    turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ R[other]).as_rotvec()
+    moved = R @ Rotation.from_rotvec(part * turn).as_matrix()
+    return replace(recording, world_R_hand=moved, world_t_hand=t + part * (t[other] - t))
 
 
 def _misfit_of_planes(recording: Recording, planes: tuple[int, ...], terms: int) -> float | None:

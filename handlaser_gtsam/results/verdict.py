@@ -193,7 +193,8 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
             yield hidden_words(found.hidden, found.spot_error + found.hidden_error)
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
-        yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}"
+        others = f" (it may also be {' or '.join(one.alike)})" if one.alike else ""
+        yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}{others}"
     if found.usable and found.limits:
         nearest = max(found.limits, key=lambda one: one.ratio)
         yield f"within the limits ({nearest.comparison})"
