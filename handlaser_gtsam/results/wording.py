@@ -46,7 +46,7 @@ WORDING = {
     "incidence": Wording(
         "a range error of {size} at an incidence of 45 deg that grows with its squared tangent",
         "measure at smaller angles of incidence, or give the sensor's largest incidence",
-        reveal="add stations at large and at small angles of incidence with the same readings",
+        reveal="add stations at 50 to 60 deg of incidence, where the sensor reads there",
     ),
     "cubic": Wording(
         "a third-order range error of {size} at the largest reading",

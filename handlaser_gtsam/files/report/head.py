@@ -125,7 +125,7 @@ def _robot(subject: Subject) -> str:
 
 def _sensor(subject: Subject) -> str:
     sensor = subject.options.rig.sensor
-    parts = []
+    parts = [] if sensor.kind is None else [sensor.kind]
     if sensor.range_stated:
         parts.append(f"reads {sensor.range_min * MM:.6g} to {sensor.range_max * MM:.6g} mm")
     if sensor.max_incidence < np.pi / 2.0:
