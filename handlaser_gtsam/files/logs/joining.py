@@ -56,12 +56,12 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     """
     if given.interpolate:
         raise InputError(
-            "interpolate, of one table with poses and readings",
+            "--interpolate, of one table with poses and readings",
             "two tables joined by time (--readings), or a bag",
         )
     if given.lag_s or given.estimate_lag:
         raise InputError(
-            "a lag, of one table with poses and readings in its rows",
+            "--lag-s or --estimate-lag, of one table with poses and readings in its rows",
             "no lag; or two tables joined by time (--readings), or a bag",
         )
     if rows.columns.range and rows.stations is None:

@@ -23,6 +23,8 @@ from .rows import LogRows, rows_of
 from .suspicion import Raw
 from .tables import FOREIGN, WORKBOOKS, read_log_table
 
+NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
+
 
 def read_log(
     path: Path | str, given: LogFormat | None = None, sensor: Sensor | None = None
@@ -103,7 +105,7 @@ def read_any(
     if foreign or (given.stated and not _is_recording(path, given)):
         return describe_log(path, given, sensor, range_sigma)
     try:
-        return LogReport(read_recording(path, sensor))
+        return LogReport(read_recording(path, sensor), lines=(NOT_A_LOG,) if given.stated else ())
     except InputError as error:
         hint = _hint(error)
         if not hint:
