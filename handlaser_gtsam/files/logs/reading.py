@@ -3,9 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ...arrays import BoolArray
 from ...checks import require_kind
 from ...data.recording import Recording
-from ...errors import InputError
+from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
 from ...text import shown
 from ..recording_csv import POSE, read_recording
@@ -193,6 +194,12 @@ def _report(
 ) -> LogReport:
     assert poses.poses is not None
     both = (poses,) if readings is poses else (poses, readings)
+
+    def codes(chosen: BoolArray) -> tuple[CalibrationWarning, ...]:
+        assert readings.codes is not None
+        counted = (joined.station >= 0) & chosen[joined.station]
+        return readings.codes.warnings(counted)
+
     log = Stationed(
         path,
         Raw(poses.poses, convention_of(given), given.inverted, joined.way),
@@ -202,6 +209,7 @@ def _report(
         0.0 if poses.times is None else float(poses.times.min()),
         readings.beams,
         joined.samples,
+        codes,
         tuple(dict.fromkeys(name for rows in both for name in rows.ignored)),
         (*(warning for rows in both for warning in rows.warnings), *joined.warnings),
         tuple(line for line in (_words(given), joined.words) if line),
