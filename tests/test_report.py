@@ -168,6 +168,16 @@ def test_every_element_ends_where_it_should(page, hostile):
     assert page.path == hostile.path == []
 
 
+def test_the_licence_of_the_library_is_readable_in_both_pages(page):
+    pytest.importorskip("starlette", reason="needs the extra watch")
+    from handlaser_gtsam.files.watch.page import live_page
+
+    for html in (page, live_page().html):
+        shown = html[: html.index("<script")]
+        assert "Permission is hereby granted, free of charge" in shown
+        assert 'THE SOFTWARE IS PROVIDED "AS IS"' in shown
+
+
 def test_the_verdict_comes_first(page, calibration, rig):
     body = [(tag, " ".join(words.split())) for tag, words in page.words if tag != "title"]
     assert body[0] == ("p", "Calibration of recording.csv")

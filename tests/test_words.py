@@ -80,6 +80,7 @@ def test_rounding_is_no_number_and_what_else_is_undetermined_is_named(handlaser,
     out = " ".join(out.split())
     assert code == 3
     assert "beam 1: location, direction; and unknowns of beam 2, plane A; " in out
+    out = " ".join(handlaser("calibrate", path, "--verbose")[1].split())
     assert "a reading 0 mm (rounding)" in out
     assert "rms 0 mm (rounding)" in out
     assert "e-1" not in out
