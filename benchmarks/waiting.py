@@ -3,10 +3,13 @@
     python -m benchmarks.waiting
 
 The help (wall time of a new process, median of five), a recording read at two sizes, the report of 13
-planes with its hold-out beside `validate`, and the choice of 44 stations from 1,200. Logs and bags are
-timed by `benchmarks.logs`, solvers by `benchmarks.solve`.
+planes with its hold-out beside `validate`, where there are Chromium and playwright how long that report
+takes to open, and the choice of 44 stations from 1,200. Logs and bags are timed by `benchmarks.logs`,
+solvers by `benchmarks.solve`.
 """
 
+import importlib.util
+import shutil
 import statistics
 import subprocess
 import sys
@@ -78,6 +81,33 @@ def report_figures(folder: Path) -> list[bool]:
         told("report of 13 planes", seconds(lambda: hl.write_report(path, found)), 2.0, "s"),
         told("its size", float(path.stat().st_size), MOST_BYTES, "bytes"),
         told("its hold-out, beside validate", fast, 0.2, "times"),
+        *opening(path),
+    ]
+
+
+def opening(path: Path) -> list[bool]:
+    """Print how long a report takes until its load event, and until what is in view is drawn."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None or importlib.util.find_spec("playwright") is None:
+        return []
+    from playwright.sync_api import sync_playwright
+
+    loaded, drawn = [], []
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for _ in range(3):
+            page = browser.new_page()
+            page.goto(path.as_uri(), wait_until="load")
+            page.wait_for_selector("html[data-ready=yes]")
+            entry = "performance.getEntriesByType('navigation')[0].loadEventEnd"
+            loaded.append(1e-3 * page.evaluate(entry))
+            view = "performance.getEntriesByName('view-drawn', 'mark')[0].startTime"
+            drawn.append(1e-3 * page.evaluate(view))
+            page.close()
+        browser.close()
+    return [
+        told("what is in view is drawn, best of three", min(drawn), 2.0, "s"),
+        told("all flat figures are, before the load event", min(loaded), 5.0, "s"),
     ]
 
 

@@ -5,14 +5,14 @@ number belongs, True is a slip.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, frozen
-from .errors import InputError
+from .errors import ArgumentError, InputError, NumberError
 from .text import A_NAME, name_fault, shown
 
 
@@ -30,30 +30,29 @@ def require_number(
     number = _number(value)
     if number is not None and least <= number <= most and not (above and number == least):
         return
-    unit = f" {unit}" if unit else ""
-    span = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
-    found = f"{number:g}{unit}" if number is not None else shown(value)
-    raise InputError(f"{name} {found}", f"a number, {span}{unit}{remedy}")
+    known = (math.nan if number is None else number,)
+    error = NumberError(name, known, least, most, above=above, unit=unit, remedy=remedy)
+    raise error if number is not None else ArgumentError(name, shown(value), error.expected)
 
 
 def require_count(name: str, value: object, least: int, most: int) -> None:
     """Refuse what is no whole number from `least` to `most`."""
     whole = isinstance(value, Integral) and not isinstance(value, (bool, np.bool_))
     if not (whole and least <= int(value) <= most):  # type: ignore[call-overload]
-        raise InputError(f"{name} {shown(value)}", f"a whole number, {least} to {most}")
+        raise ArgumentError(name, shown(value), f"a whole number, {least} to {most}")
 
 
 def require_word(name: str, value: object, words: Iterable[str]) -> None:
     """Refuse what is none of `words`."""
     listed = tuple(words)
     if not (isinstance(value, str) and value in listed):
-        raise InputError(f"{name} {shown(value)}", f"one of {', '.join(map(repr, listed))}")
+        raise ArgumentError(name, shown(value), f"one of {', '.join(map(repr, listed))}")
 
 
 def require_bool(name: str, value: object) -> None:
     """Refuse what is neither True nor False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{name} {shown(value)}", "True or False")
+        raise ArgumentError(name, shown(value), "True or False")
 
 
 def require_kind(name: str, value: object, kind: type, expected: str = "") -> None:
@@ -127,6 +126,35 @@ def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: fl
     if beyond:
         expected = "a positive semidefinite matrix: correlations that go together"
         raise InputError(f"{name} that is not positive semidefinite", expected)
+
+
+UNITS = {
+    "_mm": (1e3, "mm"),
+    "_deg": (180.0 / math.pi, "deg"),
+    "_percent": (100.0, "%"),
+    "_per_m": (1.0, "1/m"),
+}
+"""By the ending of a field's or an option's name: what a number in SI units is multiplied by there."""
+
+
+def as_called(error: ArgumentError, names: Mapping[str, str]) -> ArgumentError:
+    """Return an error in the words and units of who stated the value.
+
+    Parameters
+    ----------
+    error : ArgumentError
+        Names an argument in Python, in SI units: `range_sigma`.
+    names : mapping of str to str
+        By field, as `range_sigma_mm`, how it is called: `noise.range_sigma_mm`, `--range-sigma-mm`.
+    """
+    argument = error.argument.rpartition(".")[2]  # of a table, as a rig file calls it
+    if argument in names:
+        return error.called(names[argument])
+    both_ends = argument.removesuffix("_min").removesuffix("_max")
+    for ending, (scale, unit) in UNITS.items():
+        if both_ends + ending in names:
+            return error.called(names[both_ends + ending], scale, unit)
+    return error
 
 
 def _number(value: object) -> float | None:

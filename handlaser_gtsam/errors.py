@@ -64,6 +64,75 @@ class InputError(HandlaserError):
         super().__init__(printable(message))
 
 
+class ArgumentError(InputError):
+    """An argument, an option or a field of a file cannot have the value that it was given.
+
+    Parameters
+    ----------
+    argument : str
+        Its name.
+    value : str
+        The value, as it is shown.
+    expected : str
+    """
+
+    def __init__(self, argument: str, value: str, expected: str) -> None:
+        self.argument, self.value = argument, value
+        super().__init__(f"{argument} {value}", expected)
+
+    def called(self, name: str, scale: float = 1.0, unit: str = "") -> "ArgumentError":
+        """Return the same of an argument that the user knows by another name, in another unit."""
+        del scale, unit  # of numbers only
+        return ArgumentError(name, self.value, self.expected)
+
+
+class NumberError(ArgumentError):
+    """A number, or one of several, is beyond its bounds.
+
+    Parameters
+    ----------
+    argument : str
+    values : numbers
+    least, most : float
+    above : bool
+        Whether the least itself is refused, too.
+    unit : str
+    remedy : str
+        What to do, after a semicolon.
+    """
+
+    def __init__(
+        self,
+        argument: str,
+        values: tuple[float, ...],
+        least: float,
+        most: float,
+        *,
+        above: bool = False,
+        unit: str = "",
+        remedy: str = "",
+    ) -> None:
+        self.values, self.least, self.most = values, least, most
+        self.above, self.unit, self.remedy = above, unit, remedy
+        unit = f" {unit}" if unit else ""
+        span = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
+        kind = "a number" if len(values) == 1 else f"{len(values)} numbers"
+        shown = " ".join(f"{value:g}" for value in values)
+        super().__init__(argument, f"{shown}{unit}", f"{kind}, {span}{unit}{remedy}")
+
+    def called(self, name: str, scale: float = 1.0, unit: str = "") -> "NumberError":
+        """Return the same of an argument that the user knows by another name, in another unit."""
+        return NumberError(
+            name,
+            tuple(value * scale for value in self.values),
+            self.least * scale,
+            self.most * scale,
+            above=self.above,
+            unit=unit or self.unit,
+            remedy=self.remedy,
+        )
+
+
 class GrazingBeamError(HandlaserError):
     """A beam runs parallel to its plane, so no range can be predicted."""
 

@@ -56,6 +56,14 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
+def shortened(name: str, most: int) -> str:
+    """Return a name of at most so many letters: numbers at the end, too, tell long names apart."""
+    if len(name) <= most:
+        return name
+    end = (most - 1) // 2
+    return f"{name[: most - 1 - end]}…{name[len(name) - end :]}"
+
+
 def some(names: Sequence[str], most: int) -> str:
     """Return at most so many names, and how many more there are."""
     shown = ", ".join(names[:most])

@@ -129,8 +129,8 @@ def test_left_handed_matrices_are_called_so(tmp_path, log):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"estimate_lag": True}, "a lag, of one table"),
-        ({"lag_s": 0.1}, "a lag, of one table"),
+        ({"estimate_lag": True}, "--estimate-lag, of one table"),
+        ({"lag_s": 0.1}, "--lag-s or --estimate-lag, of one table"),
         ({"sheet": "S"}, "--sheet, which says nothing of a file that is no workbook"),
     ],
     ids=str,
@@ -153,7 +153,7 @@ def test_zero_is_a_number_that_is_stated(tmp_path, log, handlaser):
     assert "within the tolerance" in err
     code, _, err = handlaser(*common, "--tolerance-s", "0")
     assert code == 2
-    assert "tolerance_s 0" in err
+    assert "--tolerance-s 0" in err
 
 
 # --- times --------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ GOOD = np.diag([1e-6] * 3 + [1e-9] * 3)
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"range_sigma": 0.0}, "range sigma 0 m"),
+        ({"range_sigma": 0.0}, "range_sigma 0 m"),
         ({"incidence_sigma": -1.0}, "incidence_sigma -1"),
         ({"pose_rotation_sigma": float("nan")}, "pose_rotation_sigma nan"),
         ({"pose_covariance": np.eye(5)}, r"shape \(5, 5\)"),
@@ -22,8 +22,8 @@ GOOD = np.diag([1e-6] * 3 + [1e-9] * 3)
         ({"pose_covariance": np.where(np.eye(6, k=1), 1e308, -1e308)}, "the entry 1e\\+308"),
         ({"pose_covariance": "thin"}, "no array of numbers"),
         ({"pose_covariance": 1e20 * np.eye(6)}, "at most 1e\\+12"),
-        ({"range_sigma": "thin"}, "range sigma 'thin'"),
-        ({"range_sigma": True}, "range sigma True"),
+        ({"range_sigma": "thin"}, "range_sigma 'thin'"),
+        ({"range_sigma": True}, "range_sigma True"),
         ({"pose_translation_prior": 0.0}, "pose_translation_prior 0"),
         ({"incidence_sigma": None}, "incidence_sigma None"),
         ({"pose_translation_sigma": 10**400}, "pose_translation_sigma inf"),

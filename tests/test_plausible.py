@@ -195,8 +195,8 @@ def test_kinds_are_fields_of_rig_files(kind, tmp_path, handlaser):
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ('[sensor]\nkind = "laser"', "sensor kind 'laser'"),
-        ("[plausible]\nincidence_mm = -1", "plausible incidence"),
+        ('[sensor]\nkind = "laser"', "sensor.kind 'laser'"),
+        ("[plausible]\nincidence_mm = -1", "plausible.incidence_mm -1 mm"),
         ("[plausible]\nincidents_mm = 1", "incidents_mm"),
     ],
 )
@@ -290,7 +290,7 @@ def test_a_goal_that_tells_what_has_no_size_is_refused(tmp_path):
     with pytest.raises(hl.InputError, match=r"kind in \[sensor\]"):
         hl.read_rig(rig)
     rig.write_text('[goal]\ntells = ["drift"]\n')
-    with pytest.raises(hl.InputError, match="a goal that tells 'drift'"):
+    with pytest.raises(hl.InputError, match="goal.tells 'drift'"):
         hl.read_rig(rig)
     rig.write_text('[sensor]\nkind = "confocal"\n[goal]\ntells = ["incidence", "cubic"]\n')
     assert hl.read_rig(rig).goal.tells == ("incidence", "cubic")

@@ -168,6 +168,31 @@ def test_every_element_ends_where_it_should(page, hostile):
     assert page.path == hostile.path == []
 
 
+def test_the_licence_of_the_library_is_readable_in_both_pages(calibration, options):
+    pytest.importorskip("starlette", reason="needs the extra watch")
+    from handlaser_gtsam.files.watch.page import live_page
+
+    for html in (report_text(calibration, options), live_page().html):
+        shown = html[: html.index("<script")]
+        assert "Permission is hereby granted, free of charge" in shown
+        assert 'THE SOFTWARE IS PROVIDED "AS IS"' in shown
+
+
+def test_long_names_that_differ_at_their_ends_are_told_apart(gripper, rig):
+    beams = tuple(f"distal phalanx of the left finger, triangulation sensor {i}" for i in range(4))
+    plates = {name: f"calibration plate on the granite table, side {name}" for name in "ABCD"}
+    labels = tuple(plates[label] for label in gripper.plane_labels)
+    named = dataclasses.replace(gripper, beam_names=beams, plane_labels=labels)
+    page = Page(report_text(hl.calibrate(named, rig.noise), hl.ReportOptions(rig)))
+    for table in ("spots", "planes"):
+        names = [row[0][0] for row in page.table(table)]
+        assert len(set(names)) == len(names) == 4
+    figures = page.data("figures")
+    legend = [one["name"] for one in figures["by-range"]["data"] if one.get("name")]
+    assert len(set(legend)) == 4
+    assert len(set(figures["by-plane"]["layout"]["xaxis"]["ticktext"])) == 4
+
+
 def test_the_verdict_comes_first(page, calibration, rig):
     body = [(tag, " ".join(words.split())) for tag, words in page.words if tag != "title"]
     assert body[0] == ("p", "Calibration of recording.csv")

@@ -215,9 +215,9 @@ def test_what_cannot_be_added_is_refused():
         hl.Session(EXACT).recording()
     with pytest.raises(hl.InputError, match="poses estimated with pose sigmas of zero"):
         hl.Session(EXACT, hl.CalibrationOptions(poses="estimated"))
-    with pytest.raises(hl.InputError, match="noise to be estimated"):
+    with pytest.raises(hl.InputError, match="estimate_noise"):
         hl.Session(ROBOT, hl.CalibrationOptions(estimate_noise=True))
-    with pytest.raises(hl.InputError, match="a range sigma by beam"):
+    with pytest.raises(hl.InputError, match="range_sigma_by_beam"):
         hl.Session(EXACT, hl.CalibrationOptions(range_sigma_by_beam=True))
     with pytest.raises(hl.InputError, match="loss huber"):
         hl.Session(EXACT, hl.CalibrationOptions(loss="huber"))

@@ -4,7 +4,7 @@ A hand goes from stop to stop by minimum-jerk moves, whose ends are soft, and re
 with the shiver of a controller. The range of each beam follows from the plane at every moment.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -141,6 +141,30 @@ def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
     long = hl.LogFormat(stands=True, stand_s=60.0, plane="A")
     with pytest.raises(hl.InputError, match="no moment at which the hand stands"):
         hl.describe_log(tmp_path / "log.csv", long)
+
+
+@pytest.mark.parametrize("given", [{"stands": True}, {"tolerance_s": 0.004}])
+def test_codes_of_rows_in_no_station_are_no_warning(tmp_path, given):
+    """The sensors are out of range while the arm moves, and once while it stands before plane A."""
+    one = drive(4, stops=8)
+    middles = one.rest.mean(axis=1)
+    resting = [(one.time >= a) & (one.time <= b) for a, b in one.rest]
+    coded = one.ranges.copy()
+    coded[~np.any(resting, axis=0)] = -1.0
+    row = int(np.argmin(np.abs(one.time - middles[2])))
+    coded[row, 0] = -1.0
+    coded[int(np.argmin(np.abs(one.time - middles[6]))), 1] = -1.0  # in no range of a plane
+    write_readings(tmp_path / "readings.csv", one.time, coded)
+    poses = one
+    if "stands" not in given:
+        rows = [int(np.argmin(np.abs(one.time - middle))) for middle in middles]
+        poses = replace(one, time=one.time[rows], position=one.position[rows], turn=one.turn[rows])
+    write_poses(tmp_path / "poses.csv", poses)
+    form = hl.LogFormat(readings=tmp_path / "readings.csv", plane_ranges=("A=1..4",), **given)
+    report = hl.describe_log(tmp_path / "poses.csv", form, hl.Sensor(0.0, 1.0))
+    codes = [one for one in report.recording.warnings if one.code == "reading-code"]
+    assert [one.values["readings"] for one in codes] == [1]
+    assert "of beam 1 " in codes[0].message
 
 
 def test_a_log_without_planes_says_how_many_stations_there_are(tmp_path):

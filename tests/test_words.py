@@ -3,11 +3,14 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers import GRIPPER
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.plan_tables import _enough
+from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
 from handlaser_gtsam.results.noise_lines import noise_words
 from handlaser_gtsam.results.summary import _observability
@@ -59,3 +62,25 @@ def test_a_large_condition_number_says_what_counts(calibration):
     found = replace(calibration.observability, condition=760.0)
     words = _observability(replace(calibration, observability=found))
     assert "the standard deviations hold all the same" in words
+
+
+def test_rounding_is_no_number_and_what_else_is_undetermined_is_named(handlaser, tmp_path):
+    """Five exact stations before one plane, turned about its normal alone."""
+    rng = np.random.default_rng(0)
+    R = Rotation.from_rotvec(np.array([0.0, 0.0, 1.0]) * rng.uniform(-0.4, 0.4, (5, 1)))
+    t = np.column_stack((rng.uniform(-0.1, 0.1, (5, 2)), rng.uniform(0.3, 0.35, 5)))
+    r, v = np.array([[0.03, 0.0, 0.01], [-0.02, 0.02, 0.0]]), np.array([[0.1, 0.0], [0.0, 0.1]])
+    v = np.column_stack((v, -np.sqrt(1.0 - (v**2).sum(axis=1))))
+    d = np.column_stack(
+        [-(R.apply(a) + t)[:, 2] / R.apply(b)[:, 2] for a, b in zip(r, v, strict=True)]
+    )
+    path = tmp_path / "exact.csv"
+    write_recording(path, hl.Recording(R.as_matrix(), t, d, ("A",) * 5, ("1", "2")))
+    code, out, _ = handlaser("calibrate", path)
+    out = " ".join(out.split())
+    assert code == 3
+    assert "beam 1: location, direction; and unknowns of beam 2, plane A; " in out
+    out = " ".join(handlaser("calibrate", path, "--verbose")[1].split())
+    assert "a reading 0 mm (rounding)" in out
+    assert "rms 0 mm (rounding)" in out
+    assert "e-1" not in out

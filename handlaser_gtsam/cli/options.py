@@ -5,7 +5,8 @@ A verb takes a group as one argument; `expanded` gives the command line one opti
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -143,6 +144,30 @@ def metres(at_range_mm: float | None) -> float | None:
     return 1e-3 * at_range_mm
 
 
+def _is_option(parameter: inspect.Parameter) -> bool:
+    """Tell whether a parameter is an option, and no argument, of a command."""
+    kinds = getattr(parameter.annotation, "__metadata__", ())
+    return not any(isinstance(kind, typer.models.ArgumentInfo) for kind in kinds)
+
+
+@contextmanager
+def _in_options(names: Mapping[str, str], values: Mapping[str, object]) -> Iterator[None]:
+    """Let what is wrong with the value of an option name the option as it is typed."""
+    from ..checks import as_called
+    from ..errors import ArgumentError, InputError
+
+    try:
+        yield
+    except ArgumentError as error:
+        raise as_called(error, names) from error
+    except InputError as error:
+        stated = [name for name, value in values.items() if value == error.path and name in names]
+        if error.path is None or not stated or not error.found.startswith("no "):
+            raise  # what a file holds is a matter of the file
+        file = Path(f"{names[stated[0]]} {error.path}")
+        raise InputError(error.found, error.expected, file) from error
+
+
 def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     """Return a verb that takes the fields of its groups, instead of the groups, and --log-level."""
     groups: dict[str, Callable[..., object]] = {}
@@ -156,12 +181,15 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
 
     parameters.append(inspect.signature(_with_log).parameters["log_level"])
 
+    names = {one.name: f"--{one.name.replace('_', '-')}" for one in parameters if _is_option(one)}
+
     @functools.wraps(verb)
     def flat(log_level: LogLevel | None = None, **values: object) -> None:
+        stated = dict(values)
         for name, group in groups.items():
             mine = inspect.signature(group).parameters
             values[name] = group(**{field: values.pop(field) for field in mine})
-        with logging_at(log_level):
+        with logging_at(log_level), _in_options(names, stated):
             verb(**values)
 
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

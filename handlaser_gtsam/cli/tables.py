@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ..data.recording import Recording
 from ..results.calibration import Calibration
-from ..results.lines import MM, UNDETERMINED, wrapped
+from ..results.lines import MM, UNDETERMINED, small_mm, wrapped
 from ..results.measuring import spot, typical_plane
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.reports import Beam, Plane
@@ -177,7 +177,7 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
     fit = result.fit
     station, beam = fit.max_residual_at
     yield (
-        f"residuals: rms {fit.rms * MM:.4g} mm, largest {fit.max_residual * MM:.4g} mm "
+        f"residuals: rms {small_mm(fit.rms, 4)}, largest {small_mm(fit.max_residual, 4)} "
         f"(station {station}, beam {beam})"
     )
     if fit.range_sigma_given:
@@ -185,7 +185,7 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
     else:
         yield (
             f"standard deviation of a reading from {fit.dof} degrees of freedom: "
-            f"{fit.range_sigma * MM:.4g} mm"
+            f"{small_mm(fit.range_sigma, 4)}"
         )
     if fit.poses != "exact":
         yield f"hand poses: {fit.poses}"

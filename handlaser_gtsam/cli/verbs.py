@@ -38,7 +38,9 @@ def usage_words(error: Exception) -> str:
     from ..text import printable
 
     message = " ".join(error.format_message().split())  # type: ignore[attr-defined]
-    message = message.replace("Value error, ", "").rstrip(".")
+    message = (
+        message.replace("Value error, ", "").replace("Input should be", "expected").rstrip(".")
+    )
     context = getattr(error, "ctx", None)
     command = NAME if context is None else context.command_path
     return f"{printable(message)} ({command} --help shows what there is)"

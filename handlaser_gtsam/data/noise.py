@@ -58,7 +58,7 @@ class Noise(Value):
     def __post_init__(self) -> None:
         if self.range_sigma is not None:
             bounds, remedy = (LEAST_SIGMA, MOST_SIGMA), "; leave it out if unknown"
-            require_number("range sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
+            require_number("range_sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
         for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)
             if value is not None:

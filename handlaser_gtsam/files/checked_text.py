@@ -1,16 +1,19 @@
 """Text files read, and checked against a schema: the first fault is refused in one line."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 from ..arrays import FloatArray
+from ..checks import as_called
 from ..data.recording import first_repeated
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
 from ..text import shown
 from .writing import path_of
 
@@ -65,10 +68,12 @@ def read_checked(
     """
     path = path_of(path)
     text = read_text(path, expected)
+    data: object = None
     try:
-        return schema.model_validate(parse(text))
+        data = parse(text)
+        return schema.model_validate(data)
     except ValidationError as error:
-        raise _first_fault(error, schema, expected, path) from error
+        raise _first_fault(error, data, schema, expected, path) from error
     except (InputError, ValueError, RecursionError) as error:  # ValueError: endless integers, too
         what = str(error).split(";")[0].splitlines()[0][:120]
         found = f"no {expected.split()[-1]} ({what})"
@@ -78,10 +83,18 @@ def read_checked(
 
 
 def _first_fault(
-    error: ValidationError, schema: type[BaseModel], expected: str, path: Path
+    error: ValidationError, data: object, schema: type[BaseModel], expected: str, path: Path
 ) -> InputError:
-    fault = error.errors()[0]
-    place = [str(part) for part in fault["loc"]]
+    """Return the first fault in words of the file.
+
+    A field that may be one of several kinds has a fault for each; the one that is found deepest in the
+    file belongs to the kind that was meant.
+    """
+    faults = error.errors()
+    places = [_place(one["loc"], one["type"] == "missing", data) for one in faults]
+    first = [i for i, one in enumerate(places) if one[: len(places[0])] == places[0]]
+    deepest = max(first, key=lambda i: len(places[i]))
+    fault, place = faults[deepest], places[deepest]
     if not place:
         return InputError(f"the file = {shown(fault['input'])}", expected, path)
     field = ".".join(place)
@@ -94,11 +107,29 @@ def _first_fault(
     if fault["type"] == "missing":
         kind = expected.split(",")[0]
         return InputError(f"no field {field}", f"the field, which {kind} needs", path)
-    kind, context = fault["type"], fault.get("ctx", {})
-    wanted = KINDS.get(kind.removesuffix("_type").removesuffix("_parsing"), fault["msg"])
-    if kind == "literal_error":
-        wanted = f"one of {context['expected']}"
+    kinds = [faults[i] for i in first if places[i] == place]
+    wanted = " or ".join(dict.fromkeys(map(_wanted, kinds)))
     return InputError(f"{field} = {shown(fault['input'])}", wanted, path)
+
+
+def _place(parts: Sequence[int | str], missing: bool, data: object) -> list[str]:
+    """Return where in the file a fault is, without pydantic's names of the kinds of a field."""
+    found = []
+    for i, part in enumerate(parts):
+        if isinstance(data, list) and isinstance(part, int):
+            data = data[part]
+        elif isinstance(data, dict) and (part in data or (missing and i == len(parts) - 1)):
+            data = data.get(part)
+        else:
+            continue
+        found.append(str(part))
+    return found
+
+
+def _wanted(fault: ErrorDetails) -> str:
+    """Return what a field must be."""
+    kind = fault["type"].removesuffix("_type").removesuffix("_parsing")
+    return KINDS.get(kind, "another value").format(**fault.get("ctx", {}))
 
 
 KINDS = {
@@ -106,13 +137,18 @@ KINDS = {
     "dict": "a table",
     "finite_number": "a finite number",
     "float": "a number",
+    "greater_than_equal": "{ge} or more",
     "int": "a whole number",
+    "less_than_equal": "{le} or less",
     "list": "an array",
+    "literal_error": "one of {expected}",
     "model": "a table",
     "string": "a text in quotes",
+    "too_long": "an array of {max_length} or fewer",
+    "too_short": "an array of {min_length} or more",
     "tuple": "an array",
 }
-"""What a field must be, by the beginnings of pydantic's names of faults."""
+"""What a field must be, by the beginnings of pydantic's names of faults, with the bounds it knows."""
 
 
 def json_value(text: str, parse_constant: Callable[[str], object] | None = None) -> object:
@@ -126,6 +162,16 @@ def _once_each(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if twice is not None:
         raise InputError(f"the field {shown(pairs[twice][0])} twice", "every field once")
     return dict(pairs)
+
+
+@contextmanager
+def in_table(name: str, record: BaseModel) -> Iterator[None]:
+    """Let a fault of what is made of a table's fields name the field, in its own unit."""
+    try:
+        yield
+    except ArgumentError as error:
+        fields = {field: f"{name}.{field}" for field in type(record).model_fields}
+        raise as_called(error, fields) from error
 
 
 def square_matrix(rows: Sequence[Sequence[float]], size: int, field: str) -> FloatArray:

@@ -1,5 +1,6 @@
 """The table [log] of a rig file: how logs are written, a field for every one of `LogFormat`."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import Any, get_args, get_origin
 
 from pydantic import create_model
 
-from .checked_text import FileRecord
+from ..errors import InputError
+from .checked_text import FileRecord, in_table
 from .logs.format import LogFormat
 
 ONE_OF = (
@@ -17,6 +19,7 @@ ONE_OF = (
     ("stands", "interpolate"),
 )
 """Fields that exclude each other: where a user states one, those of the rig file do not count."""
+OPTION = re.compile(r"--([a-z][a-z-]*)")
 NAMES = tuple(one.name for one in fields(LogFormat))
 
 
@@ -50,7 +53,16 @@ class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type:
         for name in ("readings", "plane_file"):
             if name in stated:
                 stated[name] = folder / str(stated[name])
-        return with_stated(LogFormat(), stated)
+        try:
+            with in_table("log", self):
+                return with_stated(LogFormat(), stated)
+        except InputError as error:  # which of several fields contradict each other
+            raise InputError(_as_fields(error.found), _as_fields(error.expected)) from error
+
+
+def _as_fields(words: str) -> str:
+    """Return words with fields of the table in place of options."""
+    return OPTION.sub(lambda found: f"log.{found[1].replace('-', '_')}", words)
 
 
 def with_stated(known: LogFormat, given: Mapping[str, object]) -> LogFormat:

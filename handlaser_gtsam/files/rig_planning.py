@@ -22,14 +22,14 @@ from pydantic import Field, Strict
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
 from ..planning.bounds import Bounds
 from ..planning.choice import Criterion
 from ..planning.goal import Goal
 from ..planning.plate import Placement, Plate
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
-from .checked_text import FileRecord
+from .checked_text import FileRecord, in_table
 
 MM, DEG = 1e-3, math.pi / 180.0
 UNIT = 1e-3
@@ -52,7 +52,8 @@ class WorkspaceTable(FileRecord):
         low, high = np.array(self.box_mm) * MM
         step = math.inf if self.largest_step_mm is None else self.largest_step_mm * MM
         home = _rotation("workspace.home_quaternion", self.home_quaternion)
-        return Workspace(low, high, home, self.largest_turn_deg * DEG, step)
+        with in_table("workspace", self):
+            return Workspace(low, high, home, self.largest_turn_deg * DEG, step)
 
 
 class RobotTable(FileRecord):
@@ -69,16 +70,17 @@ class RobotTable(FileRecord):
 
     def to_si(self, folder: Path) -> Robot:
         """Return the robot; its URDF is looked for from a folder."""
-        return Robot(
-            str(folder / self.urdf),
-            self.frame,
-            _rotation("robot.base_quaternion", self.base_quaternion),
-            _numbers("robot.base_mm", self.base_mm) * MM,
-            np.array(self.start_joints, dtype=np.float64),
-            self.clearance_mm * MM,
-            self.plate_across_mm * MM,
-            self.plate_thickness_mm * MM,
-        )
+        with in_table("robot", self):
+            return Robot(
+                str(folder / self.urdf),
+                self.frame,
+                _rotation("robot.base_quaternion", self.base_quaternion),
+                _numbers("robot.base_mm", self.base_mm) * MM,
+                np.array(self.start_joints, dtype=np.float64),
+                self.clearance_mm * MM,
+                self.plate_across_mm * MM,
+                self.plate_thickness_mm * MM,
+            )
 
 
 class BlindTable(FileRecord):
@@ -95,19 +97,30 @@ class BlindTable(FileRecord):
 
     def to_si(self) -> Bounds:
         """Return the bounds."""
-        plate = Plate(
-            _numbers("blind.plate_point_mm", self.plate_point_mm) * MM,
-            _numbers("blind.plate_normal", self.plate_normal),
-            self.plate_within_mm * MM,
-            self.plate_tilt_deg * DEG,
-        )
-        return Bounds(
-            _rows("blind.location_mm", self.location_mm) * MM,
-            _rows("blind.direction", self.direction),
-            plate,
-            self.location_within_mm * MM,
-            self.cone_deg * DEG,
-        )
+        with in_table("blind", self):
+            try:
+                plate = Plate(
+                    _numbers("blind.plate_point_mm", self.plate_point_mm) * MM,
+                    _numbers("blind.plate_normal", self.plate_normal),
+                    self.plate_within_mm * MM,
+                    self.plate_tilt_deg * DEG,
+                )
+            except ArgumentError as error:
+                raise error.called(f"plate_{error.argument}") from error
+            locations = _rows("blind.location_mm", self.location_mm) * MM
+            axes = _rows("blind.direction", self.direction)
+            if len(locations) != len(axes):
+                found = (
+                    f"blind.location_mm of {len(locations)} rows and blind.direction of {len(axes)}"
+                )
+                raise InputError(found, "one of each for every beam")
+            return Bounds(
+                locations,
+                axes,
+                plate,
+                self.location_within_mm * MM,
+                self.cone_deg * DEG,
+            )
 
 
 class GoalTable(FileRecord):
@@ -125,10 +138,11 @@ class GoalTable(FileRecord):
         lengths = (self.location_sigma_mm, self.spot_mm, self.working_distance_mm)
         location, spot, distance = (None if x is None else x * MM for x in lengths)
         angle = self.direction_sigma_deg
-        return Goal(
-            *(self.criterion, location, None if angle is None else angle * DEG, spot, distance),
-            self.tells,
-        )
+        with in_table("goal", self):
+            return Goal(
+                *(self.criterion, location, None if angle is None else angle * DEG),
+                *(spot, distance, self.tells),
+            )
 
 
 class PlacementTable(FileRecord):
@@ -141,7 +155,8 @@ class PlacementTable(FileRecord):
     def to_si(self) -> Placement:
         """Return one placement."""
         angles = self.largest_tilt_deg * DEG, self.tilt_deg * DEG
-        return Placement(1, angles[0], self.within_mm * MM, angles[1])
+        with in_table("placement", self):
+            return Placement(1, angles[0], self.within_mm * MM, angles[1])
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

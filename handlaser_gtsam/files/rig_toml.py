@@ -34,7 +34,7 @@ from ..planning.goal import Goal
 from ..planning.plate import Placement
 from ..planning.workspace import Workspace
 from ..results.limits import Limits
-from .checked_text import FileRecord, read_checked, square_matrix
+from .checked_text import FileRecord, in_table, read_checked, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, with_stated
 from .rig_planning import BlindTable, GoalTable, PlacementTable, RobotTable, WorkspaceTable
@@ -79,7 +79,8 @@ class _Plausible(FileRecord):
         for name, value in dict(self).items():
             field, _, unit = name.rpartition("_")
             sizes[field] = scaled(value, {"mm": 1e-3, "percent": 0.01}[unit])
-        return Plausible(**sizes)
+        with in_table("plausible", self):
+            return Plausible(**sizes)
 
 
 class _Limits(FileRecord):
@@ -187,19 +188,21 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
     linearity = rig.sensor.linearity_percent
-    limits = Limits(
-        scaled(rig.limits.rms_mm, mm),
-        scaled(rig.limits.location_sigma_mm, mm),
-        scaled(rig.limits.direction_sigma_deg, deg),
-    )
-    sensor = Sensor(
-        span[0] * mm,
-        span[1] * mm,
-        math.radians(90.0 if incidence is None else incidence),
-        Sensor().linearity if linearity is None else 0.01 * linearity,
-        rig.sensor.kind,
-        rig.plausible.to_si(),
-    )
+    with in_table("limits", rig.limits):
+        limits = Limits(
+            scaled(rig.limits.rms_mm, mm),
+            scaled(rig.limits.location_sigma_mm, mm),
+            scaled(rig.limits.direction_sigma_deg, deg),
+        )
+    with in_table("sensor", rig.sensor):
+        sensor = Sensor(
+            span[0] * mm,
+            span[1] * mm,
+            math.radians(90.0 if incidence is None else incidence),
+            Sensor().linearity if linearity is None else 0.01 * linearity,
+            rig.sensor.kind,
+            rig.plausible.to_si(),
+        )
     goal = rig.goal.to_si().within(limits)
     goal.plausible(sensor, 1.0)  # refuses errors of which no size is known
     return Rig(
@@ -227,18 +230,19 @@ def _workspace(rig: _Rig, folder: Path) -> Workspace | None:
     return replace(rig.workspace.to_si(), robot=robot)
 
 
-def noise_of(table: NoiseTable) -> Noise:
+def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
     """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
     mm, deg, given, S = 1e-3, math.pi / 180.0, Noise(), table.pose_covariance
-    return Noise(
-        scaled(table.range_sigma_mm, mm),
-        scaled(table.pose_translation_sigma_mm, mm),
-        scaled(table.pose_rotation_sigma_deg, deg),
-        scaled(table.incidence_sigma_mm, mm, given.incidence_sigma),
-        None if S is None else square_matrix(S, 6, "noise.pose_covariance"),
-        scaled(table.pose_translation_prior_mm, mm, given.pose_translation_prior),
-        scaled(table.pose_rotation_prior_deg, deg, given.pose_rotation_prior),
-    )
+    with in_table(name, table):
+        return Noise(
+            scaled(table.range_sigma_mm, mm),
+            scaled(table.pose_translation_sigma_mm, mm),
+            scaled(table.pose_rotation_sigma_deg, deg),
+            scaled(table.incidence_sigma_mm, mm, given.incidence_sigma),
+            None if S is None else square_matrix(S, 6, f"{name}.pose_covariance"),
+            scaled(table.pose_translation_prior_mm, mm, given.pose_translation_prior),
+            scaled(table.pose_rotation_prior_deg, deg, given.pose_rotation_prior),
+        )
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:

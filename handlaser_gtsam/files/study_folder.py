@@ -43,7 +43,8 @@ class StudyFolder:
                 raise InputError("the parts of another study", expected, self.folder)
             mark.write_text(identity + "\n")
         except (OSError, UnicodeDecodeError) as error:
-            found = f"no folder to work in ({error})"
+            why = error.strerror if isinstance(error, OSError) else "its mark is no text"
+            found = f"no folder to work in ({why})"
             raise InputError(found, "a folder for the parts of a study", self.folder) from error
 
     def kept(self, name: str) -> pl.DataFrame | None:

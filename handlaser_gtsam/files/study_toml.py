@@ -36,7 +36,7 @@ from ..model.losses import LossName
 from ..validation.scenes import ERRORS, SENSORS, Layout
 from ..validation.simulate import Errors
 from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
-from .checked_text import FileRecord, read_checked
+from .checked_text import FileRecord, in_table, read_checked
 from .rig_toml import NoiseTable, noise_of, scaled, toml_value
 from .writing import path_of
 
@@ -126,18 +126,19 @@ def _drawn(name: str, scene: _Scene) -> Simulated | Drawn:
     axes = usual.pose_axes
     if scene.pose_axes is not None:
         axes = tuple(map("xyz".index, scene.pose_axes))
-    return Simulated(
-        scene.scene,
-        Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m),
-        Errors(
-            scaled(scene.range_sigma_mm, MM, usual.range_sigma),
-            scaled(scene.pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
-            scaled(scene.pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
-            axes,
-        ),
-        (scene.k1_sigma, scene.k2_sigma_per_m),
-        scene.redraw,
-    )
+    with in_table(f"scenes.{name}", scene):
+        return Simulated(
+            scene.scene,
+            Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m),
+            Errors(
+                scaled(scene.range_sigma_mm, MM, usual.range_sigma),
+                scaled(scene.pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
+                scaled(scene.pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
+                axes,
+            ),
+            (scene.k1_sigma, scene.k2_sigma_per_m),
+            scene.redraw,
+        )
 
 
 def _solved(name: str, treatment: _Treatment, scene: Simulated | Drawn) -> Treatment:
@@ -164,7 +165,7 @@ def _solved(name: str, treatment: _Treatment, scene: Simulated | Drawn) -> Treat
 
 def _noise(name: str, treatment: _Treatment, scene: Simulated | Drawn) -> Noise | None:
     if isinstance(treatment.noise, NoiseTable):
-        return noise_of(treatment.noise)
+        return noise_of(treatment.noise, f"treatments.{name}.noise")
     if treatment.noise is None:
         return None
     if not isinstance(scene, Simulated) or scene.errors is None:

@@ -33,6 +33,8 @@ from dataclasses import dataclass, fields
 
 from ..checks import require_number
 
+PARTS = ("carry_over", "lag", "turn_scale", "translation_scale")
+"""Sizes that are no lengths."""
 MOST = 1e3
 """No plausible size is larger [m, or as a part]."""
 
@@ -77,7 +79,8 @@ class Plausible:
     def __post_init__(self) -> None:
         for one in fields(self):
             if getattr(self, one.name) is not None:
-                require_number(f"plausible {one.name}", getattr(self, one.name), 0.0, MOST)
+                unit = "1" if one.name in PARTS else "m"
+                require_number(one.name, getattr(self, one.name), 0.0, MOST, unit=unit)
 
 
 CELL = Plausible(

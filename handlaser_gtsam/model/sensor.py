@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_kind, require_number, require_word
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Readings, Recording
-from ..errors import InputError
+from ..errors import InputError, NumberError
 from . import equation
 from .plausible import KINDS, Plausible, plausible_sizes
 
@@ -49,19 +49,14 @@ class Sensor:
         for name in ("range_min", "range_max"):
             if getattr(self, name) != math.inf:  # which says that there is no limit
                 require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
-        for name in ("max_incidence", "linearity"):
-            require_number(name, getattr(self, name), -LARGEST, LARGEST)
-        if not -LARGEST <= self.range_min < self.range_max:
-            found = f"sensor range {self.range_min:g} to {self.range_max:g} m"
-            raise InputError(found, f"-{LARGEST:.0f} <= least < largest")
-        if not 0.0 < self.max_incidence <= math.pi / 2.0:
-            found = f"max_incidence {math.degrees(self.max_incidence):g} deg"
-            raise InputError(found, "an angle above 0 and up to 90 degrees")
-        if not LEAST_LINEARITY <= self.linearity <= MOST_LINEARITY:
-            expected = f"{LEAST_LINEARITY:g} to {MOST_LINEARITY:g}: a part of the reading"
-            raise InputError(f"linearity {self.linearity:g}", expected)
+        if not self.range_min < self.range_max:
+            ends, remedy = (self.range_min, self.range_max), ", the least before the largest"
+            raise NumberError("range", ends, -LARGEST, LARGEST, unit="m", remedy=remedy)
+        right = math.pi / 2.0
+        require_number("max_incidence", self.max_incidence, 0.0, right, above=True, unit="rad")
+        require_number("linearity", self.linearity, LEAST_LINEARITY, MOST_LINEARITY)
         if self.kind is not None:
-            require_word("sensor kind", self.kind, tuple(KINDS))
+            require_word("kind", self.kind, tuple(KINDS))
         require_kind("plausible", self.plausible, Plausible)
 
     @property

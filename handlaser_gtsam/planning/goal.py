@@ -64,7 +64,7 @@ class Goal:
             require_number("working_distance", self.working_distance, -LARGEST, LARGEST, unit="m")
         require_kind("tells", self.tells, tuple, "codes of systematic errors in a tuple")
         for code in self.tells:
-            require_word("a goal that tells", code, OF_READINGS)
+            require_word("tells", code, OF_READINGS)
 
     @property
     def stated(self) -> bool:

@@ -67,7 +67,7 @@ def plan(
     goal = Goal() if goal is None else goal
     rng = np.random.default_rng(0) if rng is None else rng
     require_kind("sensor", sensor, Sensor)
-    require_count("stations to plan", stations, 1, MOST_STATIONS)
+    require_count("stations", stations, 1, MOST_STATIONS)
     task = _task(calibration, workspace, plates, sensor, goal)
     put = {} if placement is None else _placed(task, placement, stations, rng)
     if put:

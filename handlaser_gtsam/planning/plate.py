@@ -11,7 +11,7 @@ from ..checks import number_array, require_count, require_number
 from ..data.parameters import Parameters
 from ..data.recording import LARGEST
 from ..data.value import Value
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
 from ..validation.simulate import plane_name
 
 STEEPEST_TILT = math.pi / 3.0
@@ -89,7 +89,7 @@ class Placement:
     tilt: float = math.radians(2.0)
 
     def __post_init__(self) -> None:
-        require_count("count of placements", self.count, 1, MOST_PLANES)
+        require_count("planes", self.count, 1, MOST_PLANES)
         require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
         require_number("within", self.within, 0.0, LARGEST, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
@@ -168,5 +168,5 @@ def directions(name: str, values: object, count: int | None = None) -> FloatArra
     """
     found = vectors(name, values, count)
     if not np.linalg.norm(found, axis=1).all():
-        raise InputError(f"{name} without a length", "a direction")
+        raise ArgumentError(name, "without a length", "a direction")
     return model.normalized(found)

@@ -37,7 +37,7 @@ class Limits:
         for name in get_args(Quantity):
             value = getattr(self, name)
             if value is not None:
-                require_number(f"limit {name}", value, 0.0, MOST_SIGMA, above=True)
+                require_number(name, value, 0.0, MOST_SIGMA, above=True)
 
 
 @dataclass(frozen=True, slots=True)

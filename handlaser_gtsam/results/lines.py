@@ -3,6 +3,7 @@
 import math
 import textwrap
 
+from ..data.noise import LEAST_SIGMA
 from ..text import count as count
 from ..text import some as some
 
@@ -12,6 +13,14 @@ MM = 1e3
 DEG = 180.0 / math.pi
 UNDETERMINED = "undetermined"
 """Stands for a number that the recording does not determine."""
+
+
+def small_mm(value: float, digits: int) -> str:
+    """Return a residual or a standard deviation [m] in millimetres; one of rounding alone is no number.
+
+    No sensor is better than `LEAST_SIGMA`, which is ten thousand times what rounding leaves of a metre.
+    """
+    return "0 mm (rounding)" if value < LEAST_SIGMA else f"{value * MM:.{digits}g} mm"
 
 
 def as_many(lines: int, width: int) -> int:

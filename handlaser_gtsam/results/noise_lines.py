@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .calibration_fields import CalibrationData
-from .lines import DEG, MM, some
+from .lines import DEG, MM, small_mm, some
 from .reports import NoiseComponent
 
 SHOWN = 4
@@ -34,7 +34,7 @@ def noise_words(result: CalibrationData, *, brief: bool = False) -> str:
         parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
-        parts = [f"a reading {result.fit.range_sigma * MM:.3g} mm ({how})"]
+        parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
     parts += [_estimate(one) for one in estimated if one.quantity != "range"]
     return f"noise, standard deviations: {', '.join([*parts, *_given_poses(result)])}"
 

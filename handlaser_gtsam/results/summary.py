@@ -7,7 +7,7 @@ from .beam_rows import beam_rows
 from .calibration_fields import CalibrationData
 from .improvement import WELL_CONDITIONED
 from .limits import worst_of_each
-from .lines import MM, UNDETERMINED, WIDTH, as_many, count, some, wrapped
+from .lines import MM, UNDETERMINED, WIDTH, as_many, count, small_mm, some, wrapped
 from .noise_lines import noise_words, range_error_words
 from .systematic import SystematicError
 from .verdict import Verdict
@@ -78,7 +78,7 @@ def _fit(result: CalibrationData) -> str:
     fit = result.fit
     station, beam = fit.max_residual_at
     words = (
-        f"fit: rms {fit.rms * MM:.3g} mm, largest {fit.max_residual * MM:.3g} mm "
+        f"fit: rms {small_mm(fit.rms, 3)}, largest {small_mm(fit.max_residual, 3)} "
         f"(station {station}, beam {beam}); "
     )
     if fit.range_sigma_given or result.noise_estimate:

@@ -9,7 +9,7 @@ from ..data.recording import Recording
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
-from .lines import count
+from .lines import count, some
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
 from .wording import WORDING
@@ -230,7 +230,8 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
     what = calibration.message
     if found.undetermined:
         first, *more = found.undetermined
-        what = first + (f", and {len(more)} more" if more else "")
+        others = list(dict.fromkeys(one.partition(":")[0] for one in more))
+        what = first + (f"; and unknowns of {some(others, 3)}" if others else "")
     best = Improvement("more-motion", words)
     return Verdict("undetermined", (_clause(what), _clause(words)), best, reading)
 
@@ -240,7 +241,9 @@ def failures(checks: tuple[LimitCheck, ...]) -> str:
     failed = tuple(one for one in checks if not one.held)
     worst = worst_of_each(failed)
     more = len(failed) - len(worst)
-    return ", ".join(one.failure for one in worst) + (f", and {more} more" if more else "")
+    return ", ".join(one.failure for one in worst) + (
+        f", and {more} more beyond their limits" if more else ""
+    )
 
 
 def _clause(words: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Beams
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor import Rejected
 from ..pipeline import calibrate
@@ -39,15 +39,13 @@ class Given:
         S = self.noise.pose_covariance
         if S is not None and S.ndim == 3:
             raise InputError("a pose covariance a station", "one for all stations to come")
-        for wrong, found in (
-            (self.options.estimate_noise, "noise to be estimated while planes are added"),
-            (self.options.range_sigma_by_beam, "a range sigma by beam while planes are added"),
-        ):
-            if wrong:
-                raise InputError(found, "sigmas that are given: estimate them with calibrate")
+        for name in ("estimate_noise", "range_sigma_by_beam"):
+            if getattr(self.options, name):
+                expected = "sigmas that are given: estimate them with calibrate"
+                raise ArgumentError(name, "while planes are added", expected)
         if self.options.loss != "gaussian":
-            found = f"loss {self.options.loss} while planes are added"
-            raise InputError(found, "the gaussian loss")
+            found = f"{self.options.loss} while planes are added"
+            raise ArgumentError("loss", found, "the gaussian loss")
         self.options.require_consistent(self.noise)
 
     @property

@@ -7,7 +7,11 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+from ..checks import require_count
 from ..errors import InputError
+
+MOST_JOBS = 1000
+"""Processes on one computer: more than any has processors, and fewer than take its memory."""
 
 
 def executor_of(
@@ -27,8 +31,10 @@ def executor_of(
     Raises
     ------
     InputError
-        Both are given, there is no dask.distributed, or no scheduler at that address.
+        Jobs beyond sense, both are given, no dask.distributed, or no scheduler at that address.
     """
+    if jobs is not None:
+        require_count("jobs", jobs, 1, MOST_JOBS)
     if scheduler is None:
         return partial(ProcessPoolExecutor, jobs)
     if jobs is not None:

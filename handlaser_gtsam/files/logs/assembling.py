@@ -1,12 +1,12 @@
 """Stations and readings become a recording."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 from ...data.recording import Recording
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
@@ -37,6 +37,8 @@ class Stationed:
         The time at which the log begins [s].
     beams : B names
     samples : Samples
+    codes : callable
+        The warnings of codes for no reading at the stations (S,) that are in the recording.
     ignored : names
         Of columns or topics that were not used.
     warnings : tuple of CalibrationWarning
@@ -52,6 +54,7 @@ class Stationed:
     begin: float
     beams: tuple[str, ...]
     samples: Samples
+    codes: Callable[[BoolArray], tuple[CalibrationWarning, ...]]
     ignored: tuple[str, ...]
     warnings: tuple[CalibrationWarning, ...]
     lines: tuple[str, ...]
@@ -106,6 +109,7 @@ def _report(
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
         raise InputError(found, "repeated readings, or the sigma itself", log.path)
     planes, chosen, warnings = _planes(log, given)
+    warnings = (*log.codes(chosen), *warnings)
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean.ranges).all(axis=1)
         chosen = chosen & ~unread

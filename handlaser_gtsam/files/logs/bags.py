@@ -102,6 +102,7 @@ def _stations(
         begin,
         tuple(beam.name for beam in content.beams),
         samples,
+        lambda _: (),
         content.unused,
         content.warnings,
         (f"poses from {content.poses_from}", words, f"times count from {begin:.3f} s"),

@@ -85,21 +85,24 @@ def columns_of(
     """
     names = table.frame.columns
     pose = _pose_columns(table, given) if poses else ()
-    other = not poses  # the second file
-    station = (given.readings_station_column if other else "") or given.station_column
-    time = (given.readings_time_column if other else "") or given.time_column
+    station, time = ("station_column", given.station_column), ("time_column", given.time_column)
+    if not poses:  # the second file
+        if given.readings_station_column:
+            station = ("readings_station_column", given.readings_station_column)
+        if given.readings_time_column:
+            time = ("readings_time_column", given.readings_time_column)
     beams = _beam_columns(table, given) if readings and not given.beam_column else {}
     if readings and given.beam_column:
-        for name in (given.beam_column, given.range_column):
-            _require(table, name)
+        _require(table, given.beam_column, "beam_column")
+        _require(table, given.range_column, "range_column")
     found = Columns(
         pose,
         beams,
         given.beam_column if readings else "",
         given.range_column if readings else "",
         _plane_column(table, given, alone=poses and readings),
-        _named(table, station, ("station",)),
-        _named(table, time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
+        _named(table, *station, ("station",)),
+        _named(table, *time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
     )
     _check_once(table, found)
     _check_units(table, found, given)
@@ -124,7 +127,7 @@ def _plane_column(table: Table, given: LogFormat, *, alone: bool) -> str:
     """Return the column of planes; of two files either may have the one that is stated."""
     if given.plane_column and not alone and given.plane_column not in table.frame.columns:
         return ""
-    return _named(table, given.plane_column, ("plane",))
+    return _named(table, "plane_column", given.plane_column, ("plane",))
 
 
 def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
@@ -203,24 +206,26 @@ def _expanded(table: Table, name: str) -> list[str]:
     parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
     if parts:
         return parts
-    _require(table, name)
+    _require(table, name, "pose_columns")
     return []
 
 
-def _require(table: Table, name: str) -> None:
+def _require(table: Table, name: str, field: str) -> None:
+    """Refuse a column that is not there; the field says who wants it."""
     if name not in table.frame.columns:
+        option = f"--{field.replace('_', '-')}"
         raise InputError(
             f"no column {shown(name)} among {_short(table.frame.columns)}",
-            "the name of a column as the header has it",
+            f"the name of a column as the header has it, for {option}",
             table.path,
             table.header_line or None,
         )
 
 
-def _named(table: Table, stated: str, usual: Sequence[str]) -> str:
+def _named(table: Table, field: str, stated: str, usual: Sequence[str]) -> str:
     """Return the column that is stated, or the one of a usual name, or an empty text."""
     if stated:
-        _require(table, stated)
+        _require(table, stated, field)
         return stated
     found = _alike(table.frame.columns, usual)
     return found[0] if found else ""
@@ -234,7 +239,7 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
         columns = [name for name in table.frame.columns if name.lower().startswith(RANGE)]
         pairs = [(UNIT_IN_NAME.sub("", name[len(RANGE) :]), name) for name in columns]
     for beam, column in pairs:
-        _require(table, column)
+        _require(table, column, "range_columns")
         fault = name_fault(beam).rstrip(",") or (f"beam {beam!r} twice" if beam in found else "")
         if fault:
             expected = f"one column a beam: {A_NAME}"

@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING
 
 from ...checks import require_bool, require_number, require_word
-from ...errors import InputError
+from ...errors import ArgumentError, InputError
 from ...text import name_fault, shown
 from ..writing import path_of
 from .conventions import EULER, FORMATS, Convention, spelled_columns
@@ -65,7 +65,7 @@ def _check_kinds(given: "LogFormat") -> None:
             if value is not None:
                 object.__setattr__(given, one.name, path_of(value))
         elif isinstance(default, str) and not isinstance(value, str):
-            raise InputError(f"{one.name} {shown(value)}", "a text")
+            raise ArgumentError(one.name, shown(value), "a text")
     if given.pose_format:
         require_word("pose_format", given.pose_format, FORMATS)
 
@@ -73,7 +73,7 @@ def _check_kinds(given: "LogFormat") -> None:
 def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
     expected = "a sequence of numbers" if numbers else "a sequence of texts"
     if isinstance(value, str) or not isinstance(value, (list, tuple)):
-        raise InputError(f"{name} {shown(value)}", expected)
+        raise ArgumentError(name, shown(value), expected)
     for one in value:
         if numbers:
             require_number(name, one, -1e6, 1e6)
@@ -116,7 +116,8 @@ def _check_together(given: "LogFormat") -> None:
         raise InputError(name_fault(given.plane).rstrip(","), "a name for the plane")
     if len(given.frames) not in (0, 2):
         raise InputError(
-            f"{len(given.frames)} frames", "two: the world and the hand, as tf calls them"
+            f"--frames of {len(given.frames)} names",
+            "two: the world and the hand, as tf calls them",
         )
     if given.frames and given.pose_topic:
         raise InputError("--frames and --pose-topic", "one of the two")

@@ -31,6 +31,8 @@ class Joined:
     planes : S labels, or None
     times : (S,) or None
         [s]
+    station : (M,)
+        Of each row of readings, -1 for none.
     samples : Samples
     warnings : tuple of CalibrationWarning
     words : str
@@ -41,6 +43,7 @@ class Joined:
     names: list[str]
     planes: list[str] | None
     times: FloatArray | None
+    station: IntArray
     samples: Samples
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
@@ -56,12 +59,12 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     """
     if given.interpolate:
         raise InputError(
-            "interpolate, of one table with poses and readings",
+            "--interpolate, of one table with poses and readings",
             "two tables joined by time (--readings), or a bag",
         )
     if given.lag_s or given.estimate_lag:
         raise InputError(
-            "a lag, of one table with poses and readings in its rows",
+            "--lag-s or --estimate-lag, of one table with poses and readings in its rows",
             "no lag; or two tables joined by time (--readings), or a bag",
         )
     if rows.columns.range and rows.stations is None:
@@ -70,7 +73,7 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     if rows.stations is None or first_repeated(rows.stations) is None:
         every = np.arange(len(rows.names), dtype=np.intp)
         samples = Samples.of_rows(every, rows.ranges)
-        return Joined(Rows(every), rows.names, rows.planes, rows.times, samples)
+        return Joined(Rows(every), rows.names, rows.planes, rows.times, every, samples)
     names, group = groups(rows.stations)
     way = Means.of_groups(group)
     first = way.row[way.start]
@@ -80,6 +83,7 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
         names,
         _planes_at(rows, group, first),
         None if rows.times is None else rows.times[first],
+        group,
         Samples.of_rows(group, rows.ranges),
         words=f"{len(group)} rows of {len(names)} stations",
     )
@@ -154,6 +158,7 @@ def by_station(poses: LogRows, readings: LogRows) -> Joined:
         poses.stations,
         poses.planes if poses.planes is not None else _planes_of_readings(readings, station, every),
         poses.times,
+        station,
         Samples.of_rows(station, readings.ranges),
         unmatched(int((station < 0).sum()), len(station), "have a station without a pose"),
         f"{len(every)} poses and {len(station)} rows of readings, joined by station",

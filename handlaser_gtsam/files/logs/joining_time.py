@@ -98,12 +98,15 @@ def _at_readings(
             readings.table.path,
         )
     assert readings.times is not None
+    station = np.full(len(near), -1, dtype=np.intp)
+    station[kept] = np.arange(len(kept))
     return Joined(
         way,
         chosen,
         None if planes is None else [planes[i] for i in kept.tolist()],
         readings.times[kept],
-        Samples.of_rows(np.arange(len(kept), dtype=np.intp), readings.ranges[kept]),
+        station,
+        Samples.of_rows(station, readings.ranges),
         unmatched(len(near) - len(kept), len(near), "have no pose within the tolerance"),
         f"{len(kept)} rows of readings, each with {words}",
     )
@@ -126,6 +129,7 @@ def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: fl
         poses.names,
         planes,
         poses.times,
+        station,
         Samples.of_rows(station, readings.ranges),
         (),
         f"{len(every)} poses, each with the readings within {tolerance:g} s: {int(near.sum())} of "
@@ -149,6 +153,7 @@ def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: Float
         [str(i + 1) for i in range(len(stands.begin))],
         planes,
         stands.times,
+        station,
         Samples.of_rows(station, readings.ranges),
         (),
         f"{stands.words}; {int((station >= 0).sum())} of {len(station)} rows of readings are in them",

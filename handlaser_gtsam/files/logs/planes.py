@@ -50,15 +50,18 @@ def intervals(given: LogFormat) -> list[Interval]:
     else:
         found = [_of_text(text) for text in given.plane_ranges]
     if len({one.is_time for one in found}) > 1:
-        raise InputError("ranges of planes by stations and by times", "one kind")
+        raise InputError("planes stated by stations and by times", "one kind of them")
     return found
 
 
 def _of_text(text: str) -> Interval:
     parts = RANGE.fullmatch(text)
     if parts is None:
-        raise InputError(f"{shown(text)} as a range of planes", EXPECTED)
-    return _interval(*(parts[name].strip() for name in ("plane", "first", "last")))
+        raise InputError(f"--plane-ranges {shown(text)}", EXPECTED)
+    try:
+        return _interval(*(parts[name].strip() for name in ("plane", "first", "last")))
+    except InputError as error:
+        raise InputError(f"--plane-ranges with {error.found}", error.expected) from error
 
 
 def _interval(plane: str, first: str, last: str) -> Interval:
@@ -70,7 +73,7 @@ def _interval(plane: str, first: str, last: str) -> Interval:
         return Interval(plane, first, last)
     numbers = [_seconds(one[1]) if one else math.nan for one in times]
     if not numbers[0] < numbers[1]:
-        raise InputError(f"times from {shown(first)} to {shown(last)}", EXPECTED)
+        raise InputError(f"plane {shown(plane)} from {shown(first)} to {shown(last)}", EXPECTED)
     return Interval(plane, numbers[0], numbers[1])
 
 
@@ -165,6 +168,7 @@ def _inside(one: Interval, times: FloatArray | None, begin: float) -> np.ndarray
 def _place(place: dict[str, int], name: str) -> int:
     if name not in place:
         raise InputError(
-            f"no station {shown(name)} in the log", "a station of it, in a range of planes"
+            f"no station {shown(name)} in the log",
+            "a station of it, in --plane-ranges or --plane-file",
         )
     return place[name]

@@ -238,7 +238,7 @@ def single_pose(
     if len(numbers) not in convention.numbers:
         expected = " or ".join(map(str, convention.numbers))
         raise InputError(
-            f"{name} of {len(numbers)} numbers",
+            f"--{name} of {len(numbers)} numbers",
             f"{expected}, as a pose of the log: {convention.words}",
         )
     x = np.array([numbers], dtype=np.float64)

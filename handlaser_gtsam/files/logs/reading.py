@@ -3,9 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ...arrays import BoolArray
 from ...checks import require_kind
 from ...data.recording import Recording
-from ...errors import InputError
+from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
 from ...text import shown
 from ..recording_csv import POSE, read_recording
@@ -22,6 +23,8 @@ from .report import LogReport
 from .rows import LogRows, rows_of
 from .suspicion import Raw
 from .tables import FOREIGN, WORKBOOKS, read_log_table
+
+NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
 
 
 def read_log(
@@ -103,7 +106,7 @@ def read_any(
     if foreign or (given.stated and not _is_recording(path, given)):
         return describe_log(path, given, sensor, range_sigma)
     try:
-        return LogReport(read_recording(path, sensor))
+        return LogReport(read_recording(path, sensor), lines=(NOT_A_LOG,) if given.stated else ())
     except InputError as error:
         hint = _hint(error)
         if not hint:
@@ -191,6 +194,12 @@ def _report(
 ) -> LogReport:
     assert poses.poses is not None
     both = (poses,) if readings is poses else (poses, readings)
+
+    def codes(chosen: BoolArray) -> tuple[CalibrationWarning, ...]:
+        assert readings.codes is not None
+        counted = (joined.station >= 0) & chosen[joined.station]
+        return readings.codes.warnings(counted)
+
     log = Stationed(
         path,
         Raw(poses.poses, convention_of(given), given.inverted, joined.way),
@@ -200,6 +209,7 @@ def _report(
         0.0 if poses.times is None else float(poses.times.min()),
         readings.beams,
         joined.samples,
+        codes,
         tuple(dict.fromkeys(name for rows in both for name in rows.ignored)),
         (*(warning for rows in both for warning in rows.warnings), *joined.warnings),
         tuple(line for line in (_words(given), joined.words) if line),

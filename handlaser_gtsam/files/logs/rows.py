@@ -1,10 +1,12 @@
 """The rows of one table: poses, readings, and what else stands beside them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import polars as pl
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
 from ...text import some
@@ -14,6 +16,33 @@ from .cells import labels, pose_numbers, refuse_thousands, times
 from .columns import Columns, columns_of
 from .conventions import LENGTHS
 from .format import LogFormat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Codes:
+    """Cells of ranges that say that there is no reading.
+
+    Attributes
+    ----------
+    cells : C series of M cells
+    beams : C sequences
+        Of the beam of each cell: M names, or one that holds for the column.
+    where : (M, C)
+        Which of the cells do.
+    """
+
+    cells: Sequence[pl.Series]
+    beams: Sequence[Sequence[str]]
+    where: BoolArray
+
+    def part(self, rows: IntArray) -> "Codes":
+        """Return those of some rows."""
+        beams = [[of[i] for i in rows.tolist()] if len(of) > 1 else of for of in self.beams]
+        return Codes([one[rows] for one in self.cells], beams, self.where[rows])
+
+    def warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
+        """Return a warning for each code among the rows that are `counted` (M,)."""
+        return code_warnings(self.cells, self.beams, self.where & counted[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +61,7 @@ class LogRows:
     planes, stations : M labels, or None
     times : (M,) or None
         [s]
+    codes : Codes, or None
     warnings : tuple of CalibrationWarning
     """
 
@@ -43,6 +73,7 @@ class LogRows:
     planes: list[str] | None
     stations: list[str] | None
     times: FloatArray | None
+    codes: Codes | None
     warnings: tuple[CalibrationWarning, ...]
 
     @property
@@ -91,6 +122,7 @@ class LogRows:
             planes=None if self.planes is None else [self.planes[i] for i in rows.tolist()],
             stations=None if self.stations is None else [self.stations[i] for i in rows.tolist()],
             times=None if self.times is None else self.times[rows],
+            codes=None if self.codes is None else self.codes.part(rows),
         )
 
 
@@ -114,9 +146,9 @@ def rows_of(
         warnings = (*warnings, *found)
     beams: tuple[str, ...] = ()
     ranges = np.full((len(table.frame), 0), np.nan)
+    codes: Codes | None = None
     if readings:
-        beams, ranges, found = _readings(table, columns, given, sensor)
-        warnings = (*warnings, *found)
+        beams, ranges, codes = _readings(table, columns, given, sensor)
     return LogRows(
         table,
         columns,
@@ -126,6 +158,7 @@ def rows_of(
         labels(table, columns.plane) if columns.plane and not _planes_stated(given) else None,
         labels(table, columns.station) if columns.station else None,
         times(table, columns.time, given) if columns.time else None,
+        codes,
         warnings,
     )
 
@@ -136,15 +169,15 @@ def _planes_stated(given: LogFormat) -> bool:
 
 def _readings(
     table: Table, columns: Columns, given: LogFormat, sensor: Sensor
-) -> tuple[tuple[str, ...], FloatArray, tuple[CalibrationWarning, ...]]:
-    """Return beams, ranges (M, B) [m], and which codes stood for no reading."""
+) -> tuple[tuple[str, ...], FloatArray, Codes]:
+    """Return beams, ranges (M, B) [m], and which cells are codes for no reading."""
     unit = LENGTHS[given.range_units]
     if not columns.range:
         names = list(columns.beams.values())
         d, coded = range_numbers(table, names, sensor, unit)
         beams = tuple(columns.beams)
         cells = [table.frame[name] for name in names]
-        return beams, d, code_warnings(cells, [[beam] for beam in beams], coded)
+        return beams, d, Codes(cells, [[beam] for beam in beams], coded)
     whose = labels(table, columns.beam)
     d, coded = range_numbers(table, [columns.range], sensor, unit)
     beams = tuple(dict.fromkeys(whose))
@@ -159,7 +192,7 @@ def _readings(
     number = {beam: i for i, beam in enumerate(beams)}
     wide = np.full((len(whose), len(beams)), np.nan)
     wide[np.arange(len(whose)), [number[beam] for beam in whose]] = d[:, 0]
-    return beams, wide, code_warnings([table.frame[columns.range]], [whose], coded)
+    return beams, wide, Codes([table.frame[columns.range]], [whose], coded)
 
 
 MOST_BEAMS = 200

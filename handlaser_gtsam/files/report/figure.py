@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...arrays import FloatArray
+from ...text import shortened
 from ..json_text import Record
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
@@ -54,7 +55,7 @@ def tick_labels(names: Sequence[str], room: int) -> list[str]:
 
 def short(name: str, longest: int = LONGEST) -> str:
     """Return a name, cut where it is longer than a picture has room for."""
-    return name if len(name) <= longest else name[: longest - 1] + "…"
+    return shortened(name, longest)
 
 
 def harmless(words: str) -> str:

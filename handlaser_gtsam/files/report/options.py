@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...checks import require_kind, require_number
 from ...data.recording import LARGEST
-from ...errors import InputError
+from ...errors import ArgumentError, InputError
 from ...planning.route import Plan
 from ...text import shown
 from ..logs.bag_messages import METADATA
@@ -137,4 +137,4 @@ def iso_day(text: str) -> date:
     try:
         return date.fromisoformat(text)
     except ValueError as error:
-        raise InputError(f"{shown(text)} as a date", "a day such as 2026-03-31") from error
+        raise ArgumentError("report_date", shown(text), "a day such as 2026-03-31") from error

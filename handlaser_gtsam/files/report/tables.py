@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ...results.lines import count, decimals
+from ...text import shortened
 
 UNKNOWN = "undetermined"
 NONE = "\N{EN DASH}"
@@ -79,7 +80,7 @@ def sentence(words: str) -> str:
 
 def name_cell(name: str) -> Cell:
     """Return a cell with the name of one of many, cut where it is longer than a table has room for."""
-    return Cell(name if len(name) <= LONGEST else name[: LONGEST - 1] + "…")
+    return Cell(shortened(name, LONGEST))
 
 
 def plain(value: float, digits: int) -> str:
