@@ -95,6 +95,13 @@ def write_readings(path, time, ranges, factor=1.0):
     write_table(path, "time,range_1,range_2", factor * time, ranges)
 
 
+def write_log(path, one, plane=False):
+    """Write poses and readings in one table, with the number of the plane if wanted."""
+    names = "time,x,y,z,qx,qy,qz,qw,range_1,range_2" + ",plane" * plane
+    columns = [one.time, one.position, one.turn.as_quat(), one.ranges]
+    write_table(path, names, *columns, *([one.plane] * plane))
+
+
 # --- stops -------------------------------------------------------------------------------------------
 
 
@@ -106,17 +113,11 @@ def write_readings(path, time, ranges, factor=1.0):
 def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, seed, speed, rate, stand_s):
     """The label is set on arrival, some tenths of a second into the stop."""
     one = drive(seed, speed=speed, rate=rate)
-    late = np.searchsorted(one.time, one.time - 0.4)
-    label = np.where(one.plane[late] == 0, "A", "B")
-    rows = np.column_stack((one.position, one.turn.as_quat(), one.ranges))
-    lines = ["time,plane,x,y,z,qx,qy,qz,qw,range_1,range_2"]
-    for t, name, row in zip(one.time, label, rows, strict=True):
-        lines.append(f"{t:.6f},{name}," + ",".join(f"{x:.8f}" for x in row))
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(lines) + "\n")
-    report = hl.describe_log(path, hl.LogFormat(stands=True, stand_s=stand_s))
-    assert len(report.recording.plane_labels) == 60
-    assert report.recording.plane_labels == ("A",) * 30 + ("B",) * 30
+    one.plane = one.plane[np.searchsorted(one.time, one.time - 0.4)]
+    write_log(tmp_path / "log.csv", one, plane=True)
+    given = hl.LogFormat(stands=True, stand_s=stand_s, plane_column="plane")
+    report = hl.describe_log(tmp_path / "log.csv", given)
+    assert report.recording.plane_labels == ("0",) * 30 + ("1",) * 30
     assert any(line.startswith("60 moments at which the hand stands") for line in report.lines)
 
 
@@ -126,14 +127,7 @@ def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
     for arrive, leave in one.rest[:3]:
         rows = (one.time >= arrive) & (one.time <= leave)
         one.position[rows, 0] += 3e-4 * np.exp(-(one.time[rows] - arrive) / 0.5)
-    write_table(
-        tmp_path / "log.csv",
-        "time,x,y,z,qx,qy,qz,qw,range_1,range_2",
-        one.time,
-        one.position,
-        one.turn.as_quat(),
-        one.ranges,
-    )
+    write_log(tmp_path / "log.csv", one)
     given = hl.LogFormat(stands=True, stand_s=0.25, plane="A", as_stated=True)
     report = hl.describe_log(tmp_path / "log.csv", given)
     assert len(report.recording.plane_labels) == 6
@@ -145,14 +139,7 @@ def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
 
 def test_a_log_without_planes_says_how_many_stations_there_are(tmp_path):
     one = drive(5, stops=9)
-    write_table(
-        tmp_path / "log.csv",
-        "time,x,y,z,qx,qy,qz,qw,range_1,range_2",
-        one.time,
-        one.position,
-        one.turn.as_quat(),
-        one.ranges,
-    )
+    write_log(tmp_path / "log.csv", one)
     with pytest.raises(hl.InputError, match="9 stations, and no column of planes"):
         hl.describe_log(tmp_path / "log.csv", hl.LogFormat(stands=True))
 
@@ -240,5 +227,5 @@ def test_a_pattern_that_repeats_is_not_guessed(tmp_path):
         estimate_lag=True,
         plane="A",
     )
-    with pytest.raises(hl.InputError, match="stops and moves that fit offsets"):
+    with pytest.raises(hl.InputError, match="readings that fit the motion at lags of"):
         hl.describe_log(tmp_path / "poses.csv", form)
