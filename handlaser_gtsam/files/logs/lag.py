@@ -19,7 +19,7 @@ variance s^2, the variance of tau is 2 s^2 / S''(tau).
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.readings import Readings
 from ...errors import InputError
+from ...model.equation import residuals_or_infinite
 from ...solvers.levenberg import LevenbergOptions
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
@@ -54,6 +55,8 @@ TERMS = 2
 """Range-error terms of the calibration."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
 """Readings count where the hand moves by so much within `MOST` before or after."""
+PIECES = 6
+"""Pieces of a recording in which the lag should be the same."""
 ROUNDS = 12
 """The calibration moves on at most so often to where its minimum is."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
@@ -67,10 +70,11 @@ AT_MOST = 1500
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """A lag and its standard deviation [s]."""
+    """A lag, its standard deviation, and by how much it varies in the recording [s]."""
 
     value: float
     sigma: float
+    varies: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +163,11 @@ def estimated_lag(
             "a motion that does not tell the lag of the readings",
             "a log with stops, turns and changes of speed before a plane; or state --lag-s",
         )
+    if not lag.varies <= WORST:
+        raise InputError(
+            f"a lag that varies by some {1e3 * lag.varies:.0f} ms in the recording",
+            "clocks that run alike and are not set meanwhile; or parts of the log by themselves",
+        )
     alike = [best.lag, *(one.lag for one in others if _calibrated(track, one) is not None)]
     if len(alike) > 1:
         more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
@@ -166,7 +175,7 @@ def estimated_lag(
             f"readings that fit the motion at lags of {alike[0]:.6g} s and {alike[1]:.6g} s{more}",
             "a motion that does not repeat; or a rough --lag-s, near which the lag is then looked for",
         )
-    return lag
+    return replace(lag, sigma=float(np.hypot(lag.sigma, lag.varies)))
 
 
 def _chosen(found: list[_Candidate], near: float) -> tuple[_Candidate, list[_Candidate]]:
@@ -224,21 +233,21 @@ def _coarse(
     return _Candidate(lag, squares, variation, count, covered, parts)
 
 
-def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> tuple[Lag | None, float]:
-    """Return the minimum of a parabola through seven sums of squares, and the least of them.
+def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> Lag | None:
+    """Return where a parabola through seven sums of squares has its minimum.
 
     None where no minimum stands out from how rough the sums are; `count` are the degrees of freedom.
     """
     middle, squares = lags[3], float(sums.min())
     if not np.isfinite(sums).all():
-        return None, squares
+        return None
     (bend, slope, _), spread = np.polyfit(lags - middle, sums, 2, cov=True)
     if bend <= BENT * np.sqrt(spread[0, 0]):
-        return None, squares
+        return None
     shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
     fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
     sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, BETWEEN]))
-    return Lag(float(middle) + shift, sigma), squares
+    return Lag(float(middle) + shift, sigma)
 
 
 def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
@@ -253,7 +262,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
     origins = readings.plane_means(readings.world_t_hand)
     start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
     count = len(readings) - readings.unknowns(TERMS)
-    step, found, squares = COARSE, None, np.inf
+    step, found = COARSE, None
     for _ in range(ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
@@ -266,14 +275,39 @@ def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
         if best in (0, 6):  # the minimum lies further on
             near = float(lags[best])
             continue
-        found, squares = _lowest(lags, cost, count)
+        found = _lowest(lags, cost, count)
         near = float(lags[best]) if found is None else found.value
-        if step == FINE:
+        if step == FINE and abs(near - lags[3]) < FINE:
             break
         step = max(step / 4.0, FINE)
     if found is None or step > FINE or found.sigma > WORST:
         return None
-    return found if squares <= UNLIKE * candidate.squares else None
+    at, later, sooner = (
+        _readings(track, parts, found.value + shift).seen_from(origins)
+        for shift in (0.0, FINE, -FINE)
+    )
+    solved = solve_together([at], [start], TERMS, 1.0, options=OPTIONS)
+    if not 2.0 * solved.cost[0] <= UNLIKE * candidate.squares:
+        return None
+    e, after, before = (
+        residuals_or_infinite(solved.parameters[0], rows) for rows in (at, later, sooner)
+    )
+    time = np.concatenate([part.time for part in parts])[at.station]
+    return replace(found, varies=_variation(time, e, (after - before) / (2.0 * FINE)))
+
+
+def _variation(time: FloatArray, e: FloatArray, rate: FloatArray) -> float:
+    """Return by how much the lag varies from piece to piece of a recording, beside noise [s].
+
+    With residuals e (N,) and their rates by the lag, a piece is off by -rate'e / rate'rate.
+    """
+    edges = np.linspace(time.min(), time.max(), PIECES + 1)
+    piece = np.searchsorted(edges[1:-1], time)
+    told = np.bincount(piece, rate**2, PIECES)
+    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, TINY)
+    noise = PIECES * float(e @ e) / len(e)
+    excess = (float(told @ off**2) - noise) / float(told.sum())
+    return float(np.sqrt(max(excess, 0.0)))
 
 
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:

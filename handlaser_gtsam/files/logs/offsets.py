@@ -26,10 +26,10 @@ MOST_STEPS = 1_000_000
 """Longer recordings are taken in longer steps, for the memory they need."""
 HALF_WIDTH = 5
 """Velocities are differences over twice so many steps: readings have noise."""
-CANDIDATES = 8
+CANDIDATES = 10
 """So many candidates at most: a motion that repeats has several."""
-LEAST_OVERLAP = 0.1
-"""The least part of the shorter recording that has to lie within the other."""
+LEAST_OVERLAP = 0.3
+"""Offsets at which a smaller part of the shorter recording lies within the other count less."""
 CLIPPED = 4.0
 """Rates beyond so many root mean squares are those of a change of planes."""
 SPIKE = 10.0
