@@ -129,8 +129,9 @@ def test_left_handed_matrices_are_called_so(tmp_path, log):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"estimate_lag": True}, "--estimate-lag, of one table"),
-        ({"lag_s": 0.1}, "--lag-s or --estimate-lag, of one table"),
+        ({"estimate_lag": True}, "no column of times"),
+        ({"lag_s": 0.1}, "no column of times"),
+        ({"interpolate": True}, "no column of times"),
         ({"sheet": "S"}, "--sheet, which says nothing of a file that is no workbook"),
     ],
     ids=str,

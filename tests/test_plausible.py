@@ -290,7 +290,7 @@ def test_a_goal_that_tells_what_has_no_size_is_refused(tmp_path):
     with pytest.raises(hl.InputError, match=r"kind in \[sensor\]"):
         hl.read_rig(rig)
     rig.write_text('[goal]\ntells = ["drift"]\n')
-    with pytest.raises(hl.InputError, match="goal.tells 'drift'"):
+    with pytest.raises(hl.InputError, match=r"goal\.tells 'drift'"):
         hl.read_rig(rig)
     rig.write_text('[sensor]\nkind = "confocal"\n[goal]\ntells = ["incidence", "cubic"]\n')
     assert hl.read_rig(rig).goal.tells == ("incidence", "cubic")

@@ -199,13 +199,11 @@ def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
 
 def _lag_lines(lag: float, sigma: float | None) -> Iterator[str]:
     later = "later" if lag >= 0.0 else "earlier"
+    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
     if sigma is not None:
-        yield (
-            f"readings are stamped {1e3 * abs(lag):.1f} ms {later} than poses, estimated to "
-            f"{1e3 * sigma:.2g} ms"
-        )
+        yield f"readings are stamped {much} {later} than poses, estimated to {1e3 * sigma:.2g} ms"
     elif lag:
-        yield f"readings are taken to be stamped {1e3 * abs(lag):.3g} ms {later} than poses"
+        yield f"readings are taken to be stamped {much} {later} than poses"
 
 
 def _average_lines(mean: Averaged, given: LogFormat) -> Iterator[str]:

@@ -71,8 +71,7 @@ def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
     if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
         refuse_stated(given, OF_TABLES, "a bag", path)
     content = read_bag(path, given)
-    first = [beam.rows()[0, 0] for beam in content.beams]
-    begin = min(float(content.track.time[0]), *map(float, first))
+    begin = float(content.track.time[0])
     lag = _lag(content, given, begin) if given.estimate_lag else Lag(given.lag_s, 0.0)
     log = _stations(path, content, given, begin, lag.value)
     return assembled(log, given, known, (lag.value, lag.sigma if given.estimate_lag else None))
@@ -142,7 +141,7 @@ def _samples(parts: list[tuple[IntArray, int, FloatArray]]) -> Samples:
 def _moving(
     content: BagContent, given: LogFormat, lag: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, Samples]:
-    """Return times, poses and readings of every moment at which a beam read something."""
+    """Return times of poses, poses and readings of every moment at which a beam read something."""
     if given.tolerance_s is None:
         raise InputError(
             "--interpolate without a tolerance", "--tolerance-s: how far poses may be apart"
@@ -164,7 +163,7 @@ def _moving(
     ]
     poses = np.column_stack((track.time, track.position, track.quaternion))
     turn, t = between(poses, time - lag)
-    return time, turn.as_matrix(), t, _samples(parts)
+    return time - lag, turn.as_matrix(), t, _samples(parts)
 
 
 def _lag(content: BagContent, given: LogFormat, begin: float) -> Lag:

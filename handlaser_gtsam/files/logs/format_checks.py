@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 LONGEST = 1e6
 """Most seconds of any duration that is stated."""
+LARGEST_LAG = 1e10
+"""A clock that counts from 1970 and one that counts from its start differ by less [s]."""
 
 
 def check_format(given: "LogFormat") -> None:
@@ -85,7 +87,7 @@ def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
 def _check_numbers(given: "LogFormat") -> None:
     if given.tolerance_s is not None:
         require_number("tolerance_s", given.tolerance_s, 0.0, LONGEST, above=True, unit="s")
-    require_number("lag_s", given.lag_s, -LONGEST, LONGEST, unit="s")
+    require_number("lag_s", given.lag_s, -LARGEST_LAG, LARGEST_LAG, unit="s")
     require_number("stand_s", given.stand_s, 0.0, LONGEST, above=True, unit="s")
     require_number("stand_mm", given.stand_mm, 0.0, 1e3, above=True, unit="mm")
     require_number("stand_deg", given.stand_deg, 0.0, 180.0, above=True, unit="deg")

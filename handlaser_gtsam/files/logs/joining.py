@@ -57,16 +57,6 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     InputError
         Rows of one station with other poses or planes; a long table without stations.
     """
-    if given.interpolate:
-        raise InputError(
-            "--interpolate, of one table with poses and readings",
-            "two tables joined by time (--readings), or a bag",
-        )
-    if given.lag_s or given.estimate_lag:
-        raise InputError(
-            "--lag-s or --estimate-lag, of one table with poses and readings in its rows",
-            "no lag; or two tables joined by time (--readings), or a bag",
-        )
     if rows.columns.range and rows.stations is None:
         expected = "a column station, or its name by --station-column"
         raise InputError("a long table without stations", expected, rows.table.path)

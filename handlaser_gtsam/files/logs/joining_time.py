@@ -7,6 +7,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import InputError
 from .averaging import Samples
+from .conventions import TIME_UNITS
 from .format import LogFormat
 from .format_checks import convention_of
 from .joining import SAME_STATION_M, SAME_STATION_RAD, Joined, groups, unmatched
@@ -17,9 +18,14 @@ from .poses import poses_of
 from .rows import LogRows
 from .stands import Track, find_stands
 
+UNIT_OFF = 0.15
+"""Spans of one recording agree within a factor of three, which is so much of a power of a thousand."""
+
 
 def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> Joined:
     """Return stations of two tables in time; `lag` [s] is how much later readings are stamped.
+
+    Both tables may be one, whose readings then belong to the poses of earlier rows.
 
     The rows of the shorter table are the stations. To each row of readings belongs the nearest pose, or
     one between two; to a row of poses all readings within the tolerance.
@@ -45,8 +51,8 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> 
         return _around(poses, readings, wanted, given.tolerance_s)
     row, off = nearest(poses.times, wanted)
     near = off <= given.tolerance_s
-    _require_any(near, poses, readings, off)
-    return _at_readings(Rows(row[near]), readings, near, poses, row, "the nearest pose")
+    _require_any(near, poses, readings, wanted)
+    return _at_readings(Rows(row[near]), readings, wanted, near, poses, row, "the nearest pose")
 
 
 def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
@@ -76,16 +82,22 @@ def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
 def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
     assert poses.times is not None
     near = bracketed(poses.times, wanted, tolerance)
-    row, off = nearest(poses.times, wanted)
-    _require_any(near, poses, readings, off, "poses before and after it")
+    row = nearest(poses.times, wanted)[0]
+    _require_any(near, poses, readings, wanted, "poses before and after it within the tolerance")
     way = Between.at(poses.times, wanted[near])
-    return _at_readings(way, readings, near, poses, row, "a pose between its neighbours")
+    return _at_readings(way, readings, wanted, near, poses, row, "a pose between its neighbours")
 
 
 def _at_readings(
-    way: Way, readings: LogRows, near: BoolArray, poses: LogRows, row: IntArray, words: str
+    way: Way,
+    readings: LogRows,
+    wanted: FloatArray,
+    near: BoolArray,
+    poses: LogRows,
+    row: IntArray,
+    words: str,
 ) -> Joined:
-    """Return the rows of readings that have a pose, as stations."""
+    """Return the rows of readings that have a pose, as stations; `wanted` are times of poses (N,)."""
     kept = np.flatnonzero(near)
     names, planes = readings.names, readings.planes
     if planes is None and poses.planes is not None:
@@ -97,14 +109,13 @@ def _at_readings(
             "every label once where each row of readings is a station",
             readings.table.path,
         )
-    assert readings.times is not None
     station = np.full(len(near), -1, dtype=np.intp)
     station[kept] = np.arange(len(kept))
     return Joined(
         way,
         chosen,
         None if planes is None else [planes[i] for i in kept.tolist()],
-        readings.times[kept],
+        wanted[kept],
         station,
         Samples.of_rows(station, readings.ranges),
         unmatched(len(near) - len(kept), len(near), "have no pose within the tolerance"),
@@ -117,7 +128,7 @@ def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: fl
     assert poses.times is not None
     row, off = nearest(poses.times, wanted)
     near = off <= tolerance
-    _require_any(near, poses, readings, off)
+    _require_any(near, poses, readings, wanted)
     station = np.where(near, row, -1).astype(np.intp)
     every = np.arange(len(poses.times), dtype=np.intp)
     planes = poses.planes
@@ -142,6 +153,14 @@ def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: Float
     track = track_of(poses, given)
     stands = find_stands(track, given)
     station = stands.stand_of(wanted)
+    _require_any(
+        station >= 0,
+        poses,
+        readings,
+        wanted,
+        "a stop of the hand around it",
+        "or --lag-s",
+    )
     planes = None
     if poses.planes is not None:
         planes = [poses.planes[i] for i in stands.middle.tolist()]
@@ -197,16 +216,57 @@ def track_of(poses: LogRows, given: LogFormat) -> Track:
 
 
 def _require_any(
-    near: BoolArray, poses: LogRows, readings: LogRows, off: FloatArray, what: str = "a pose"
+    near: BoolArray,
+    poses: LogRows,
+    readings: LogRows,
+    wanted: FloatArray,
+    what: str = "a pose within the tolerance",
+    remedy: str = "a larger --tolerance-s, or --lag-s",
 ) -> None:
+    """Refuse tables of which no reading has what it needs."""
     assert poses.times is not None
     assert readings.times is not None
     if near.any():
         return
+    off = nearest(poses.times, wanted)[1].min()
     raise InputError(
-        f"no reading with {what} within the tolerance: the nearest two are {off.min():.3g} s apart "
-        f"(poses from {poses.times[0]:.10g} to {poses.times[-1]:.10g} s, readings from "
+        f"no reading with {what}: the nearest pose is {off:.3g} s away (poses from "
+        f"{poses.times[0]:.10g} to {poses.times[-1]:.10g} s, readings from "
         f"{readings.times.min():.10g} to {readings.times.max():.10g} s)",
-        "one clock and one unit (--time-units), a larger --tolerance-s, or --lag-s",
+        f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
+        readings.table.path,
+    )
+
+
+def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> None:
+    """Refuse times of which one table has seconds and the other, say, milliseconds.
+
+    Two tables of one recording last about as long: a quotient near a power of a thousand is a unit.
+
+    Raises
+    ------
+    InputError
+        The spans differ so, and the unit of the second table is not stated by itself.
+    """
+    assert poses.times is not None
+    assert readings.times is not None
+    spans = float(np.ptp(poses.times)), float(np.ptp(readings.times))
+    if min(spans) <= 0.0 or given.readings_time_units is not None or given.as_stated:
+        return
+    power = np.log10(spans[1] / spans[0]) / 3.0
+    if round(power) == 0 or abs(power - round(power)) > UNIT_OFF:
+        return
+    units = list(TIME_UNITS)
+    finer = units.index(given.time_units) + abs(round(power))
+    if finer >= len(units):
+        return
+    own, other = given.time_units, units[finer]
+    stated = f"--readings-time-units {other}"
+    if power < 0:
+        stated = f"--time-units {other} --readings-time-units {own}"
+    raise InputError(
+        f"poses over {spans[0]:.4g} s and readings over {spans[1]:.4g} s, as if one table had times in "
+        f"{own} and the other in {other}",
+        f"{stated}; or --readings-time-units {own} if both are right",
         readings.table.path,
     )

@@ -18,7 +18,7 @@ from .columns import columns_of, formats_in
 from .format import LogFormat
 from .format_checks import convention_of
 from .joining import Joined, by_station, one_table
-from .joining_time import by_time, lag_of_tables
+from .joining_time import by_time, lag_of_tables, refuse_other_units
 from .report import LogReport
 from .rows import LogRows, rows_of
 from .suspicion import Raw
@@ -152,11 +152,11 @@ def _hint(error: InputError) -> str:
 def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
     both = given.readings is None
     poses = rows_of(read_log_table(path, given), given, known.sensor, readings=both)
-    if both and given.stands and not (given.lag_s or given.estimate_lag):
-        rows = poses.in_time()
-        return _report(path, rows, rows, by_time(rows, rows, given, 0.0), given, known, (0.0, None))
-    if both:
+    if both and not (given.stands or given.interpolate or given.lag_s or given.estimate_lag):
         return _report(path, poses, poses, one_table(poses, given), given, known, (0.0, None))
+    if both:
+        rows = poses.in_time()
+        return _in_time(path, rows, rows, given, known)
     second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
     second = replace(
         second,
@@ -173,7 +173,13 @@ def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
     if poses.stations is not None and readings.stations is not None and not given.stands:
         joined = by_station(poses, readings)
         return _report(path, poses, readings, joined, given, known, (0.0, None))
-    poses, readings = poses.in_time(), readings.in_time()
+    return _in_time(path, poses.in_time(), readings.in_time(), given, known)
+
+
+def _in_time(
+    path: Path, poses: LogRows, readings: LogRows, given: LogFormat, known: Known
+) -> LogReport:
+    refuse_other_units(poses, readings, given)
     lag: tuple[float, float | None] = (given.lag_s, None)
     if given.estimate_lag:
         found = lag_of_tables(poses, readings, given)

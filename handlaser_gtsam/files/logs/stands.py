@@ -1,10 +1,12 @@
 """Stations of a log in time: the moments at which the arm stands still.
 
-A row of poses is still if the hand is, within the limits, where it was a quarter of the shortest stand
-before and where it will be a quarter after. A stand is a run of still rows that lasts half of the
-shortest stand or more: so its ends have the distance of a quarter from what moves, where brakes,
-filters and late stamps are at work. Where a run creeps, as a soft start or end does, it is trimmed to
-the rows about its median position that are within the limits of it.
+A row of poses is still if the hand is, within the limits, on average where it was during a quarter of
+the shortest stand before and where it will be during a quarter after. A stand is a run of still rows
+that lasts half of the shortest stand or more: so its ends have the distance of a quarter from what
+moves, where brakes, filters and late stamps are at work. Where a run creeps, as a soft start or end
+does, it is trimmed to the rows about its median position that are within the limits of it.
+
+Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
 
 from dataclasses import dataclass
@@ -19,6 +21,10 @@ from .motion import Means
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
+NOISE = 5.0
+"""So many standard deviations of noise are no motion: of 100,000 means one is off by more."""
+QUIET, OF_QUIET = 0.25, 1.10
+"""A quarter of the rows at least shows noise alone, and that quantile of its length in space."""
 AT_ONCE = 100_000
 """Rows that are compared at once, for the memory they take."""
 
@@ -40,6 +46,13 @@ class Track:
     time: FloatArray
     position: FloatArray
     quaternion: FloatArray
+
+    @property
+    def steady(self) -> FloatArray:
+        """The quaternions (M, 4) without changes of sign from row to row."""
+        q = self.quaternion
+        change = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+        return np.asarray(q * np.concatenate(([1.0], np.cumprod(change)))[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +127,27 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
         The hand never stands still so long.
     """
     half = GAP * given.stand_s
-    limits = 1e-3 * given.stand_mm, np.radians(given.stand_deg)
-    still = _still(track, half, *limits)
+    step = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 0.0
+    if step > half:
+        raise InputError(
+            f"rows of poses {step:.3g} s apart, of which stops of {given.stand_s:g} s cannot be told",
+            f"--stand-s {4.0 * step:.2g} or more, the right --time-units, or a column of stations",
+        )
+    means = _Means.of(track, 1e-3 * given.stand_mm, np.radians(given.stand_deg))
+    still = _still(track.time, means, half)
     edge = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
+    first, last = edge[::2], edge[1::2] - 1
+    # A run is not over because of a moment at which noise is large.
+    apart = np.flatnonzero(track.time[first[1:]] - track.time[last[:-1]] >= half)
+    first, last = np.append(first[:1], first[apart + 1]), np.append(last[apart], last[-1:])
     least = given.stand_s - 2.0 * half - 1e-9
     kept, trimmed, dropped = [], 0, 0
-    for first, last in zip(edge[::2].tolist(), (edge[1::2] - 1).tolist(), strict=True):
-        a, b = _trimmed(track, first, last, *limits)
+    for run in zip(first.tolist(), last.tolist(), strict=True):
+        a, b = _trimmed(track, means, run, half)
         if track.time[b] - track.time[a] < least:
             dropped += 1
             continue
-        trimmed += (a, b) != (first, last)
+        trimmed += (a, b) != run
         kept.append((a, b))
     if not kept:
         short = f"; {dropped} shorter stops were found" if dropped else ""
@@ -137,44 +160,75 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
     return Stands(begin, end, track.time[begin], track.time[end], trimmed, dropped)
 
 
-def _still(track: Track, half: float, most_m: float, most_rad: float) -> BoolArray:
+@dataclass(frozen=True, slots=True)
+class _Means:
+    """Mean poses of rows, which may differ by a length [m] and an angle [rad] beside their noise.
+
+    `sums` (M + 1, 7) are those of positions and quaternions before each row, `noise` (2,) the standard
+    deviations of a position [m] and of an angle [rad] along one axis.
+    """
+
+    sums: FloatArray
+    limits: FloatArray
+    noise: FloatArray
+
+    @classmethod
+    def of(cls, track: Track, most_m: float, most_rad: float) -> "_Means":
+        """Return the sums of a track, and its noise: what neighbours do not have in common."""
+        x = np.hstack((track.position - track.position[0], 2.0 * track.steady))
+        noise = np.zeros(2)
+        if len(x) > 2:
+            bend = x[2:] - 2.0 * x[1:-1] + x[:-2]
+            for kind, columns in enumerate((slice(3), slice(3, 7))):
+                length = np.linalg.norm(bend[:, columns], axis=1)
+                noise[kind] = np.quantile(length, QUIET) / (OF_QUIET * np.sqrt(6.0))
+        sums = np.concatenate((np.zeros((1, 7)), np.cumsum(x, axis=0)))
+        return cls(sums, np.array([most_m, most_rad]), noise)
+
+    def of_rows(self, begin: IntArray, end: IntArray) -> FloatArray:
+        """Return means (N, 7) of the rows from `begin` to before `end` (N,)."""
+        return np.asarray((self.sums[end] - self.sums[begin]) / (end - begin)[:, None])
+
+    def near(
+        self, first: tuple[IntArray, IntArray], second: tuple[IntArray, IntArray]
+    ) -> BoolArray:
+        """Tell which mean poses agree, from the rows (N,) at which they begin and behind their ends."""
+        apart = self.of_rows(*first) - self.of_rows(*second)
+        part = 1.0 / (first[1] - first[0]) + 1.0 / (second[1] - second[0])
+        most = np.sqrt(self.limits**2 + NOISE**2 * self.noise**2 * part[:, None])
+        position, turn = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
+        return np.asarray((position <= most[:, 0]) & (turn <= most[:, 1]))
+
+
+def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
     """Return which rows (M,) are where they were, and where they will be."""
-    t = track.time
-    before = np.maximum(np.searchsorted(t, t - half, side="left"), 0)
-    after = np.minimum(np.searchsorted(t, t + half, side="right") - 1, len(t) - 1)
-    alone = (t - t[before] < 0.5 * half) | (t[after] - t < 0.5 * half)
-    still = np.ones(len(t), dtype=bool)
+    before = np.searchsorted(t, t - half, side="left")
+    after = np.searchsorted(t, t + half, side="right")
+    still = (t - t[before] >= 0.5 * half) & (t[after - 1] - t >= 0.5 * half)
     for begin in range(0, len(t), AT_ONCE):
         rows = slice(begin, begin + AT_ONCE)
-        for other in (before, after):
-            still[rows] &= _near(track, other[rows], rows, most_m, most_rad)
-    return still & ~alone
+        own = np.arange(len(t))[rows]
+        still[rows] &= means.near((before[rows], own + 1), (own, after[rows]))
+    return np.asarray(still)
 
 
-def _near(
-    track: Track, first: IntArray, second: slice | IntArray, most_m: float, most_rad: float
-) -> BoolArray:
-    """Tell which of two rows are within the limits."""
-    shift = track.position[first] - track.position[second]
-    cosine = np.abs((track.quaternion[first] * track.quaternion[second]).sum(axis=1))
-    near = (shift**2).sum(axis=1) <= most_m**2
-    return np.asarray(near & (1.0 - cosine <= 1.0 - np.cos(0.5 * most_rad) + 1e-15))
-
-
-def _trimmed(
-    track: Track, first: int, last: int, most_m: float, most_rad: float
-) -> tuple[int, int]:
+def _trimmed(track: Track, means: _Means, run: tuple[int, int], half: float) -> tuple[int, int]:
     """Return the ends of the rows of a run about its median position that are within the limits."""
-    rows = np.arange(first, last + 1)
-    p = track.position[rows]
-    middle = int(((p - np.median(p, axis=0)) ** 2).sum(axis=1).argmin())
-    centre = np.full(len(rows), rows[middle])
-    near = _near(track, centre, rows, most_m, most_rad)
+    rows = np.arange(run[0], run[1] + 1)
+    t = track.time[rows]
+    begin = run[0] + np.searchsorted(t, t - 0.5 * half, side="left")
+    end = run[0] + np.searchsorted(t, t + 0.5 * half, side="right")
+    p = means.of_rows(begin, end)[:, :3]
+    centre = int(((p - np.median(p, axis=0)) ** 2).sum(axis=1).argmin())
+    alike = np.full_like(begin, begin[centre]), np.full_like(end, end[centre])
+    near = means.near((begin, end), alike)
+    own = np.flatnonzero(near)
+    middle = own[len(own) // 2]
     far = np.flatnonzero(~near)
     before, after = far[far < middle], far[far > middle]
-    begin = before[-1] + 1 if before.size else 0
-    end = after[0] - 1 if after.size else len(rows) - 1
-    return int(rows[begin]), int(rows[end])
+    first = before[-1] + 1 if before.size else 0
+    last = after[0] - 1 if after.size else len(rows) - 1
+    return int(rows[first]), int(rows[last])
 
 
 def moving(track: Track, stands: Stands) -> BoolArray:

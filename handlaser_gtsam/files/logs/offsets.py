@@ -1,0 +1,116 @@
+r"""By how much two clocks may differ, from the velocities of the hand and the rates of readings.
+
+Before a plane, the rate of a range is linear in the hand's velocity w (6,), that of its position and of
+its turn in the world, with coefficients that change little unless the hand turns far. The offset tau by
+which readings are stamped later is looked for where one set of coefficients explains the rates y_i of
+each beam best,
+
+    rho(tau) = sum_i b_i' G^-1 b_i / y_i' y_i,    b_i(tau) = sum_t y_i(t) w(t - tau),    G = sum_t w w',
+
+for all offsets at once by the Fourier transform. It does not matter whether the arm stops. The maxima
+of rho are candidates only: `lag` judges them by the range equation.
+"""
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.ndimage import median_filter
+from scipy.signal import find_peaks
+from scipy.spatial.transform import Rotation
+
+from ...arrays import FloatArray
+from .stands import Track
+
+STEP = 0.02
+"""Step in which velocities and rates are taken [s]."""
+MOST_STEPS = 1_000_000
+"""Longer recordings are taken in longer steps, for the memory they need."""
+HALF_WIDTH = 5
+"""Velocities are differences over twice so many steps: readings have noise."""
+CANDIDATES = 10
+"""So many candidates at most: a motion that repeats has several."""
+LEAST_OVERLAP = 0.3
+"""Offsets at which a smaller part of the shorter recording lies within the other count less."""
+CLIPPED = 4.0
+"""Rates beyond so many root mean squares are those of a change of planes."""
+SPIKE = 10.0
+"""A reading is wild if it is off the median of five by so many times what nine in ten readings are."""
+
+
+def despiked(d: FloatArray) -> FloatArray:
+    """Return readings (N, B) in the order of time, with NaN in place of single wild ones."""
+    d = d.copy()
+    for column in d.T:
+        read = np.flatnonzero(~np.isnan(column))
+        if len(read):
+            off = np.abs(column[read] - median_filter(column[read], 5, mode="nearest"))
+            column[read[off > SPIKE * np.quantile(off, 0.9)]] = np.nan
+    return d
+
+
+def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[float]:
+    """Return by how much readings d (N, B) may be stamped later [s], the likeliest offset first.
+
+    Times (N,) increase. There is none where the hand or the readings rest all the time.
+    """
+    spans = track.time[-1] - track.time[0], time[-1] - time[0]
+    if min(spans) <= 0.0:
+        return []
+    step = max(STEP, sum(spans) / MOST_STEPS)
+    w = _velocities(track, step)
+    y = _rates(time, d, step)
+    n = next_fast_len(len(w) + len(y) - 1, real=True)
+    shift = np.arange(n)
+    shift = np.where(shift < len(y), shift, shift - n)
+    overlap = np.minimum(len(w) + shift, len(y)) - np.maximum(shift, 0)
+    share = np.maximum(overlap / min(len(w), len(y)), LEAST_OVERLAP)
+    forms = [np.conj(rfft(column, n)) for column in w.T]
+    # A hand that does not turn, or moves in one plane, leaves directions without a velocity.
+    inverse = np.linalg.pinv(w.T @ w, rcond=1e-3, hermitian=True)
+    explained = np.zeros(n)
+    for column in y.T:
+        own = rfft(column, n)
+        b = np.stack([irfft(own * form, n) for form in forms])
+        explained += np.einsum("in,in->n", b, inverse @ b)
+    order = np.argsort(shift)
+    # Where less overlaps, both what a motion explains and what chance does are less.
+    height = (explained / share)[order]
+    peaks = find_peaks(height)[0]
+    best = peaks[np.argsort(-height[peaks], kind="stable")[:CANDIDATES]]
+    return [float(time[0] - track.time[0] + step * i) for i in shift[order][best]]
+
+
+def _velocities(track: Track, step: float) -> FloatArray:
+    """Return velocities of position and turn (M, 6) in steps from the first time on, scaled to 1."""
+    x = np.hstack((track.position, track.steady))
+    late, early = _sides(track.time, x, step)
+    late_turn, early_turn = Rotation.from_quat(late[:, 3:]), Rotation.from_quat(early[:, 3:])
+    turn = (late_turn * early_turn.inv()).as_rotvec()
+    w = np.hstack((late[:, :3] - early[:, :3], turn))
+    return np.asarray(w / np.maximum(np.sqrt((w**2).mean(axis=0)), 1e-9))
+
+
+def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
+    """Return rates of the beams that read (N, B) in steps from the first time on, scaled to 1."""
+    columns = []
+    for column in d.T:
+        read = np.flatnonzero(~np.isnan(column))
+        if len(read) > 1:
+            ends = np.interp(time[[0, -1]], time[read], column[read])
+            t = np.concatenate((time[:1], time[read], time[-1:]))
+            x = np.concatenate((ends[:1], column[read], ends[1:]))
+            late, early = _sides(t, x[:, None], step)
+            rate = (late - early)[:, 0]
+            most = CLIPPED * np.sqrt((rate**2).mean())
+            rate = np.clip(rate, -most, most)
+            columns.append(rate / max(float(np.linalg.norm(rate)), 1e-12))
+    return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+
+
+def _sides(time: FloatArray, x: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return columns (N, k) a little after and a little before each step."""
+    grid = np.arange(time[0], time[-1], step)
+    both = [
+        np.stack([np.interp(grid + side, time, column) for column in x.T], axis=1)
+        for side in (HALF_WIDTH * step, -HALF_WIDTH * step)
+    ]
+    return both[0], both[1]
