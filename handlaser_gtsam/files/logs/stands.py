@@ -175,14 +175,17 @@ class _Means:
     @classmethod
     def of(cls, track: Track, most_m: float, most_rad: float) -> "_Means":
         """Return the sums of a track, and its noise: what neighbours do not have in common."""
-        x = np.hstack((track.position - track.position[0], 2.0 * track.steady))
+        sums = np.zeros((len(track.time) + 1, 7))
+        x = sums[1:]
+        x[:, :3], x[:, 3:] = track.position - track.position[0], 2.0 * track.steady
         noise = np.zeros(2)
         if len(x) > 2:
-            bend = x[2:] - 2.0 * x[1:-1] + x[:-2]
+            rows = np.arange(1, len(x) - 1, -(-len(x) // AT_ONCE))
+            bend = x[rows + 1] - 2.0 * x[rows] + x[rows - 1]
             for kind, columns in enumerate((slice(3), slice(3, 7))):
                 length = np.linalg.norm(bend[:, columns], axis=1)
                 noise[kind] = np.quantile(length, QUIET) / (OF_QUIET * np.sqrt(6.0))
-        sums = np.concatenate((np.zeros((1, 7)), np.cumsum(x, axis=0)))
+        np.cumsum(x, axis=0, out=x)
         return cls(sums, np.array([most_m, most_rad]), noise)
 
     def of_rows(self, begin: IntArray, end: IntArray) -> FloatArray:
