@@ -4,7 +4,7 @@ A row of poses is still if the hand is, within the limits, on average where it w
 the shortest stand before and where it will be during a quarter after. A stand is a run of still rows
 that lasts half of the shortest stand or more: so its ends have the distance of a quarter from what
 moves, where brakes, filters and late stamps are at work. Where a run creeps, as a soft start or end
-does, it is trimmed to the rows about its median position that are within the limits of it.
+does, it is trimmed to the rows about its median pose that are within the limits of it.
 
 Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
@@ -216,13 +216,13 @@ def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
 
 
 def _trimmed(track: Track, means: _Means, run: tuple[int, int], half: float) -> tuple[int, int]:
-    """Return the ends of the rows of a run about its median position that are within the limits."""
+    """Return the ends of the rows of a run about its median pose that are within the limits."""
     rows = np.arange(run[0], run[1] + 1)
     t = track.time[rows]
     begin = run[0] + np.searchsorted(t, t - 0.5 * half, side="left")
     end = run[0] + np.searchsorted(t, t + 0.5 * half, side="right")
-    p = means.of_rows(begin, end)[:, :3]
-    centre = int(((p - np.median(p, axis=0)) ** 2).sum(axis=1).argmin())
+    x = means.of_rows(begin, end) / np.repeat(means.limits, (3, 4))
+    centre = int(((x - np.median(x, axis=0)) ** 2).sum(axis=1).argmin())
     alike = np.full_like(begin, begin[centre]), np.full_like(end, end[centre])
     near = means.near((begin, end), alike)
     own = np.flatnonzero(near)
