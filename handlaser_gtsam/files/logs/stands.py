@@ -4,7 +4,7 @@ A row of poses is still if the hand is, within the limits, on average where it w
 the shortest stand before and where it will be during a quarter after. A stand is a run of still rows
 that lasts half of the shortest stand or more: so its ends have the distance of a quarter from what
 moves, where brakes, filters and late stamps are at work. Where a run creeps, as a soft start or end
-does, it is trimmed to the rows about its median position that are within the limits of it.
+does, it is trimmed to the rows about its median pose that are within the limits of it.
 
 Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
@@ -175,14 +175,17 @@ class _Means:
     @classmethod
     def of(cls, track: Track, most_m: float, most_rad: float) -> "_Means":
         """Return the sums of a track, and its noise: what neighbours do not have in common."""
-        x = np.hstack((track.position - track.position[0], 2.0 * track.steady))
+        sums = np.zeros((len(track.time) + 1, 7))
+        x = sums[1:]
+        x[:, :3], x[:, 3:] = track.position - track.position[0], 2.0 * track.steady
         noise = np.zeros(2)
         if len(x) > 2:
-            bend = x[2:] - 2.0 * x[1:-1] + x[:-2]
+            rows = np.arange(1, len(x) - 1, -(-len(x) // AT_ONCE))
+            bend = x[rows + 1] - 2.0 * x[rows] + x[rows - 1]
             for kind, columns in enumerate((slice(3), slice(3, 7))):
                 length = np.linalg.norm(bend[:, columns], axis=1)
                 noise[kind] = np.quantile(length, QUIET) / (OF_QUIET * np.sqrt(6.0))
-        sums = np.concatenate((np.zeros((1, 7)), np.cumsum(x, axis=0)))
+        np.cumsum(x, axis=0, out=x)
         return cls(sums, np.array([most_m, most_rad]), noise)
 
     def of_rows(self, begin: IntArray, end: IntArray) -> FloatArray:
@@ -213,13 +216,13 @@ def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
 
 
 def _trimmed(track: Track, means: _Means, run: tuple[int, int], half: float) -> tuple[int, int]:
-    """Return the ends of the rows of a run about its median position that are within the limits."""
+    """Return the ends of the rows of a run about its median pose that are within the limits."""
     rows = np.arange(run[0], run[1] + 1)
     t = track.time[rows]
     begin = run[0] + np.searchsorted(t, t - 0.5 * half, side="left")
     end = run[0] + np.searchsorted(t, t + 0.5 * half, side="right")
-    p = means.of_rows(begin, end)[:, :3]
-    centre = int(((p - np.median(p, axis=0)) ** 2).sum(axis=1).argmin())
+    x = means.of_rows(begin, end) / np.repeat(means.limits, (3, 4))
+    centre = int(((x - np.median(x, axis=0)) ** 2).sum(axis=1).argmin())
     alike = np.full_like(begin, begin[centre]), np.full_like(end, end[centre])
     near = means.near((begin, end), alike)
     own = np.flatnonzero(near)
