@@ -312,17 +312,22 @@ def test_the_checks_of_the_layout_find_what_they_look_for(chromium, reports):
     found.page.close()
 
 
+def _until_drawn_again(found):
+    """Wait until figures are as wide as their places: plotly.js waits a moment after a change."""
+    place = "document.querySelector('#qq .main-svg').getBoundingClientRect().width"
+    wanted = "document.querySelector('#qq').clientWidth"
+    for _ in range(100):
+        found.page.wait_for_timeout(100)
+        if abs(found.evaluate(place) - found.evaluate(wanted)) < ROUNDING:
+            break
+    found.page.wait_for_timeout(500)
+
+
 def test_a_window_that_changes_its_size_is_laid_out_anew(chromium, reports):
     found = Seen(chromium, reports / "good.html", 1280)
     for width in (390, 800, 1280):
         found.page.set_viewport_size({"width": width, "height": 900})
-        place = "document.querySelector('#qq .main-svg').getBoundingClientRect().width"
-        wanted = "document.querySelector('#qq').clientWidth"
-        for _ in range(100):  # plotly.js waits a moment before it draws again
-            found.page.wait_for_timeout(100)
-            if abs(found.evaluate(place) - found.evaluate(wanted)) < ROUNDING:
-                break
-        found.page.wait_for_timeout(500)
+        _until_drawn_again(found)
         assert found.evaluate(FAULTS, ROUNDING) == [], width
     assert found.faults == []
     found.page.close()
@@ -344,11 +349,8 @@ def test_it_is_laid_out_on_paper(chromium, reports):
     """As wide as A4 within its margins: stills instead of what turns, and nothing cut."""
     found = Seen(chromium, reports / "good.html", 1280)
     found.page.set_viewport_size({"width": 688, "height": 1000})
+    _until_drawn_again(found)
     found.page.emulate_media(media="print")
-    for _ in range(100):  # plotly.js waits a moment before it draws again
-        if found.evaluate(FAULTS, ROUNDING) == []:
-            break
-        found.page.wait_for_timeout(100)
     assert found.evaluate(FAULTS, ROUNDING) == []
     assert not found.page.is_visible("nav")
     assert not found.page.is_visible("#save")
