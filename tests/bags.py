@@ -90,8 +90,12 @@ class Messages:
         return self.store.serialize_cdr(message, name)
 
 
-def write_bag(folder, kind, messages, compression=""):
-    """Write (topic, time, message) in order; return the path that a person would name."""
+def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=False):
+    """Write (topic, time, message) in order; return the path that a person would name.
+
+    Of ROS 1, messages on a topic come from its `publishers` by turns, names of nodes. Of ROS 2, each
+    message is compressed, or the file as a `whole`.
+    """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -105,15 +109,18 @@ def write_bag(folder, kind, messages, compression=""):
         plugin = StoragePlugin.SQLITE3 if kind == "ros2" else StoragePlugin.MCAP
         writer = Writer(path, version=9, storage_plugin=plugin)
         if compression:
-            writer.set_compression(CompressionMode.MESSAGE, CompressionFormat[compression])
+            mode = CompressionMode.FILE if whole else CompressionMode.MESSAGE
+            writer.set_compression(mode, CompressionFormat[compression])
     with writer:
         known = {}
-        for topic, time, message in messages(make):
-            if topic not in known:
-                known[topic] = writer.add_connection(
-                    topic, message.__msgtype__, typestore=make.store
+        for count, (topic, time, message) in enumerate(messages(make)):
+            node = publishers[count // 2 % len(publishers)] if publishers else None
+            if (topic, node) not in known:
+                named = {} if node is None else {"callerid": node}
+                known[topic, node] = writer.add_connection(
+                    topic, message.__msgtype__, typestore=make.store, **named
                 )
-            writer.write(known[topic], round(1e9 * (START + time)), make.data(message))
+            writer.write(known[topic, node], round(1e9 * (START + time)), make.data(message))
     return next(path.glob("*.mcap")) if kind == "mcap-file" else path
 
 

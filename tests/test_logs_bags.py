@@ -185,17 +185,41 @@ def short():
 
 
 @pytest.mark.parametrize(
-    ("kind", "compression"), [("ros1", "BZ2"), ("ros1", "LZ4"), ("ros2", "ZSTD")]
+    ("kind", "compression", "whole"),
+    [
+        ("ros1", "BZ2", False),
+        ("ros1", "LZ4", False),
+        ("ros2", "ZSTD", False),
+        ("ros2", "ZSTD", True),
+        ("mcap", "ZSTD", False),
+    ],
 )
-def test_compressed_bags_are_the_same(tmp_path, short, kind, compression):
+def test_compressed_bags_are_the_same(tmp_path, short, kind, compression, whole):
     plain, packed = tmp_path / "plain", tmp_path / "packed"
     plain.mkdir()
     packed.mkdir()
     messages = partial(published, short)
     first = write_bag(plain, kind, messages)
-    second = write_bag(packed, kind, messages, compression)
+    second = write_bag(packed, kind, messages, compression, whole=whole)
     given = hl.LogFormat(plane="A")
     assert hl.read_log(first, given) == hl.read_log(second, given)
+
+
+def test_a_topic_of_several_publishers_is_warned_of(tmp_path, short):
+    """Of one frame: a node that was started again, or two nodes that say the same topic."""
+    alone, both = tmp_path / "alone", tmp_path / "both"
+    alone.mkdir()
+    both.mkdir()
+    given, messages = hl.LogFormat(plane="A"), partial(published, short)
+    first = hl.read_log(write_bag(alone, "ros1", messages), given)
+    assert not [one for one in first.warnings if one.code == "several-publishers"]
+    bag = write_bag(both, "ros1", messages, publishers=("/driver", "/driver_2"))
+    second = hl.read_log(bag, given)
+    warnings = [one for one in second.warnings if one.code == "several-publishers"]
+    assert len(warnings) == 1 + len(second.beam_names)  # the pose, and each beam
+    assert all(one.values["publishers"] == 2 for one in warnings)
+    assert "2 publishers on topic /" in warnings[0].message
+    assert (first.ranges == second.ranges).all()
 
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap-file"])

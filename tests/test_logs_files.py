@@ -1,12 +1,9 @@
 """Odd files: each ends in one line or in a warning, in little time and memory, never in silence."""
 
-import bz2
 import decimal
 import json
 import math
 import struct
-import subprocess
-import sys
 import zipfile
 
 import numpy as np
@@ -14,24 +11,26 @@ import polars as pl
 import pytest
 
 import handlaser_gtsam as hl
+from benchmarks import odd_files
+from benchmarks.odd_files import (
+    NAMES,
+    ODD,
+    ROWS,
+    good_log,
+    lines_of,
+    mcap,
+    measured,
+    record,
+    ros1_bag,
+    squeezed,
+    zstd_zeros,
+)
 from handlaser_gtsam.files.logs.packed import zstd_bound
-from handlaser_gtsam.files.logs.ros1_bag import MAGIC
-
-NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
-ROWS = 8
 
 
 @pytest.fixture
 def log():
-    """Columns of a good log: eight stations before two planes, two beams."""
-    rng = np.random.default_rng(3)
-    half = rng.uniform(-0.1, 0.1, (ROWS, 3))
-    poses = np.column_stack(
-        (rng.uniform(-0.2, 0.2, (ROWS, 3)), half, np.sqrt(1.0 - (half**2).sum(axis=1)))
-    )
-    columns = dict(zip(NAMES, poses.T.tolist(), strict=True))
-    ranges = {f"range_{b}": rng.uniform(0.1, 0.2, ROWS).tolist() for b in "ab"}
-    return {"plane": ["A"] * 4 + ["B"] * 4} | columns | ranges
+    return good_log()
 
 
 def fault(path, **given):
@@ -46,25 +45,24 @@ def warned(recording, code):
     return [one for one in recording.warnings if one.code == code]
 
 
-def lines_of(columns, separator=","):
-    rows = zip(*columns.values(), strict=True)
-    return [separator.join(columns)] + [separator.join(map(str, row)) for row in rows]
-
-
 # --- workbooks ------------------------------------------------------------------------------------
 
 
 def workbook(path, columns, change=lambda _: None, first=0):
-    xlsxwriter = pytest.importorskip("xlsxwriter")
+    pytest.importorskip("xlsxwriter")
     pytest.importorskip("fastexcel")
-    with xlsxwriter.Workbook(path) as book:
-        sheet = book.add_worksheet()
-        for j, (name, cells) in enumerate(columns.items()):
-            sheet.write(first, j, name)
-            for i, cell in enumerate(cells):
-                sheet.write(first + 1 + i, j, cell)
-        change(sheet)
-    return path
+    return odd_files.workbook(path, columns, change, first)
+
+
+def test_cells_that_do_not_say_where_they_are_stand_one_after_the_other(tmp_path, log):
+    path = odd_files.without_places(workbook(tmp_path / "log.xlsx", log))
+    found = hl.read_log(path)
+    assert np.abs(found.ranges - np.column_stack([log["range_a"], log["range_b"]])).max() < 1e-15
+    assert found.plane_labels == tuple(log["plane"])
+    errors = workbook(tmp_path / "log.xlsx", log, odd_files.errors_in_cells)
+    found = hl.read_log(odd_files.without_places(errors))
+    assert [one.values["cells"] for one in warned(found, "cells-without-value")] == [1, 1, 1]
+    assert "'#N/A' (I3)" in " ".join(one.message for one in found.warnings)
 
 
 def test_cells_of_a_workbook_that_hold_no_value_are_counted(tmp_path, log):
@@ -267,39 +265,6 @@ def test_a_panic_of_a_library_is_one_line(tmp_path, log, monkeypatch, handlaser)
 # --- bags -----------------------------------------------------------------------------------------
 
 
-def record(header, data=b""):
-    """A record of a ROS 1 bag."""
-    fields = b"".join(
-        struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
-        for name, value in header.items()
-    )
-    return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
-
-
-def ros1_bag(path, content, stated, compression=b"bz2", chunks=1):
-    """A bag of chunks with one topic of ranges behind them."""
-    one = {b"op": b"\x05", b"compression": compression, b"size": struct.pack("<I", stated)}
-    body = record(one, content) * chunks
-    topics = b""
-    for number, (topic, kind) in enumerate(
-        ((b"/pose", b"geometry_msgs/PoseStamped"), (b"/laser", b"sensor_msgs/Range"))
-    ):
-        inner = record({b"type": kind, b"md5sum": b"*", b"message_definition": b"float32 range"})
-        size = struct.unpack("<I", inner[:4])[0]
-        index = struct.pack("<I", number)
-        topics += record({b"op": b"\x07", b"conn": index, b"topic": topic}, inner[4 : 4 + size])
-    head = {b"op": b"\x03", b"conn_count": struct.pack("<I", 2), b"chunk_count": bytes(4)}
-    begin = len(MAGIC) + len(record(head | {b"index_pos": bytes(8)}))
-    head[b"index_pos"] = struct.pack("<Q", begin + len(body))
-    path.write_bytes(MAGIC + record(head) + body + topics)
-    return path
-
-
-def squeezed(size):
-    """A chunk with one record of zeros of no kind that is read."""
-    return bz2.compress(record({b"op": b"\x04"}, bytes(size)))
-
-
 def test_chunks_of_a_bag_unpack_to_what_they_state(tmp_path):
     pytest.importorskip("rosbags")
     zeros, size = squeezed(1 << 24), len(record({b"op": b"\x04"}, bytes(1 << 24)))
@@ -309,25 +274,6 @@ def test_chunks_of_a_bag_unpack_to_what_they_state(tmp_path):
     assert "packed bytes that unpack to" in fault(ros1_bag(path, zeros, 3_200_000_000))
     lz4 = pytest.importorskip("lz4.frame")
     assert "states" in fault(ros1_bag(path, lz4.compress(bytes(1 << 20)), 1000, b"lz4"))
-
-
-def mcap(path, content, stated, compression=b"zstd"):
-    chunk = (
-        struct.pack("<QQQI", 0, 1, stated, 0) + struct.pack("<I", len(compression)) + compression
-    )
-    chunk += struct.pack("<Q", len(content)) + content
-    magic = b"\x89MCAP0\r\n"
-    path.write_bytes(magic + b"\x06" + struct.pack("<Q", len(chunk)) + chunk + magic)
-    return path
-
-
-def zstd_zeros(blocks):
-    """A frame of blocks of 128 KiB zeros each, without its content size (RFC 8878)."""
-    block = [
-        int((1 << 17) << 3 | 1 << 1 | (i == blocks - 1)).to_bytes(3, "little")
-        for i in range(blocks)
-    ]
-    return b"\x28\xb5\x2f\xfd\x00\x58" + b"".join(one + b"\0" for one in block)
 
 
 def test_chunks_of_mcap_are_judged_before_they_are_unpacked(tmp_path):
@@ -370,61 +316,15 @@ def test_two_publishers_on_one_topic_are_noticed(tmp_path, kind):
 
 # --- time and memory ------------------------------------------------------------------------------
 
-MEASURED = """
-import sys, time
-from pathlib import Path
-begin = time.monotonic()
-from handlaser_gtsam.cli import main
-try:
-    main()
-finally:
-    # Not ru_maxrss, which a child inherits from the process that started it.
-    status = Path("/proc/self/status").read_text()
-    peak = int(status.split("VmHWM:")[1].split()[0])
-    print(f"{time.monotonic() - begin} {peak / 1024}", file=sys.stdout)
-"""
 
-
-def zip_bomb(path, log):
-    path = workbook(path, log)
-    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("xl/sharedStrings2.xml", bytes(200 << 20))
-    return path
-
-
-def stray(place):
-    return lambda path, log: workbook(path, log, lambda sheet: sheet.write(place, 1.0))
-
-
-def deep(path, _):
-    path.write_text('{"x": ' + "[" * 1_000_000 + "]" * 1_000_000 + "}")
-    return path
-
-
-ODD = {
-    "XFD1048576.xlsx": stray("XFD1048576"),
-    "ZZ100000.xlsx": stray("ZZ100000"),
-    "bomb.xlsx": zip_bomb,
-    "deep.jsonl": deep,
-    "bomb.bag": lambda path, _: ros1_bag(path, squeezed(1 << 20), 3_200_000_000),
-    "bomb.mcap": lambda path, _: mcap(path, zstd_zeros(25_000), 1000),
-}
-
-
-@pytest.mark.parametrize("name", ODD)
-def test_an_odd_file_takes_one_line_and_little_memory(tmp_path, log, name):
-    """The time, which depends on what else runs, is printed: `pytest -rP`."""
-    path = ODD[name](tmp_path / name, log)
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, "convert", str(path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 2, done.stderr
-    assert done.stderr.count("\n") <= 3, done.stderr  # one sentence, folded
-    assert "Traceback" not in done.stderr
-    seconds, megabytes = map(float, done.stdout.split())
-    assert megabytes < 500.0
-    print(f"{name}: {seconds:.2f} s, {megabytes:.0f} MB; {done.stderr}")
+@pytest.mark.parametrize(
+    "name", ["XFD1048576.xlsx", "ZZ100000.xlsx", "bomb.xlsx", "bomb.bag", "deep.jsonl"]
+)
+def test_an_odd_file_takes_one_line_and_little_memory(tmp_path, name):
+    """`python -m benchmarks.odd_files` measures all of them; the time depends on what else runs."""
+    for module in ("xlsxwriter", "fastexcel", "rosbags"):
+        pytest.importorskip(module)
+    one = next(one for one in ODD if one.name == name)
+    found = measured("convert", one.written(tmp_path))
+    assert found.code == 2, found.message
+    assert found.faults(one) == []

@@ -34,6 +34,10 @@ UNCALCULATED = re.compile(
     rb"(?:<(?:\w+:)?v\s*/>|<(?:\w+:)?v>\s*</(?:\w+:)?v>)?\s*</(?:\w+:)?c>"
 )
 """A formula without a value; a text may be empty."""
+BEGIN = re.compile(rb"<((?:\w+:)?)(row|c)\b([^>]*)")
+PLACE = re.compile(rb'\br="([A-Z]*)(\d+)"')
+WITHOUT_PLACE = re.compile(rb'<(?:\w+:)?c\b(?![^>]*\br=")')
+"""A cell that stands where it stands: after the one before, as some programs write all of them."""
 
 
 @dataclass(slots=True)
@@ -44,10 +48,15 @@ class _Scan:
     columns: set[bytes] = field(default_factory=set)
     first: int = 1 << 30
     last: int = 0
+    row: int = 0
+    column: int = 0
     failed: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, part: bytes) -> None:
         """Look through whole rows."""
+        if WITHOUT_PLACE.search(part):
+            self.row = max(self.row, self.last)
+            part = BEGIN.sub(self._placed, part)
         found = CELL.findall(part)
         rows = {int(row) for _, row in found}
         self.cells += len(found)
@@ -57,6 +66,18 @@ class _Scan:
             self.failed.setdefault(error.decode("ascii", "replace"), []).append(place.decode())
         for (place,) in (one.groups() for one in UNCALCULATED.finditer(part)):
             self.failed.setdefault("formula without a value", []).append(place.decode())
+
+    def _placed(self, tag: re.Match[bytes]) -> bytes:
+        """Return the beginning of a row or a cell, of a cell with its place."""
+        prefix, kind, rest = tag.groups()
+        place = PLACE.search(rest)
+        if kind == b"row":
+            self.row, self.column = int(place[2]) if place else self.row + 1, 0
+            return tag[0]
+        self.column = _number(place[1]) if place else self.column + 1
+        if place:
+            return tag[0]
+        return b'<%sc r="%s%d"%s' % (prefix, _letters(self.column), self.row, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,6 +192,15 @@ def _number(column: bytes) -> int:
     for letter in column:
         number = 26 * number + letter - ord("A") + 1
     return number
+
+
+def _letters(number: int) -> bytes:
+    """Return the letters of a column from its number."""
+    letters = b""
+    while number:
+        number, letter = divmod(number - 1, 26)
+        letters = bytes([ord("A") + letter]) + letters
+    return letters
 
 
 def _warnings(scan: _Scan, path: Path) -> list[CalibrationWarning]:
