@@ -226,21 +226,32 @@ def errors_of_readings(
     """Return the columns (N, 3) of the errors `OF_READINGS`.
 
     The size of a cubic one is that at the `largest` reading [m]; `channel` (B,) is that of `Rows`.
+    What is carried over is that of predicted readings. The readings of two beams differ by errors of
+    the pose as well, which the residuals hold, too: of the little that the unknowns leave of their
+    difference most would be those.
     """
-    by_one = 1.0 / model.cosines(x) ** 2 - 1.0, (readings.level / largest) ** 3
-    errors = np.column_stack((*by_one, _from_channel_before(readings, channel)))
-    return np.asarray(-slopes(at, readings)[:, None] * errors)
+    slope, d = slopes(at, readings), readings.distance
+    expected = d + model.residuals(x, d) / slope
+    errors = (
+        1.0 / model.cosines(x) ** 2 - 1.0,
+        (readings.level / largest) ** 3,
+        _from_channel_before(readings, expected, channel),
+    )
+    return np.asarray(-slope[:, None] * np.column_stack(errors))
 
 
-def _from_channel_before(readings: Readings, channel: IntArray) -> FloatArray:
-    """Return by how much (N,) the reading of the channel before is longer; zero where there is none."""
+def _from_channel_before(readings: Readings, d: FloatArray, channel: IntArray) -> FloatArray:
+    """Return by how much (N,) the reading of the channel before is longer; zero where there is none.
+
+    Of readings d (N,) [m].
+    """
     order = np.argsort(channel)
     before = np.empty_like(order)
     before[order] = np.roll(order, 1)
     _, station = np.unique(readings.station, return_inverse=True)
-    d = np.full((int(station.max()) + 1, readings.beams), np.nan)
-    d[station, readings.beam] = readings.level
-    return np.nan_to_num(d[station, before[readings.beam]] - readings.level)
+    grid = np.full((int(station.max()) + 1, readings.beams), np.nan)
+    grid[station, readings.beam] = d
+    return np.nan_to_num(grid[station, before[readings.beam]] - d)
 
 
 def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:
