@@ -377,13 +377,13 @@ def wrong_base(cell: Cell) -> None:
 
 
 BEFORE: dict[str, tuple[Mistake, str]] = {
-    "tool-steps-0.5mm": (tool(0.0, 0.5, lambda c: c.late * 1.0), "tool|hand frame"),
-    "tool-turns-0.1deg": (tool(0.1, 0.0, lambda c: c.late * 1.0), "tool|hand frame"),
-    "tool-creeps-0.5mm": (tool(0.0, 0.5, lambda c: c.time), "tool|hand frame|drift"),
+    "tool-steps-0.5mm": (tool(0.0, 0.5, lambda c: c.late * 1.0), "tool"),
+    "tool-turns-0.1deg": (tool(0.1, 0.0, lambda c: c.late * 1.0), "tool"),
+    "tool-creeps-0.5mm": (tool(0.0, 0.5, lambda c: c.time), "tool|drift"),
     "tool-wrong-throughout": (nothing, ""),
-    "plate-moves-0.5mm": (move_plate(0.5, 0.0), "displacement|moved"),
-    "plate-turns-0.3deg": (move_plate(0.0, 0.3), "displacement|moved|curv"),
-    "plate-moves-20mm": (move_plate(20.0, 2.0), "displacement|moved|another plane"),
+    "plate-moves-0.5mm": (move_plate(0.5, 0.0), "of plane|moved"),
+    "plate-turns-0.3deg": (move_plate(0.0, 0.3), "of plane|moved|curv"),
+    "plate-moves-20mm": (move_plate(20.0, 2.0), "of plane|moved|another plane"),
     "plates-sag-0.3mm": (sag(0.3, both=True), "sag|bend|curv"),
     "plates-bend-one-way-0.3mm": (sag(0.3, both=False), "sag|bend|curv"),
     "read-on-the-way": (average_on_the_way, "lag|late|move"),
@@ -455,7 +455,7 @@ AFTER: dict[str, tuple[Mistake, str]] = {
         turned(lambda R: R.mean() * Rotation.from_rotvec(1.003 * (R.mean().inv() * R).as_rotvec())),
         "",
     ),
-    "base-displaced-1mm": (wrong_base, "displacement|moved"),
+    "base-displaced-1mm": (wrong_base, "of plane|moved"),
 }
 """Mistakes of the recording, and what names them: after the readings are taken. What is named by
 nothing has several causes that look alike, or does no harm."""

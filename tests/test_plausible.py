@@ -112,7 +112,7 @@ def test_without_a_kind_the_headline_says_that_it_counts_random_errors_only():
 
 
 def test_what_is_small_beside_the_noise_leaves_a_calibration_usable():
-    small = hl.Plausible(*[1e-9] * 11)
+    small = hl.Plausible(**dict.fromkeys(hl.Plausible.__dataclass_fields__, 1e-9))
     cell = cell_with("drift", 0.0, noisy=True)
     judged = verdict(calibrated(cell, hl.Sensor(kind="other", plausible=small)))
     assert judged.code == "usable"

@@ -8,7 +8,8 @@
               time-of-flight, confocal, ultrasonic or other
     [plausible]  largest plausible sizes of systematic errors, instead of those of the kind:
               incidence_mm, tilt_mm, cubic_mm, drift_mm, carry_over_percent, beam_on_plane_mm, sag_mm,
-              displaced_mm, lag_percent, turn_scale_percent, translation_scale_percent
+              displaced_mm, tool_displaced_mm, lag_percent, turn_scale_percent,
+              translation_scale_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
     [log]     how logs are written, see `rig_log`
     [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
@@ -69,6 +70,7 @@ class _Plausible(FileRecord):
     beam_on_plane_mm: float | None = None
     sag_mm: float | None = None
     displaced_mm: float | None = None
+    tool_displaced_mm: float | None = None
     lag_percent: float | None = None
     turn_scale_percent: float | None = None
     translation_scale_percent: float | None = None

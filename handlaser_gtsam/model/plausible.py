@@ -58,6 +58,8 @@ class Plausible:
         Of one beam before one plate, as by its colour [m].
     sag, displaced : float, optional
         Of a plate, from the middle to its edge, and as a whole while recording [m].
+    tool_displaced : float, optional
+        Of the tool frame, or of the sensors on the hand, while recording [m].
     lag : float, optional
         Between poses and readings, as a part of the step to the next station.
     turn_scale, translation_scale : float, optional
@@ -72,6 +74,7 @@ class Plausible:
     beam_on_plane: float | None = None
     sag: float | None = None
     displaced: float | None = None
+    tool_displaced: float | None = None
     lag: float | None = None
     turn_scale: float | None = None
     translation_scale: float | None = None
@@ -84,7 +87,13 @@ class Plausible:
 
 
 CELL = Plausible(
-    carry_over=0.02, sag=2e-4, displaced=1e-3, lag=0.1, turn_scale=1e-3, translation_scale=1e-3
+    carry_over=0.02,
+    sag=2e-4,
+    displaced=1e-3,
+    tool_displaced=2.5e-4,
+    lag=0.1,
+    turn_scale=1e-3,
+    translation_scale=1e-3,
 )
 """Of converters, plates and robots, whatever the sensor."""
 KINDS = {

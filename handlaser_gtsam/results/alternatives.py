@@ -10,11 +10,15 @@ that is xi beside the recorded one by -J xi. Positive sizes: readings too long (
 `beam-on-plane`), or longer and longer (`drift`); edges of the plate farther from the sensor than its
 middle (`sag`); a plane farther away (`displaced`); true poses ahead in time (`lag`); true turns and
 translations larger than reported. Of carry-over each channel keeps a part of the one before it, and the
-first one of the last. A cubic error is a function of the reading itself, not of the
-true range: it is the next term of g.
+first one of the last. A tool frame that is displaced while recording moves in the hand along one of
+`DIRECTIONS`, at once or steadily; both are counted from their mean. A cubic error is a function of the
+reading itself, not of the true range: it is the next term of g.
 """
 
+from itertools import product
+
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from .. import model
@@ -43,6 +47,19 @@ WARMING = 8.0
 """A sensor that warms up does so within an eighth of the recording: a few minutes of half an hour."""
 OF_READINGS = ("incidence", "cubic", "carry-over")
 """Codes of those that a reading has by itself, whenever it is taken."""
+DIRECTIONS = np.array(
+    [
+        one
+        for one in product((0.0, 1.0, -1.0), repeat=3)
+        if any(one) and one > tuple(-x for x in one)
+    ]
+)
+"""Directions in which a tool frame may be displaced (13, 3): axes and diagonals of a cube. One of them
+has a cosine of 0.886 or more to any direction."""
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+TOOL_STEPS = 7
+"""A tool frame may be displaced from so many evenly spaced stations on. A step half-way between two of
+them correlates by 0.88 or more with one of the two."""
 LEAST_STATIONS = 2
 """A plane is taken as displaced only where it has so many stations before and after."""
 MOST_SPLITS = 32
@@ -50,27 +67,48 @@ MOST_SPLITS = 32
 
 
 class Everywhere:
-    """Errors that concern all readings, one a column, with the interface of `Family`."""
+    """Errors that concern all readings, with the interface of `Family`.
 
-    codes = np.array(WHOLE)
+    Attributes
+    ----------
+    columns : (N, c)
+        Derivatives of the residuals: the errors `WHOLE`, then x, y and z of the tool frame for every
+        time at which it may be displaced.
+    mix : (c, m)
+        Of which columns each member is the sum.
+    position : (m,)
+        Position in the recording from which on the tool frame is displaced; -1 for all other members.
+    """
 
     def __init__(self, rows: Rows) -> None:
-        self.columns = _whole_columns(rows)
-        self.plane = self.beam = self.position = np.full(len(WHOLE), -1)
-        self.squares = (self.columns * rows.how.weighed(self.columns)).sum(axis=0)
+        moves, since = _tool_columns(rows)
+        self.columns = np.hstack((_whole_columns(rows), *moves))
+        each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
+        self.mix = np.asarray(block_diag(np.eye(len(WHOLE)), each_time))
+        own = np.repeat(since, len(DIRECTIONS))
+        self.codes = np.array([*WHOLE, *["tool-displaced"] * len(own)])
+        self.plane = self.beam = np.full(len(self.codes), -1)
+        self.position = np.concatenate((np.full(len(WHOLE), -1), own))
+        self.squares = self._squares(rows.how.weighed(self.columns))
 
     def dot(self, y: FloatArray) -> FloatArray:
-        """Return the products (m, q) of all columns with columns y (N, q)."""
-        return np.asarray(self.columns.T @ y)
+        """Return the products (m, q) of all members with columns y (N, q)."""
+        return np.asarray(self.mix.T @ (self.columns.T @ y))
 
     def column_of(self, member: int) -> FloatArray:
-        """Return one column (N,)."""
-        return np.asarray(self.columns[:, member])
+        """Return the column (N,) of one member."""
+        return np.asarray(self.columns @ self.mix[:, member])
 
     def left_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
-        """Return how beams follow each (m, 7 B), and the squares (m,) that are left."""
+        """Return how beams follow the members (m, 7 B), and the squares (m,) that are left."""
         found = projection.perpendicular(self.columns)
-        return found.moved.T, found.squares
+        return (found.moved @ self.mix).T, self._squares(found.heavy)
+
+    def _squares(self, heavy: FloatArray) -> FloatArray:
+        """Return the squares (m,) of the members, given their weighed columns (N, c)."""
+        gram = self.columns.T @ heavy
+        squares: FloatArray = np.einsum("ci,cd,di->i", self.mix, gram, self.mix)
+        return np.maximum(squares, 0.0)
 
 
 class Family:
@@ -189,6 +227,23 @@ def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
     times = int(position.max()) + 1
     block = readings.plane * readings.beams + readings.beam
     return order, (block * times + position)[order], times
+
+
+def _tool_columns(rows: Rows) -> tuple[list[FloatArray], IntArray]:
+    """Return columns (N, 3) of a tool frame that is displaced by one metre, and since when.
+
+    The first displacement is steady, and its position -1; the others begin at a station.
+    """
+    stations = np.unique(rows.position)
+    splits = np.linspace(0, len(stations), TOOL_STEPS + 2)[1:-1].round().astype(np.intp)
+    splits = np.unique(
+        splits[(splits >= LEAST_STATIONS) & (splits <= len(stations) - LEAST_STATIONS)]
+    )
+    since = np.concatenate(([-1], stations[splits]))
+    along = -model.linearize(model.scene(rows.at, rows.readings), rows.readings.distance).location
+    shares = [rows.position / max(int(rows.position.max()), 1)]
+    shares += [(rows.position >= first).astype(float) for first in since[1:]]
+    return [along * (share - share.mean())[:, None] for share in shares], since
 
 
 def _whole_columns(rows: Rows) -> FloatArray:

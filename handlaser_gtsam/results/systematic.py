@@ -28,7 +28,7 @@ from ..observability.wording import Names
 from .projection import Rows
 from .score_tests import ScoreTests, alike
 from .significance import FAMILY_LEVEL
-from .wording import WORDING
+from .wording import WORDING, may_also_be
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -183,7 +183,7 @@ def _report(
         phrase = words.with_size(size, subject)
         message = f"the readings show {phrase} (p = {p:.1g}), which makes {effect}"
         message += f"; it is explained by what is found as {explained}" if explained else ""
-        message += f"; it may also be {' or '.join(others)}" if others and not explained else ""
+        message += f"; {may_also_be(others)}" if others and not explained else ""
     else:
         effect = _effect(shift, turn, beams, "wrong by up to")
         largest = words.with_size(float(found.unnoticed[family].max()))
@@ -293,7 +293,10 @@ def _subject(found: ScoreTests, member: int, names: Names, stations: Sequence[st
     """Return in words which plane, beam or station a member concerns."""
     number, beam = int(found.plane[member]), int(found.beam[member])
     if number < 0:
-        return ""
+        if found.codes[member] != "tool-displaced":
+            return ""
+        first = int(found.position[member])
+        return "little by little" if first < 0 else f"from station {stations[first]} on"
     plane = f"plane {names.sorted_planes()[number]}"
     if beam >= 0:
         return f"beam {names.sorted_beams()[beam]} on {plane}"

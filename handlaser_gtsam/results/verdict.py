@@ -12,7 +12,7 @@ from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import count, some
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
-from .wording import WORDING
+from .wording import WORDING, may_also_be
 
 OPENING = {
     "usable": "Usable",
@@ -193,7 +193,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
             yield hidden_words(found.hidden, found.spot_error + found.hidden_error)
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
-        others = f" (it may also be {' or '.join(one.alike)})" if one.alike else ""
+        others = f" ({may_also_be(one.alike)})" if one.alike else ""
         yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}{others}"
     if found.usable and found.limits:
         nearest = max(found.limits, key=lambda one: one.ratio)

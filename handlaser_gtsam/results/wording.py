@@ -75,6 +75,12 @@ WORDING = {
         anywhere="one plane from some station on",
         reveal="record more stations before each plane, and repeat the first ones at the end",
     ),
+    "tool-displaced": Wording(
+        "a displacement of the tool frame by {size} {subject}",
+        "fasten the bracket of the sensors and the tool, let the robot warm up, and record again",
+        anywhere="while recording",
+        reveal="repeat the first stations at the end, before the same planes",
+    ),
     "beam-on-plane": Wording(
         "a bias of {size} of {subject}",
         "check the surface of that plane under the beam, or remove these readings",
@@ -127,6 +133,11 @@ WORDING = {
         confounded="the location of the beam along itself",
     ),
 }
+
+
+def may_also_be(codes: tuple[str, ...]) -> str:
+    """Say which other errors the readings do not tell from one that was found."""
+    return f"it may also be {' or '.join(WORDING[code].without_size() for code in codes)}"
 
 
 def size_in_words(size: float, unit: str) -> str:
