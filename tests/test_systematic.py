@@ -386,7 +386,8 @@ def test_a_tool_frame_that_steps_or_creeps_is_found(share, subject, direction):
     first = found["tool-displaced"]
     assert first.found
     assert first.subject == subject or not subject
-    if subject == "little by little" and abs(shift[2]) > 0.5 * size:  # along the beams: readings drift, too
+    along_the_beams = abs(shift[2]) > 0.5 * size
+    if subject == "little by little" and along_the_beams:  # a drift of the readings looks the same
         assert "drift" in first.alike
     else:
         assert next(iter(found.values())) is first
