@@ -8,6 +8,7 @@ import pytest
 from helpers import GRIPPER, degenerate, error_of, simulated
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.errors import CalibrationWarning
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
@@ -224,13 +225,17 @@ def test_many_outliers_come_first(calibration):
     assert improvement(few, NONE, None, ()).code == "more-stations"
 
 
-@pytest.mark.parametrize("scale", [0.5, 2.0])
-def test_given_sigmas_that_the_residuals_contradict(calibration, scale):
-    fit = calibration.fit
-    wrong = replace(fit, chi2=scale**2 * fit.dof, sigma0=scale)
-    assert improvement(replace(calibration, fit=wrong), NONE, None, ()).code == "sigmas"
-    unknown = replace(wrong, range_sigma_given=False)
-    assert improvement(replace(calibration, fit=unknown), NONE, None, ()).code == "more-stations"
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_given_sigmas_that_the_residuals_contradict(recording, calibration, times):
+    noise = hl.Noise(times * calibration.fit.range_sigma, 0.0, 0.0)
+    wrong = hl.calibrate(recording, noise, BOTH)
+    assert improvement(wrong, NONE, None, ()).code == "sigmas"
+    assert improvement(calibration, NONE, None, ()).code == "more-stations"
+
+
+def test_where_neighbours_go_together_stopping_helps(calibration):
+    together = replace(calibration, warnings=(CalibrationWarning("correlated-in-time", "", {}),))
+    assert improvement(together, NONE, None, ()).code == "stops"
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from ..outliers.reasons import Reasons
 from ..solvers.progress import tell
 from .calibration import Calibration
 from .calibration_fields import Status, strong_correlations
-from .dependence import INDEPENDENT, Dependence, dependence
+from .dependence import INDEPENDENT, Dependence
 from .file_mistakes import better_ways
 from .fit import fit_of
 from .problem import Problem, named_estimates
@@ -95,7 +95,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
             *ways,
             *_wrong_labels(problem, why),
             *_range_ends(problem, why),
-            *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams()),
+            *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams(), together),
             *rival_warnings(used, solution, joint, names),
             *together.warnings,
             *(
@@ -162,7 +162,9 @@ def _tested(
     )
     known, stations = fit.range_sigma_given, problem.recording.station_names
     plausible = problem.sensor.plausible_sizes(float(used.distance.max()))
-    found = systematic_errors(rows, names, stations, known=known, dof=fit.dof, plausible=plausible)
+    found, together = systematic_errors(
+        rows, names, stations, known=known, dof=fit.dof, plausible=plausible
+    )
     beams = [i for _, i in names.beams]
     moves = [
         f"{what}_{size}"
@@ -172,7 +174,7 @@ def _tested(
     ordered = tuple(
         replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
     )
-    return ordered, dependence(rows, known=known)
+    return ordered, together
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:

@@ -1,43 +1,51 @@
 r"""Noise that is correlated in time: tested, and put into the standard deviations.
 
-Readings of one beam before one plane follow one another in the order of the file. If their noise is
-autoregressive, e_j = rho e_(j-1) + white, the weighted least-squares estimate x = K e has the
-covariance K C(rho) K' and not K K':
-n readings then tell no more about a mean than n (1 - rho) / (1 + rho)
-independent ones do, and more or less about the rest, as the motion has it.
+Readings of one beam before one plane follow one another in the order of the file, and where the robot
+moves while it records, the errors of its poses change smoothly from one station to the next. Then n
+readings tell less than n independent ones, and the weighted least-squares estimate x = K e has the
+covariance K C K' and not K K'. Whitened noise is modelled as a sum of independent parts,
 
-Residuals P e are not the noise: the unknowns take their part of it, and make residuals of independent
-noise correlate negatively. So both the test and the estimate are by simulation of the linear problem.
-Noise of a given rho is drawn, projected, and its lag-one autocorrelation
+    C = s_0 I + sum_l s_l R_l,    R_l = exp(-|i - j| / l),
 
-    q = sum w_j w_(j+1) / sum w_j^2,    w = P e,
+one of them white, the others autoregressive with lengths l of a few stations to a quarter of a plane's.
+A correlation that falls off in another way is nearly such a sum.
 
-pooled over all beams and planes, is compared with that of the residuals. At rho = 0 this gives the mean
-and spread of q, for the test; the rho at which the mean of q is that of the residuals is the estimate
-(an indirect inference: Gourieroux, Monfort and Renault, Indirect inference, J. Appl. Econometrics
-1993). The same draws give the variance of every coordinate, over that of independent noise; where the
-size of the noise comes from the residuals, these are smaller than the noise by a part that the same
-draws tell.
+Residuals w = P e are not the noise: the unknowns take their part of it, and make residuals of
+independent noise correlate negatively. So both the test and the estimate are by simulation of the
+linear problem. The squares of sums of m neighbours,
+
+    V_m = sum_j (w_j + ... + w_(j + m - 1))^2,    m = 1, 2, 4 ...,
+
+pooled over all beams and planes, are compared with those of white noise, which gives the test: their
+ratios to V_1, as cube roots, which are nearly Gaussian. Every part has its means of V_m, by simulation;
+the s that are not negative and fit those of the residuals best are the estimate (an indirect inference:
+Gourieroux, Monfort and Renault, Indirect inference, J. Appl. Econometrics 1993). K C K' follows from
+them without simulation.
+
+Systematic errors that were found make neighbouring residuals alike, too: they are taken out before.
 """
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
+from scipy.optimize import nnls
+from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from .projection import WIDTH, Projection, Rows
 
-FAR = 3.5
-"""Standard deviations above its mean from which the autocorrelation is no accident: one in 4000."""
+FAR = 4.0
+"""Standard deviations above its mean from which one of up to a dozen sums is no accident."""
 LEAST_PAIRS = 20
 """Fewer neighbours tell nothing of a correlation."""
 LEAST_GROWTH = 1.02
 """Standard deviations that grow by less are left as they are."""
-STEPS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98])
-"""Correlations of neighbours that are tried; what lies between is interpolated."""
+CHAINS_IN_LENGTH = 4
+"""Sums and lengths of correlation are at most such a part of the longest chain: of longer ones the
+unknowns leave nothing that could be told."""
 DRAWS, LEAST_DRAWS, NUMBERS = 300, 20, 1_000_000
 """Draws of the noise; fewer where there are so many readings that all numbers would be more."""
 SEED = 20
@@ -51,27 +59,30 @@ class Dependence:
     Attributes
     ----------
     correlation : float
-        Of the noise of neighbours, rho; zero where the readings do not show any.
+        Of the noise of neighbours; zero where the readings do not show any.
+    length : float
+        Stations after which the correlated part of the noise has fallen to 1/e.
     growth, plane_growth : float
         By how much the standard deviations of the beams, and those of the planes for known beams, are
         larger than with independent noise; one or more.
     """
 
     correlation: float = 0.0
+    length: float = 0.0
     growth: float = 1.0
     plane_growth: float = 1.0
 
     @property
     def warnings(self) -> tuple[CalibrationWarning, ...]:
         """What to say about it; nothing where readings are independent."""
-        if self.growth == 1.0 and self.plane_growth == 1.0:
+        if self == INDEPENDENT:
             return ()
         words = (
-            f"the residuals of neighbouring readings go together (their noise correlates by "
-            f"{self.correlation:.2f}): the standard deviations of the beams are {self.growth:.2f} "
-            f"times, those of the planes up to {self.plane_growth:.2f} times as large as with "
-            "independent readings; read more slowly, or average less in the sensor, and visit "
-            "stations in another order"
+            f"the errors of neighbouring stations go together over about {self.length:.0f} stations "
+            f"(they correlate by {self.correlation:.2f}), as errors of poses do while the robot moves: "
+            f"the standard deviations of the beams are {self.growth:.2g} times, those of the planes up "
+            f"to {self.plane_growth:.2g} times as large as with independent stations; stop at the "
+            "stations, or spread as many over more time and more of the robot's range"
         )
         return (CalibrationWarning("correlated-in-time", words, asdict(self)),)
 
@@ -79,46 +90,84 @@ class Dependence:
 INDEPENDENT = Dependence()
 
 
-def dependence(rows: Rows, *, known: bool) -> Dependence:
+def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
-    `known` tells whether the size of the noise was given.
+    Parameters
+    ----------
+    rows : Rows
+    known : bool
+        Whether the size of the noise was given.
+    found : (N, q), optional
+        Columns of systematic errors that were found.
     """
-    readings, how = rows.readings, rows.how
-    chain = _Chain.of(readings, rows.position)
-    if chain.joined.sum() < LEAST_PAIRS:
+    chains = _Chains.of(rows.readings, rows.position)
+    if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    projection = Projection(rows)
-    back = how.inverse()
-    count = int(np.clip(NUMBERS // len(readings), LEAST_DRAWS, DRAWS))
-    white = np.random.default_rng(SEED).standard_normal((len(readings), count))
-
-    def drawn(noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        left = projection.perpendicular(back.apply_rows(noise))
-        w = back.transposed().apply_rows(left.heavy)
-        moved = left.moved.reshape(readings.beams, WIDTH, -1)[:, :5]
-        return chain.autocorrelation(w), (w**2).mean(axis=0), (moved**2).mean(axis=-1)
-
-    found = float(chain.autocorrelation(how.apply(rows.residual)[:, None])[0])
-    q, squares, variance = drawn(white)
-    if found <= q.mean() + FAR * q.std():
+    residuals = _Residuals(rows, found)
+    count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
+    white = np.random.default_rng(SEED).standard_normal((len(rows.readings), count))
+    quiet = chains.squares(residuals.of_noise(white))
+    seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
+    shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
+    if not (share > shares.mean(axis=1) + FAR * shares.std(axis=1))[1:].any():
         return INDEPENDENT
-    means = [float(q.mean())]
-    while means[-1] < found and len(means) < len(STEPS):
-        one = drawn(chain.coloured(white, float(STEPS[len(means)])))
-        means.append(max(float(one[0].mean()), means[-1] + 1e-9))
-    rho = float(np.interp(found, means, STEPS[: len(means)]))
-    _, loud, more = drawn(chain.coloured(white, rho))
-    lost = 1.0 if known else float(squares.mean() / loud.mean())
-    beams = float((more / np.where(variance > 0.0, variance, np.inf)).max())
-    growth, plane_growth = np.sqrt([lost * beams, lost * chain.growth_of_means(rho)]).tolist()
+    lengths = chains.lengths()
+    drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
+    means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
+    spread = quiet.std(axis=1)
+    parts, _ = nnls(means / spread[:, None], seen / spread)
+    lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
+    parts = parts / parts.sum()
+    growth = max(_growths(rows, residuals.projection, chains, parts))
+    means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
+    growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
     if max(growth, plane_growth) < LEAST_GROWTH:
         return INDEPENDENT
-    return Dependence(rho, max(1.0, growth), max(1.0, plane_growth, growth))
+    together = parts[1:] / max(parts[1:].sum(), np.finfo(float).tiny)
+    return Dependence(
+        float(parts[1:] @ np.exp(-1.0 / lengths)),
+        float(together @ lengths),
+        max(1.0, growth),
+        max(1.0, plane_growth, growth),
+    )
+
+
+class _Residuals:
+    """Whitened residuals, less what the unknowns and the systematic errors that were found explain."""
+
+    def __init__(self, rows: Rows, found: FloatArray | None) -> None:
+        self.projection, self.back = Projection(rows), rows.how.inverse()
+        self.found = np.empty((len(rows.readings), 0))
+        if found is not None and found.size:
+            self.found = np.linalg.qr(self.whitened(found))[0]
+
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Return what is left of columns (N, q) of residuals."""
+        w = self.back.transposed().apply_rows(self.projection.perpendicular(columns).heavy)
+        return np.asarray(w - self.found @ (self.found.T @ w))
+
+    def of_noise(self, noise: FloatArray) -> FloatArray:
+        """Return what is left of whitened noise (N, q)."""
+        return self.whitened(self.back.apply_rows(noise))
+
+
+def _growths(
+    rows: Rows, projection: Projection, chains: "_Chains", parts: FloatArray
+) -> Iterator[float]:
+    """Yield of every beam the largest ratio of a variance to that with independent noise."""
+    planes = projection.response.reshape(-1, projection.beam_inverse.shape[0])
+    for beam in range(rows.readings.beams):
+        x = projection.beam_inverse[:, WIDTH * beam : WIDTH * (beam + 1)]
+        x = x[:, x.any(axis=0)]
+        gain = rows.how.apply_rows(projection.J @ np.concatenate((x, -planes @ x)))
+        alone = (gain**2).sum(axis=0)
+        variances = [alone, *(chains.variances(gain, length) for length in chains.lengths())]
+        yield float((parts @ variances / alone).max())
 
 
 @dataclass(frozen=True, slots=True)
-class _Chain:
+class _Chains:
     """Readings as chains in time, one a beam and plane.
 
     Attributes
@@ -133,7 +182,7 @@ class _Chain:
     joined: BoolArray
 
     @classmethod
-    def of(cls, readings: Readings, position: IntArray) -> "_Chain":
+    def of(cls, readings: Readings, position: IntArray) -> "_Chains":
         """Return the chains of some readings."""
         order = np.lexsort((position, readings.beam, readings.plane)).astype(np.intp)
         same = np.diff(readings.plane[order]) == 0
@@ -144,26 +193,46 @@ class _Chain:
         """The first row of every chain, and the end of the last."""
         return np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
 
-    def autocorrelation(self, w: FloatArray) -> FloatArray:
-        """Return the lag-one autocorrelation (q,) of columns (N, q), pooled over all chains."""
-        w = w[self.order]
-        products = (w[:-1] * w[1:])[self.joined].sum(axis=0)
-        found: FloatArray = products / np.maximum((w**2).sum(axis=0), np.finfo(float).tiny)
-        return found
+    @property
+    def longest(self) -> int:
+        """Readings of the longest chain."""
+        return int(np.diff(self.bounds).max())
 
-    def coloured(self, white: FloatArray, rho: float) -> FloatArray:
-        """Return noise (N, q) of unit variance whose neighbours correlate by rho, from white noise."""
+    def lengths(self) -> FloatArray:
+        """Return the lengths of correlation that are tried [stations]: powers of two."""
+        most = max(self.longest / CHAINS_IN_LENGTH, 2.0)
+        return np.exp2(np.arange(int(np.log2(most)) + 1))
+
+    def squares(self, w: FloatArray) -> FloatArray:
+        """Return the squares of sums of 1, 2, 4 ... neighbours of columns (N, q), (s, q)."""
+        sums = np.concatenate((np.zeros((1, w.shape[1])), np.cumsum(w[self.order], axis=0)))
+        chain = np.concatenate(([0], np.cumsum(~self.joined)))
+        found = []
+        for m in (1, *(2 * self.lengths()).astype(int).tolist()):
+            whole = chain[m - 1 :] == chain[: len(chain) - m + 1]
+            if whole.any():
+                found.append(((sums[m:] - sums[:-m])[whole] ** 2).sum(axis=0))
+        return np.stack(found)
+
+    def coloured(self, white: FloatArray, length: float) -> FloatArray:
+        """Return noise (N, q) of unit variance with a length of correlation, from white noise."""
+        rho = float(np.exp(-1.0 / length))
         noise = np.empty_like(white)
         for rows in np.split(self.order, self.bounds[1:-1]):
             steps = np.sqrt(1.0 - rho**2) * white[rows]
             steps[0] = white[rows[0]]
-            # x[i] - rho x[i - 1] = steps[i]: ones on the diagonal, -rho below it.
-            band = np.array([[1.0], [-rho]]).repeat(len(rows), axis=1)
-            noise[rows] = dtbtrs(band, steps, uplo="L", diag="U")[0]
+            noise[rows] = lfilter([1.0], [1.0, -rho], steps, axis=0)
         return noise
 
-    def growth_of_means(self, rho: float) -> float:
+    def variances(self, gain: FloatArray, length: float) -> FloatArray:
+        """Return the variances (q,) of the sums over columns (N, q) times noise of that length."""
+        rho, found = float(np.exp(-1.0 / length)), np.zeros(gain.shape[1])
+        for rows in np.split(self.order, self.bounds[1:-1]):
+            before = lfilter([0.0, rho], [1.0, -rho], gain[rows], axis=0)
+            found += (gain[rows] ** 2 + 2.0 * gain[rows] * before).sum(axis=0)
+        return found
+
+    def growth_of_means(self, length: float) -> float:
         """Return the variance of the mean of the longest chain, over that of independent noise."""
-        n = int(np.diff(self.bounds).max())
-        lags = np.arange(1, n)
-        return 1.0 + 2.0 * float(((1.0 - lags / n) * rho**lags).sum())
+        lags = np.arange(1, self.longest)
+        return 1.0 + 2.0 * float(((1.0 - lags / self.longest) * np.exp(-lags / length)).sum())

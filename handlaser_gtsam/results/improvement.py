@@ -13,7 +13,6 @@ import numpy as np
 
 from .calibration_fields import CalibrationData
 from .limits import LimitCheck
-from .significance import SINGLE_LEVEL
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
 from .warnings import MANY_LEFT_OUT
@@ -40,8 +39,8 @@ class Improvement:
     Attributes
     ----------
     code : str
-        `systematic`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `poses`, `range-span`, `motion`,
-        `more-stations`, `more-motion` or `recording`.
+        `systematic`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`, `poses`, `range-span`,
+        `motion`, `more-stations`, `more-motion` or `recording`.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -77,13 +76,13 @@ def improvement(
     """
     fit = calibration.fit
     outliers, total = fit.outliers, fit.readings + fit.outliers
-    given = fit.range_sigma_given and not calibration.noise_estimate and fit.dof > 0
+    codes = {one.code for one in calibration.warnings}
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
     if outliers > MANY_LEFT_OUT * total:
         words = f"finding the cause of {outliers} outliers among {total} readings"
         return Improvement("outliers", words, outliers)
-    if given and not SINGLE_LEVEL <= fit.p_value <= 1.0 - SINGLE_LEVEL:
+    if codes & {"sigmas-too-small", "sigmas-too-large"}:
         times = f"residuals are {fit.sigma0:.2g} times as large as given"
         return Improvement("sigmas", f"sigmas that fit, or none ({times})", fit.sigma0)
     if any(one.quantity == "rms" for one in failed):
@@ -91,6 +90,10 @@ def improvement(
         return Improvement("limit-rms", words)
     if doubtful is not None:
         return Improvement("hidden", f"to see it, {WORDING[doubtful.code].reveal}")
+    if "correlated-in-time" in codes:
+        return Improvement(
+            "stops", "stopping at the stations (errors of neighbouring stations go together)"
+        )
     return _largest_share(calibration, shares) or _stations(calibration, failed)
 
 

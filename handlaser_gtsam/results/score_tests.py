@@ -78,6 +78,8 @@ class ScoreTests:
     rows : Rows
     dof : int or None
         Behind the scale of the noise; None where it is given.
+    growth : float
+        By how much the noise of errors that vary slowly is larger than that of a reading says.
     codes : (m,) of str
     plane, beam, position : (m,)
         What each member concerns: a plane, a beam, and the position in the recording of its first
@@ -94,9 +96,13 @@ class ScoreTests:
     """
 
     def __init__(
-        self, rows: Rows, dof: int | None, plausible: Mapping[str, float] | None = None
+        self,
+        rows: Rows,
+        dof: int | None,
+        plausible: Mapping[str, float] | None = None,
+        growth: float = 1.0,
     ) -> None:
-        self.rows, self.dof, prior = rows, dof, rows.prior
+        self.rows, self.dof, self.growth, prior = rows, dof, growth, rows.prior
         self.kinds = alternatives(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
@@ -108,6 +114,7 @@ class ScoreTests:
             self._loose = self._remains(Projection(free))
         bound, loose = self._bound, self._loose
         scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
+        scale *= growth
         self.determined = self._determined(scale)
         self.critical, self.delta = needed(FAMILY_LEVEL / max(int(self.determined.sum()), 1), dof)
         self.strained = loose.left < LEAST_LOOSE * bound.left
@@ -162,7 +169,7 @@ class ScoreTests:
             explained = np.where(self.determined, score**2 / left, 0.0)
             priors = int((self._bound.projection.pull > 0.0).sum())
             dof = np.where(self.strained, max(self.dof - priors, 2), self.dof)
-            each = np.sqrt(np.maximum(square - explained, TINY * square) / (dof - 1))
+            each = self.growth * np.sqrt(np.maximum(square - explained, TINY * square) / (dof - 1))
         self.size, self.sigma = score / left, each / np.sqrt(left)
         self.z = np.where(self.determined, self.size / np.maximum(self.sigma, TINY * scale), 0.0)
         tested = np.flatnonzero(self.determined)
@@ -219,6 +226,16 @@ class ScoreTests:
         tested = tested[np.argsort(-np.abs(self.z[tested]), kind="stable")]
         _, first = np.unique(self.codes[tested], return_index=True)
         return np.asarray(tested[np.sort(first)])
+
+    def found_columns(self) -> FloatArray:
+        """Return the columns (N, q) of the errors that are found, and that no clearer one explains."""
+        first = self.representatives()
+        first = first[self.p[first] < FAMILY_LEVEL]
+        if not first.size:
+            return np.empty((len(self.rows.readings), 0))
+        explained = self.explained(first, self.correlations(first))
+        alone = [member for member, code in zip(first.tolist(), explained, strict=True) if not code]
+        return np.stack([self.column(member) for member in alone], axis=1)
 
     def correlations(self, members: IntArray) -> FloatArray:
         """Return how members (k,) correlate with all (k, m), as far as the unknowns leave them.

@@ -25,6 +25,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..observability.wording import Names
+from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import Rows
 from .score_tests import ScoreTests, alike
 from .significance import FAMILY_LEVEL
@@ -121,8 +122,11 @@ def systematic_errors(
     known: bool,
     dof: int,
     plausible: Mapping[str, float] | None = None,
-) -> tuple[SystematicError, ...]:
-    """Test the residuals at a solution for systematic errors; the clearest come first.
+) -> tuple[tuple[SystematicError, ...], Dependence]:
+    """Test the residuals at a solution for systematic errors, and for correlation in time.
+
+    Where neighbouring residuals go together, errors that vary slowly are judged by as much noise as
+    those have in common.
 
     Parameters
     ----------
@@ -139,13 +143,17 @@ def systematic_errors(
     Returns
     -------
     tuple of SystematicError
-        Empty where there is no redundancy. Those tested come first, then those confounded, and those
-        that no recording can show come last.
+        Empty where there is no redundancy. Those tested come first, the clearest before all others,
+        then those confounded, and those that no recording can show come last.
+    Dependence
     """
     if dof < (1 if known else 2):
-        return ()
+        return (), INDEPENDENT
     plausible = {} if plausible is None else plausible
     found = ScoreTests(rows, None if known else dof, plausible)
+    together = dependence(rows, known=known, found=found.found_columns())
+    if together != INDEPENDENT:
+        found = ScoreTests(rows, None if known else dof, plausible, together.plane_growth)
     first, reports = found.representatives(), []
     if first.size:
         rho = found.correlations(first)
@@ -161,7 +169,7 @@ def systematic_errors(
     untold = [code for code in WORDING if code not in tested]
     if rows.readings.beams == 1:
         untold = [code for code in untold if code != "carry-over"]
-    return (*reports, *(_confounded(found, code, names, plausible) for code in untold))
+    return (*reports, *(_confounded(found, code, names, plausible) for code in untold)), together
 
 
 def _report(

@@ -13,10 +13,11 @@ from ..errors import CalibrationWarning
 from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
-from ..model.distributions import chi2_cdf
+from ..model.distributions import chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import Names
+from .dependence import Dependence
 from .lines import DEG, MM, count
 from .reports import Fit
 from .significance import SINGLE_LEVEL
@@ -159,18 +160,24 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
 
 
 def fit_warnings(
-    readings: Readings, fit: Fit, noise: Noise, solution: Solution, names: Sequence[str]
+    readings: Readings,
+    fit: Fit,
+    noise: Noise,
+    solution: Solution,
+    names: Sequence[str],
+    together: Dependence,
 ) -> tuple[CalibrationWarning, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first.
 
-    `names` are those of the beams in the order of the readings.
+    `names` are those of the beams in the order of the readings; `together` tells how many of these
+    count as one.
     """
     parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
     return (
         *_of_the_file(readings, parameters, fit),
         *_same_mounts(parameters, fit, names),
-        *_wrong_sigmas(fit, solution.redundancy, treated=treated),
+        *_wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated),
         *(() if treated else _pose_errors(fit, noise)),
         *_large_pose_errors(solution.scales),
         *_of_the_noise(fit, solution.redundancy),
@@ -229,16 +236,21 @@ def noise_advice(fit: Fit) -> str:
     )
 
 
-def _wrong_sigmas(fit: Fit, redundancy: int, *, treated: bool) -> Iterator[CalibrationWarning]:
+def _wrong_sigmas(
+    fit: Fit, redundancy: int, as_one: float, *, treated: bool
+) -> Iterator[CalibrationWarning]:
     """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted.
+
+    So many readings, `as_one`, tell as much as one that is independent. Of errors that go together the
+    unknowns explain a part that is larger than they are many, so that a small chi2 tells nothing.
 
     Range errors smaller than their prior says, as of sensors without any, make chi2 smaller by up to
     what there are: so it is too small only where it is so for the readings alone.
     """
     if not (fit.range_sigma_given and fit.dof > 0):
         return
-    larger, smaller = fit.p_value, 1.0
-    if redundancy > 0:
+    larger, smaller = float(chi2_sf(fit.chi2 / as_one, fit.dof / as_one)), 1.0
+    if redundancy > 0 and as_one == 1.0:
         smaller = float(chi2_cdf(fit.chi2, redundancy))
     if larger < SINGLE_LEVEL:
         remedy = "" if treated else "state the robot's sigmas or "
