@@ -640,7 +640,7 @@ def test_without_a_port_the_next_free_one_is_taken(monkeypatch):
         (["{folder}/none/recording.csv"], "found neither a folder nor a file"),
         (["/dev/null"], "found neither a file nor a folder"),
         (["{folder}", "--rig", "{folder}/none.toml"], "found no such file; expected a rig file"),
-        (["{folder}", "--range-sigma-mm", "-1"], "found range sigma -0.001 m"),
+        (["{folder}", "--range-sigma-mm", "-1"], "found --range-sigma-mm -1 mm"),
         (
             ["{folder}", "--host", "no.such.name.invalid"],
             "no way to listen at no.such.name.invalid",
