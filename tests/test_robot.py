@@ -1,5 +1,6 @@
 """Arms: poses found and refused, what touches, the way between stations, files."""
 
+import itertools
 import json
 import math
 import subprocess
@@ -133,10 +134,14 @@ def test_an_arm_that_touches_itself_is_refused(small):
 
 
 @pytest.fixture(scope="module")
-def calibrated():
+def recording():
     rng = np.random.default_rng(3)
     truth, stations = SCENES["paper"](Layout(planes=2, k1=0.01), rng)
-    recording = simulate(truth, stations, ERR, rng, SENSOR)
+    return simulate(truth, stations, ERR, rng, SENSOR)
+
+
+@pytest.fixture(scope="module")
+def calibrated(recording):
     return hl.calibrate(recording, ERR.stated(), hl.CalibrationOptions("k1", sensor=SENSOR))
 
 
@@ -178,6 +183,78 @@ def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
     assert inside(here, Stations(at.world_R_hand, at.world_t_hand, index)).all()
     belief = belief_of(calibrated)
     check_drive(robot, at, dict(zip(belief.plane_names, plates_of(belief), strict=True)))
+
+
+@needs_pinocchio
+def test_joints_are_the_nearest_of_those_that_differ_by_full_turns():
+    """A UR5 turns each joint by a turn to either side: half of the joints found were a turn off."""
+    robot = example("ur5")
+    near = drawn(robot, 1)[0] / 4.0  # within a quarter of a turn of zero
+    at = replace(robot, start=near)
+    R, t = robot.poses(drawn(robot, 40, seed=1))
+    found = at.joints(R, t)
+    good = ~np.isnan(found).any(axis=1)
+    assert good.sum() > 30
+    assert np.abs(found[good] - near).max() <= math.pi + 1e-9
+    again_R, again_t = robot.poses(found[good])
+    assert np.abs(again_R - R[good]).max() < 1e-6
+    assert np.abs(again_t - t[good]).max() < 1e-6
+    for joints in robot.solutions(R[0], t[0], None, near):
+        assert np.abs(joints - near).max() <= math.pi + 1e-9
+
+
+def heights(path, robot, joints):
+    """Height of every joint of an arm in the world (N, J), by pinocchio and nothing of the package."""
+    import pinocchio
+
+    model = pinocchio.buildModelFromUrdf(path)
+    data, found = model.createData(), []
+    for q in joints:
+        pinocchio.forwardKinematics(model, data, q)
+        t = np.array([data.oMi[j].translation for j in range(1, model.njoints)])
+        found.append((t @ robot.base_R.T + robot.base_t)[:, 2])
+    return np.array(found)
+
+
+@needs_pinocchio
+@pytest.mark.parametrize("knows", [True, False], ids=["table", "no table"])
+def test_no_move_leads_through_the_table(recording, knows):
+    """A UR5 that stands on a table, its hand looking down, 100 to 350 mm above it.
+
+    Its links are thicker than 30 mm, so that no axis comes nearer to the table than that; and on no
+    move between stations the hand leaves the box by more than 100 mm.
+    """
+    turned = replace(
+        recording,
+        world_R_hand=HANGING @ recording.world_R_hand,
+        world_t_hand=recording.world_t_hand @ HANGING,
+    )
+    options = hl.CalibrationOptions("k1", sensor=SENSOR)
+    calibrated = hl.calibrate(turned, ERR.stated(), options)
+    path, height = example("ur5").urdf, -0.6
+    robot = hl.Robot(
+        path,
+        ARMS["ur5"][1],
+        base_t=[0.1, -0.1, height],
+        start=[0.0, -1.4, 1.6, -1.8, -1.57, 0.0],
+        clearance=0.002,
+        table=height if knows else None,
+    )
+    low, high = [0.5, -0.2, -0.5], [0.7, 0.0, -0.25]
+    where = hl.Workspace(low, high, HANGING, math.radians(25.0), robot=robot)
+    plan = hl.plan(calibrated, 8, SENSOR, where)
+    assert len(plan) == 8
+    joints = np.vstack((robot.start, plan.stations.joints))
+    assert np.abs(np.diff(joints, axis=0)).max() <= math.pi + 1e-9
+    share = np.linspace(0.0, 1.0, 60)[:, None]
+    for before, after in itertools.pairwise(joints):
+        way = before + share * (after - before)
+        if knows:
+            assert heights(path, robot, way)[:, 2:].min() > height + 0.03
+        t = robot.poses(way)[1]
+        beyond = np.maximum(low - t, t - high).max(axis=1)
+        if max(beyond[0], beyond[-1]) <= 0.0:
+            assert beyond.max() < 0.1 + 1e-6
 
 
 @needs_pinocchio
@@ -263,6 +340,21 @@ def test_the_command_writes_joints_that_read_back(handlaser, rig, tmp_path):
     again = hl.read_stations(tmp_path / "again.csv")
     assert (again.joints == found.joints).all()
     assert again.joint_names == found.joint_names
+
+
+@needs_pinocchio
+@pytest.mark.parametrize("table", ["", "table_mm = -200\n"])
+def test_the_answer_says_what_was_in_the_scene(handlaser, rig, table):
+    rig.write_text(rig.read_text() + table)
+    code, text, err = handlaser("plan", GRIPPER / "recording.csv", "--rig", rig, "--stations", 2)
+    assert (code, err) == (0, "")
+    said = " ".join(text.split())
+    assert ("checked against the arm itself, the plate, the table at -200 mm" in said) == bool(
+        table
+    )
+    assert ("not checked: the table (state table_mm in [robot])" in said) != bool(table)
+    assert "cables and sensors that the URDF does not have" in said
+    assert "start_joints" not in said
 
 
 @needs_pinocchio

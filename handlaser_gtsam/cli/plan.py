@@ -183,9 +183,11 @@ def _answer(found: "Plan", rig: "Rig", wanted: Wanted) -> Answer:
     from ..files.writing import write_text
     from ..planning.picture import forecast_svg
     from ..text import printable
-    from .plan_tables import plan_lines
+    from .plan_tables import plan_lines, scene_lines
 
     lines = list(plan_lines(found, rig.goal))
+    if rig.workspace is not None and rig.workspace.robot is not None:
+        lines += scene_lines(rig.workspace.robot)
     if wanted.out is not None:
         write_stations(wanted.out, found.stations)
         lines.append(f"wrote {printable(str(wanted.out))}")

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from ..planning.goal import Goal
+from ..planning.robot import Robot
 from ..planning.route import VIA, Plan
 from ..results.lines import DEG, MM, count
 
@@ -45,6 +46,23 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
         )
     yield from _forecast(plan)
     yield from _enough(plan, goal)
+
+
+def scene_lines(robot: Robot) -> Iterator[str]:
+    """Yield what the ways of an arm were checked against, and what they were not."""
+    within = ["the arm itself", "the plate"]
+    missing = []
+    if robot.table is None:
+        missing.append("the table (state table_mm in [robot])")
+    else:
+        within.append(f"the table at {robot.table * MM:.4g} mm")
+    if not len(robot.start):
+        missing.append("the way to the first station (state start_joints in [robot])")
+    missing.append(
+        "what else stands in the cell, and cables and sensors that the URDF does not have"
+    )
+    yield f"moves, straight in the joints, were checked against {', '.join(within)}"
+    yield f"not checked: {'; '.join(missing)}"
 
 
 def _forecast(plan: Plan) -> Iterator[str]:

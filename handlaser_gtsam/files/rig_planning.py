@@ -4,7 +4,7 @@
              largest_turn_deg, largest_step_mm
 [robot]      urdf (from the folder of the rig file), frame, base_mm = [x, y, z],
              base_quaternion = [qx, qy, qz, qw], start_joints (rad, metres where they slide),
-             clearance_mm, plate_across_mm, plate_thickness_mm
+             clearance_mm, plate_across_mm, plate_thickness_mm, table_mm: its height in the world
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
              plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
@@ -67,6 +67,7 @@ class RobotTable(FileRecord):
     clearance_mm: float = 5.0
     plate_across_mm: float = 300.0
     plate_thickness_mm: float = 10.0
+    table_mm: float | None = None
 
     def to_si(self, folder: Path) -> Robot:
         """Return the robot; its URDF is looked for from a folder."""
@@ -80,6 +81,7 @@ class RobotTable(FileRecord):
                 self.clearance_mm * MM,
                 self.plate_across_mm * MM,
                 self.plate_thickness_mm * MM,
+                None if self.table_mm is None else self.table_mm * MM,
             )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
+from ..model.geometry import tangent_basis
 from .chain import Chain
 
 DRAWN = 200
@@ -21,6 +22,8 @@ ENDLESS = 2.0 * np.pi
 """Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
 FAR_AWAY = np.array([0.0, 0.0, 1e3])
 """Where the plate is put that is not to be met [m]."""
+TABLE = (10.0, 10.0, 1.0)
+"""Of the block that stands for the table [m]: no arm reaches around it."""
 ALWAYS = 0.95
 """Bodies that touch at so large a part of them belong together: no motion parts them."""
 
@@ -56,6 +59,8 @@ class Arm:
         That bodies keep from each other and from the plate [m].
     plate : (float, float)
         How far the plate extends across, and its thickness [m].
+    table : (point, normal), optional
+        Three numbers each, frame of the base: nothing but what the base carries may be below it [m].
 
     Raises
     ------
@@ -70,6 +75,7 @@ class Arm:
         start: Sequence[float],
         clearance: float,
         plate: tuple[float, float],
+        table: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
     ) -> None:
         self._pin, self._clearance, self._depth = pinocchio(), clearance, plate[1]
         self._frame = frame
@@ -77,6 +83,8 @@ class Arm:
         self.chain = self._chain(frame)
         middle = 0.5 * (self.chain.low + self.chain.high)
         self.start = middle if not len(start) else self._start(np.array(start))
+        if table is not None:
+            self._add_table(*map(np.array, table))
         self._add_plate(plate)
         self._drop_pairs(bool(len(start)))
 
@@ -145,6 +153,16 @@ class Arm:
         if not ((joints >= chain.low) & (joints <= chain.high)).all():
             raise InputError("start joints beyond the limits", f"joints within those of {names}")
         return joints
+
+    def _add_table(self, point: FloatArray, normal: FloatArray) -> None:
+        """Add a block that stands as the base does, its upper side about a point (3,)."""
+        pin, coal = self._pin, import_module("coal")
+        across = tangent_basis(normal[None])[0]
+        R = np.column_stack((across, normal))
+        R[:, 0] *= np.sign(np.linalg.det(R))
+        middle = pin.SE3(R, point - 0.5 * TABLE[2] * normal)
+        block = pin.GeometryObject("table of handlaser_gtsam", 0, middle, coal.Box(*TABLE))
+        self._bodies.addGeometryObject(block)
 
     def _add_plate(self, plate: tuple[float, float]) -> None:
         """Add a disc as far across as the plate, which contains it however it is turned."""

@@ -118,6 +118,16 @@ class Chain(Value):
             q[left] = np.clip(q[left] + change, self.low, self.high)
         return q, met
 
+    def nearest(self, q: FloatArray, near: FloatArray) -> FloatArray:
+        """Return joints (N, J) of the same poses, by full turns as near to others (J,) as limits allow.
+
+        Joints q (N, J) are within the limits.
+        """
+        full = 2.0 * np.pi
+        least, most = np.ceil((self.low - q) / full), np.floor((self.high - q) / full)
+        turns = np.clip(np.round((near - q) / full), least, most)
+        return np.asarray(q + full * turns * self.turns)
+
 
 def _step(error: FloatArray, J: FloatArray) -> FloatArray:
     """Return damped least-squares changes (N, J) of joints for errors (N, 6)."""

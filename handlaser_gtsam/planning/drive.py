@@ -166,7 +166,7 @@ def _along(
         if tried == TRIED or patience.left <= 0:
             break
         patience.left -= 1
-        if robot.free_way(q, joints, between):
+        if robot.free_way(q, joints, between, (drive.workspace.low, drive.workspace.high)):
             rest = _along(drive, joints, way, at + 1, plane, patience)
             if rest is not None:
                 return [joints, *rest]

@@ -21,6 +21,8 @@ STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near."""
 MANY_STARTS = 12
 """The same for one pose on the way of the arm."""
+LEEWAY = 0.1
+"""Between stations the hand stays in their box to within this [m]: it does not move on a line."""
 STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]."""
 SAME = 1e-4
@@ -54,6 +56,9 @@ class Robot(Value):
     plate_across, plate_thickness : float
         Of the plate, which is taken for a disc that far across [m], its front at the plane that is
         measured, about the point of `Plate`.
+    table : float, optional
+        Height of the table in the world frame [m], along its z: nothing that the base carries, but its
+        first link, may be below it. Where it is not given there is none.
 
     Raises
     ------
@@ -69,6 +74,7 @@ class Robot(Value):
     clearance: float = 0.005
     plate_across: float = 0.3
     plate_thickness: float = 0.01
+    table: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "base_R", rotation_matrix("base_R", self.base_R))
@@ -81,6 +87,8 @@ class Robot(Value):
         require_number("clearance", self.clearance, 0.0, LARGEST_CLEARANCE, unit="m")
         for name in ("plate_across", "plate_thickness"):
             require_number(name, getattr(self, name), 0.0, LARGEST, above=True, unit="m")
+        if self.table is not None:
+            require_number("table", self.table, -LARGEST, LARGEST, unit="m")
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -116,6 +124,8 @@ class Robot(Value):
     def joints(self, R: FloatArray, t: FloatArray, plate: Plate | None = None) -> FloatArray:
         """Return joints (M, J) at which the hand is at its poses and nothing touches; NaN for none.
 
+        Of joints that differ by full turns they are those nearest to where the arm stands.
+
         Parameters and errors are those of `reachable`.
         """
         arm, R, t = self._arm(plate), *self._targets(R, t)
@@ -136,7 +146,7 @@ class Robot(Value):
             q, met = chain.inverse(R[left], t[left], start)
             good = np.flatnonzero(met)
             good = good[arm.free(q[good])]
-            found[left[good]] = q[good]
+            found[left[good]] = chain.nearest(q[good], arm.start)
         return found
 
     def solutions(
@@ -146,13 +156,15 @@ class Robot(Value):
         hand_R, hand_t = self._targets(R[None], t[None])
         chain = self._arm(plate).chain
         first, met = chain.inverse(hand_R, hand_t, near[None])
+        first = chain.nearest(first, near)
         if met[0] and self._arm(plate).free(first)[0]:
             yield first[0]
         drawn = np.random.default_rng(0).uniform(chain.low, chain.high, (MANY_STARTS, len(near)))
         many = np.zeros(MANY_STARTS, dtype=np.intp)
         q, good = chain.inverse(hand_R[many], hand_t[many], drawn)
         seen = [first[0]]
-        for one in sorted(q[good], key=lambda joints: float(np.abs(joints - near).max())):
+        others = chain.nearest(q[good], near)
+        for one in sorted(others, key=lambda joints: float(np.abs(joints - near).max())):
             if min(float(np.abs(one - other).max()) for other in seen) > SAME:
                 seen.append(one)
                 if self._arm(plate).free(one[None])[0]:
@@ -162,12 +174,27 @@ class Robot(Value):
         """Tell at which joints (N, J) the arm touches neither itself nor the plate."""
         return self._arm(plate).free(np.atleast_2d(joints))
 
-    def free_way(self, start: FloatArray, end: FloatArray, plate: Plate | None = None) -> bool:
-        """Tell whether nothing touches on the straight way between joints (J,), in steps of `STEP`."""
+    def free_way(
+        self,
+        start: FloatArray,
+        end: FloatArray,
+        plate: Plate | None = None,
+        box: tuple[FloatArray, FloatArray] | None = None,
+    ) -> bool:
+        """Tell whether the straight way between joints (J,) is free, in steps of `STEP`.
+
+        Nothing touches, and where both ends are in a `box`, low and high (3,) [m] in the world, the
+        hand stays there to within `LEEWAY`.
+        """
         parts = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
-        share = np.linspace(0.0, 1.0, parts + 1)[:, None]
+        way = start + np.linspace(0.0, 1.0, parts + 1)[:, None] * (end - start)
         arm = self._arm(plate)
-        return not any(arm.touches(q) for q in start + share * (end - start))
+        if box is not None:
+            t = arm.chain.forward(way)[1] @ self.base_R.T + self.base_t
+            beyond = np.maximum(box[0] - t, t - box[1]).max(axis=1)
+            if max(beyond[0], beyond[-1]) <= 0.0 and beyond.max() > LEEWAY:
+                return False
+        return not any(arm.touches(q) for q in way)
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return world_R_hand (N, 3, 3) and world_t_hand (N, 3) [m] of joints (N, J)."""
@@ -190,7 +217,11 @@ class Robot(Value):
         changed = path.stat().st_mtime_ns if path.is_file() else 0
         size = (self.plate_across, self.plate_thickness)
         start = tuple(self.start.tolist())
-        arm = _loaded(self.urdf, changed, self.frame, start, self.clearance, size)
+        table = None
+        if self.table is not None:
+            point = (self.table - self.base_t[2]) * self.base_R[2]
+            table = tuple(point.tolist()), tuple(self.base_R[2].tolist())
+        arm = _loaded(self.urdf, changed, self.frame, start, self.clearance, size, table)
         if plate is None:
             arm.place(np.eye(3), FAR_AWAY)
         else:
@@ -210,5 +241,6 @@ def _loaded(
     start: tuple[float, ...],
     clearance: float,
     plate: tuple[float, float],
+    table: tuple[tuple[float, ...], tuple[float, ...]] | None,
 ) -> Arm:
-    return Arm(urdf, frame, start, clearance, plate)
+    return Arm(urdf, frame, start, clearance, plate, table)
