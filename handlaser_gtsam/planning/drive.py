@@ -35,6 +35,12 @@ class _Drive:
     workspace: Workspace
     plates: Sequence[Plate]
 
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray] | None:
+        """That the hand keeps to on its way where nothing else says how far down it may go."""
+        where = self.workspace
+        return (where.low, where.high) if self.robot.table is None else None
+
 
 @dataclass(slots=True)
 class _Patience:
@@ -166,7 +172,7 @@ def _along(
         if tried == TRIED or patience.left <= 0:
             break
         patience.left -= 1
-        if robot.free_way(q, joints, between, (drive.workspace.low, drive.workspace.high)):
+        if robot.free_way(q, joints, between, drive.box):
             rest = _along(drive, joints, way, at + 1, plane, patience)
             if rest is not None:
                 return [joints, *rest]
