@@ -42,8 +42,8 @@ class Drive:
 
 def drive(seed, stops=60, speed=1.0, rate=125.0, rest_s=2.0, turn_deg=25.0, planes=2):
     rng = np.random.default_rng(seed)
-    n = np.array([[0.0, 0.0, -1.0], [0.26, 0.0, -0.966]])[:planes]
-    foot = np.array([[0.5, 0.0, 0.2], [0.5, 0.4, 0.25]])[:planes]
+    n = np.array([[0.0, 0.0, -1.0], [0.26, 0.0, -0.966], [-0.2, 0.3, -0.933]])[:planes]
+    foot = np.array([[0.5, 0.0, 0.2], [0.5, 0.4, 0.25], [0.1, 0.4, 0.15]])[:planes]
     which = np.repeat(np.arange(planes), -(-stops // planes))[:stops]
     faces = Rotation.from_euler("x", np.pi) * Rotation.identity()
     angle = np.radians(turn_deg)
@@ -215,6 +215,25 @@ def test_an_offset_of_any_size_is_found(tmp_path, seed, offset):
     report = joined(tmp_path, one, offset, plane="A")
     assert abs(report.lag - offset) < 2e-3
     assert len(report.recording.plane_labels) == 14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.05, 37.0, 4000.0])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_sensors_that_read_on_the_way_to_another_plane_hide_no_offset(tmp_path, seed, offset):
+    """The label is set on arrival: on the way readings of the next plane have that of the last one."""
+    one = drive(seed, stops=24, planes=3)
+    at, ranges = one.late(offset, 80.0)
+    arrived = np.searchsorted(one.rest[:, 0], at - offset, side="right") - 1
+    label = np.repeat([1.0, 2.0, 3.0], 8)[arrived]
+    write_poses(tmp_path / "poses.csv", one)
+    write_table(tmp_path / "readings.csv", "time,range_1,range_2,plane", at, ranges, label)
+    form = hl.LogFormat(
+        readings=tmp_path / "readings.csv", estimate_lag=True, stands=True, as_stated=True
+    )
+    report = hl.describe_log(tmp_path / "poses.csv", form)
+    assert abs(report.lag - offset) < 2e-3
+    assert report.recording.plane_labels == ("1",) * 8 + ("2",) * 8 + ("3",) * 8
 
 
 @pytest.mark.slow

@@ -55,6 +55,8 @@ TERMS = 2
 """Range-error terms of the calibration."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
 """Readings count where the hand moves by so much within `MOST` before or after."""
+LONGEST_MOVE = 15.0
+"""A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
 ROUNDS = 12
@@ -335,7 +337,8 @@ def _parts(
     """Yield the readings of each plane and beam that tell something of a lag near an offset [s]."""
     moments = time - offset
     inside = (moments - MOST >= track.time[0]) & (moments + MOST <= track.time[-1]) & (plane >= 0)
-    moves = inside & _moves(track, moments) & _settled(time, plane)
+    moves = _moves(track, moments)
+    moves &= inside & _settled(time, plane, moves)
     for index in np.unique(plane[moves]).tolist():
         read = ((moves & (plane == index))[:, None] & ~np.isnan(d)).T
         # Beams that read at the same times share their poses.
@@ -351,15 +354,24 @@ def _parts(
                 yield _Part(index, beams, time[rows], d[rows][:, beams], covered)
 
 
-def _settled(time: FloatArray, plane: IntArray) -> BoolArray:
-    """Tell which readings (N,) are before one plane whatever the lag: labels may go by their stamps."""
+def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
+    """Tell which readings (N,) are before one plane whatever the lag: labels may go by their stamps.
+
+    A label may be set on arrival, and the sensor reads on while the hand goes to another plane: of a
+    move near whose beginning or end the label changes nothing is taken.
+    """
     order = np.argsort(time, kind="stable")
-    stamps, label = time[order], plane[order]
-    settled = np.empty(len(time), dtype=bool)
+    stamps, label, moves = time[order], plane[order], moves[order]
     first = np.searchsorted(stamps, stamps - MOST)
     last = np.searchsorted(stamps, stamps + MOST, side="right") - 1
-    settled[order] = (label[first] == label) & (label[last] == label)
-    return settled
+    settled = (label[first] == label) & (label[last] == label)
+    move = np.cumsum(np.diff(moves, prepend=False))  # odd numbers are those of moves
+    begin, end = np.searchsorted(move, move), np.searchsorted(move, move, side="right") - 1
+    short = moves & (stamps[end] - stamps[begin] <= LONGEST_MOVE)
+    settled &= ~np.isin(move, move[short & ~settled])
+    found = np.empty(len(time), dtype=bool)
+    found[order] = settled
+    return found
 
 
 def _moves(track: Track, time: FloatArray) -> BoolArray:

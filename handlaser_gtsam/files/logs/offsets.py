@@ -7,9 +7,13 @@ each beam best,
 
     rho(tau) = sum_i b_i' G^-1 b_i / y_i' y_i,    b_i(tau) = sum_t y_i(t) w(t - tau),    G = sum_t w w',
 
-for all offsets at once by the Fourier transform. It does not matter whether the arm stops. The maxima
-of rho are candidates only: `lag` judges them by the range equation.
+for all offsets at once by the Fourier transform. It does not matter whether the arm stops. Where planes
+are turned far from one another one set of coefficients explains little, but an arm that stops shows
+when: so the offset is looked for, too, where hand and readings move and rest at the same times. The
+maxima of both are candidates only: `lag` judges them by the range equation.
 """
+
+from itertools import zip_longest
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -26,10 +30,12 @@ MOST_STEPS = 1_000_000
 """Longer recordings are taken in longer steps, for the memory they need."""
 HALF_WIDTH = 5
 """Velocities are differences over twice so many steps: readings have noise."""
-CANDIDATES = 10
-"""So many candidates at most: a motion that repeats has several."""
+CANDIDATES = 6
+"""So many candidates of either kind at most: a motion that repeats has several."""
 LEAST_OVERLAP = 0.3
 """Offsets at which a smaller part of the shorter recording lies within the other count less."""
+RESTS = 0.1
+"""What is slower than such a part of the root mean square speed hardly moves."""
 CLIPPED = 4.0
 """Rates beyond so many root mean squares are those of a change of planes."""
 SPIKE = 10.0
@@ -71,12 +77,22 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
         own = rfft(column, n)
         b = np.stack([irfft(own * form, n) for form in forms])
         explained += np.einsum("in,in->n", b, inverse @ b)
-    order = np.argsort(shift)
+    moves = [_activity(one) for one in (w, y)]
+    together = irfft(rfft(moves[1], n) * np.conj(rfft(moves[0], n)), n)
+    order, found = np.argsort(shift), []
     # Where less overlaps, both what a motion explains and what chance does are less.
-    height = (explained / share)[order]
-    peaks = find_peaks(height)[0]
-    best = peaks[np.argsort(-height[peaks], kind="stable")[:CANDIDATES]]
-    return [float(time[0] - track.time[0] + step * i) for i in shift[order][best]]
+    for height in ((explained / share)[order], (together / np.sqrt(share))[order]):
+        peaks = find_peaks(height)[0]
+        best = peaks[np.argsort(-height[peaks], kind="stable")[:CANDIDATES]]
+        found.append([float(time[0] - track.time[0] + step * i) for i in shift[order][best]])
+    return [one for pair in zip_longest(*found) for one in pair if one is not None]
+
+
+def _activity(columns: FloatArray) -> FloatArray:
+    """Return where columns (M, k) of speeds move, 1, or rest, 0, less the mean (M,)."""
+    speed = np.linalg.norm(columns, axis=1)
+    found = speed / (speed + RESTS * max(float(np.sqrt((speed**2).mean())), 1e-12))
+    return np.asarray(found - found.mean())
 
 
 def _velocities(track: Track, step: float) -> FloatArray:
