@@ -8,7 +8,7 @@ from helpers import codes, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_ways
+from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_way
 from handlaser_gtsam.validation.scenes import Layout
 
 
@@ -41,6 +41,12 @@ def turned(change):
 MISTAKES = {
     "poses look inverted": inverted,
     "qw qx qy qz": turned(lambda q: Rotation.from_quat(np.roll(q.as_quat(), 1, axis=1))),
+    "the qx of the quaternions look negated": turned(
+        lambda q: Rotation.from_quat(q.as_quat() * [-1, 1, 1, 1])
+    ),
+    "qx and qz of the quaternions look exchanged": turned(
+        lambda q: Rotation.from_quat(q.as_quat()[:, [2, 1, 0, 3]])
+    ),
     "positions look like millimetres": lambda r: replace(r, world_t_hand=1e3 * r.world_t_hand),
     "ranges look like millimetres": lambda r: replace(r, ranges=1e3 * r.ranges),
     "KUKA A B C read as FANUC W P R": turned(
@@ -70,9 +76,9 @@ def test_undoing_a_mistake_gives_the_right_file(right, words):
 @pytest.mark.slow
 @pytest.mark.parametrize("words", ["qw qx qy qz", "ranges look like millimetres"])
 def test_the_mistake_is_named_first(right, words):
-    found = better_ways(MISTAKES[words](right), 0)
-    assert words in found[0]
-    assert "times better" in found[0]
+    found = better_way(MISTAKES[words](right), 0)
+    assert words in found
+    assert "times better" in found
 
 
 @pytest.mark.slow
@@ -81,12 +87,68 @@ def test_beams_swapped_before_one_plane_are_named():
     ranges = recording.ranges.copy()
     rows = recording.plane_of_station == 1
     ranges[rows] = ranges[rows][:, ::-1]
-    found = better_ways(replace(recording, ranges=ranges), 0)
-    assert "the readings of beams 1 and 2 look swapped before plane B" in found[0]
+    found = better_way(replace(recording, ranges=ranges), 0)
+    assert "the readings of beams 1 and 2 look swapped before plane B" in found
+
+
+def changed_half_way(recording, column):
+    """Lengths in millimetres from the station in the middle on: of all, one beam, or the positions."""
+    late = np.arange(len(recording.ranges)) >= len(recording.ranges) // 2
+    factor = np.where(late, 1e3, 1.0)[:, None]
+    if column == "positions":
+        return replace(recording, world_t_hand=factor * recording.world_t_hand)
+    ranges = recording.ranges.copy()
+    mine = [0, 1] if column == "ranges" else [0]
+    ranges[:, mine] = (factor * ranges)[:, mine]
+    return replace(recording, ranges=ranges)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("column", ["ranges", "ranges of beam 1", "positions"])
+def test_a_unit_that_changes_half_way_is_named_once(column):
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    found = hl.calibrate(changed_half_way(recording, column), hl.Noise())
+    middle = recording.station_names[len(recording.ranges) // 2]
+    words = (
+        f"the {column} from station {middle} on look like millimetres, and the others like metres"
+    )
+    assert found.status != "converged"
+    assert words in found.warnings[0].message
+    assert len(found.warnings) == 1  # no range that ends, no outlier, no other unit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rows", "words"), [(1, "late"), (-1, "early")])
+def test_ranges_of_another_row_are_named(rows, words):
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    spoilt = replace(recording, ranges=np.roll(recording.ranges, rows, axis=0))
+    assert f"the ranges look one row {words}" in better_way(spoilt, 0)
+
+
+@pytest.mark.slow
+def test_labels_exchanged_where_a_plane_is_too_small_to_tell_are_named():
+    """Stations before three planes in any order; one of them has too few to be judged by itself."""
+    recording, _ = simulated("arm", Layout(1, 3, 16), 1e-4, 4)
+    keep = np.flatnonzero((recording.plane_of_station > 0) | (np.arange(48) < 9))
+    shuffled = recording.part(np.random.default_rng(3).permutation(keep))
+    other = {"A": "B", "B": "A", "C": "C"}
+    labels = [other[label] if j >= 22 else label for j, label in enumerate(shuffled.plane_labels)]
+    spoilt = replace(shuffled, plane_labels=tuple(labels))
+    words = f"the labels B and A look exchanged from station {shuffled.station_names[22]} on"
+    assert words in better_way(spoilt, 0)
+
+
+@pytest.mark.slow
+def test_ways_that_cannot_be_told_apart_are_said_in_one_sentence(right):
+    """y negated is x and z negated, seen by a mirrored hand."""
+    mirrored = replace(right, world_t_hand=right.world_t_hand * [1.0, -1.0, 1.0])
+    found = better_way(mirrored, 0)
+    assert "the y coordinates of the positions look negated" in found
+    assert " or the x and z coordinates of the positions look negated" in found
 
 
 def test_a_right_file_suggests_nothing(right):
-    assert better_ways(right, 0) == ()
+    assert better_way(right, 0) == ""
     assert hl.calibrate(right, hl.Noise(1e-3, 0.0, 0.0)).warnings == ()
 
 

@@ -93,7 +93,7 @@ def calibration_tables(
 def systematic_lines(result: Calibration) -> Iterator[str]:
     """Yield all systematic errors that the calibration was tested for."""
     for one in result.systematic:
-        subject = f" of {one.subject}" if one.subject else ""
+        subject = f", {one.subject}" if one.subject else ""
         state = "FOUND" if one.found else "confounded" if one.confounded else "not found"
         p = "" if one.confounded else f", p = {one.p_value:.2g}"
         remedy = f"; {one.remedy}" if one.found else ""

@@ -1,7 +1,7 @@
 """From a solution to the result people see."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,7 @@ from ..solvers.progress import tell
 from .calibration import Calibration
 from .calibration_fields import Status, strong_correlations
 from .dependence import INDEPENDENT, Dependence
-from .file_mistakes import better_ways
+from .file_mistakes import better_way
 from .fit import fit_of
 from .problem import Problem, named_estimates
 from .projection import linear_rows
@@ -72,11 +72,12 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
             wrong = poor_fit(used, fit)
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, names)
-    ways = _ways(problem, used, fit, solution, wrong)
-    if ways and (
+    way = _way(problem, used, fit, solution, wrong)
+    mistaken = way is not None and (
         wrong is not None or suspicious(used, fit) or _loses_much(fit, problem.recording.beam_names)
-    ):
-        wrong, ways = ways[0], ways[1:]
+    )
+    if mistaken:
+        wrong = way
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together = INDEPENDENT
@@ -92,10 +93,8 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         message,
         (
             *([] if wrong is None else [wrong]),
-            *ways,
-            *_wrong_labels(problem, why),
-            *_range_ends(problem, why),
-            *fit_warnings(used, fit, problem.noise, solution, names.sorted_beams(), together),
+            *([] if way is None or mistaken else [way]),
+            *([] if mistaken else _signs(problem, used, fit, why, solution, together)),
             *rival_warnings(used, solution, joint, names),
             *together.warnings,
             *(
@@ -116,6 +115,21 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         sensor_kind=problem.sensor.kind,
     )
     return with_scales(result, problem, solution, growth)
+
+
+def _signs(
+    problem: Problem,
+    used: Readings,
+    fit: Fit,
+    why: Reasons,
+    solution: Solution,
+    together: Dependence,
+) -> Iterator[CalibrationWarning]:
+    """Yield what single readings, and the residuals of all, show where the file is read rightly."""
+    yield from _wrong_labels(problem, why)
+    yield from _range_ends(problem, why)
+    beams = problem.names.sorted_beams()
+    yield from fit_warnings(used, fit, problem.noise, solution, beams, together)
 
 
 def _estimates(
@@ -214,30 +228,31 @@ def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...
     )
 
 
-def _ways(
+def _way(
     problem: Problem,
     used: Readings,
     fit: Fit,
     solution: Solution,
     wrong: CalibrationWarning | None,
-) -> tuple[CalibrationWarning, ...]:
+) -> CalibrationWarning | None:
     """Say how else the file could be read, where it does not fit or a beam loses many readings."""
     if wrong is not None and wrong.code == COARSE:
-        return ()
+        return None
     recording, rejected = problem.recording, None
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"
     ):
         out = {(one.station, one.beam) for one in fit.rejected if one.reason not in BY_LIMITS}
         if not out:
-            return ()
+            return None
         rejected = np.array(
             [[(s, b) in out for b in recording.beam_names] for s in recording.station_names]
         )
-    ways = better_ways(recording, max(solution.problem.terms), rejected)
-    if not ways and wrong is not None and rejected is not None:
-        ways = better_ways(recording, max(solution.problem.terms))
-    return tuple(CalibrationWarning("file-mistake", words) for words in ways)
+    terms = max(solution.problem.terms)
+    words = better_way(recording, terms, rejected)
+    if not words and wrong is not None and rejected is not None:
+        words = better_way(recording, terms)
+    return CalibrationWarning("file-mistake", words) if words else None
 
 
 def _determined_by(names: Names, used: Readings, solution: Solution, fit: Fit) -> Determined:

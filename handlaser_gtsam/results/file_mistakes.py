@@ -23,6 +23,8 @@ from ..starts import Effort, find_start
 
 MUCH_BETTER = 100.0
 """A hypothesis is worth a word when it lowers the mean squared residual by this factor."""
+ALIKE = 4.0
+"""Of several hypotheses those are named whose misfit is within this factor of the least."""
 PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
 SPARE = 15
@@ -39,6 +41,8 @@ UNIT_GAP = 3.0
 """Readings that differ by this factor on both sides of a station, without overlap, have two units."""
 SPLITS = 9
 """So many evenly spaced stations are tried as the first of a second plate; then the best is refined."""
+MOST_PAIRS = 3
+"""So many pairs of planes, of which one has too few readings by itself, are tried for other labels."""
 DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
 GROUPS = 4
@@ -52,10 +56,10 @@ Undone = Callable[[Recording], Recording]
 """Returns a recording as it would be without a mistake."""
 
 
-def better_ways(
-    recording: Recording, terms: int, rejected: BoolArray | None = None
-) -> tuple[str, ...]:
-    """Say how else the file could be read so that it fits a hundredfold better, the best first.
+def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
+    """Say how else the file could be read so that it fits a hundredfold better; nothing if it cannot.
+
+    Where several ways fit alike, as y negated and both x and z do, all of them are said.
 
     Parameters
     ----------
@@ -79,10 +83,12 @@ def better_ways(
     found = _much_better(recording, terms, mistakes)
     if not found and rejected is not None and rejected.mean() > MANY_LOST:
         found = _much_better(recording, terms, [*_mixed_labels(recording, terms)])
-    return tuple(
-        f"{words}: read so, the readings fit {min(np.sqrt(ratio), 1e6):.0f} times better"
-        for ratio, words in sorted(found, reverse=True)
-    )
+    if not found:
+        return ""
+    found.sort(key=lambda way: way[0], reverse=True)
+    best = found[0][0]
+    words = " or ".join(way for ratio, way in found if ratio > best / ALIKE)
+    return f"{words}: read so, the readings fit {min(np.sqrt(best), 1e6):.0f} times better"
 
 
 def _much_better(
@@ -210,8 +216,28 @@ def _second_plates(
 
 
 def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
-    """Ranges that have another unit from some station on: they differ by a large factor throughout."""
-    d = np.abs(recording.ranges)
+    """Lengths that have another unit from some station on: they differ by a large factor throughout.
+
+    All ranges, those of one beam, or the positions.
+    """
+    every = np.ones(len(recording.beam_names), dtype=bool)
+    beams = [("the ranges", every)]
+    if len(every) > 1:
+        beams += [
+            (f"the ranges of beam {name}", np.arange(len(every)) == i)
+            for i, name in enumerate(recording.beam_names)
+        ]
+    for what, own in beams:
+        for words, factor in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
+            whole = np.where(own, factor[:, None], 1.0)
+            yield words, partial(_rescaled, ranges=whole), "quick"
+    distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
+    for words, factor in _changes_of(distance, "the positions", recording):
+        yield words, partial(_rescaled, positions=factor[:, None]), "quick"
+
+
+def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tuple[str, FloatArray]]:
+    """Yield in words from where on lengths d (M, k) have another unit, and factors (M,) to metres."""
     high, low = np.nanmax(d, axis=1, initial=0.0), np.nanmin(d, axis=1, initial=np.inf)
     before = np.maximum.accumulate(high)[:-1], np.minimum.accumulate(low)[:-1]
     after = np.maximum.accumulate(high[::-1])[::-1][1:], np.minimum.accumulate(low[::-1])[::-1][1:]
@@ -221,17 +247,18 @@ def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
             continue
         split = int(gap.argmax()) + 1
         rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split
+        station = recording.station_names[split]
+        where = f"from station {station} on" if late else f"before station {station}"
         for unit, metres in (("millimetres", 1e-3), ("inches", 0.0254), ("centimetres", 1e-2)):
-            words = (
-                f"the ranges {'from' if late else 'before'} station {recording.station_names[split]} "
-                f"{'on ' if late else ''}look like {unit}, and the others like metres"
-            )
-            factor = np.where(rows, metres, 1.0)[:, None]
-            yield words, partial(_rescaled, factor=factor), "quick"
+            words = f"{what} {where} look like {unit}, and the others like metres"
+            yield words, np.where(rows, metres, 1.0)
 
 
-def _rescaled(recording: Recording, factor: FloatArray) -> Recording:
-    return replace(recording, ranges=factor * recording.ranges)
+def _rescaled(
+    recording: Recording, ranges: FloatArray | float = 1.0, positions: FloatArray | float = 1.0
+) -> Recording:
+    t, d = positions * recording.world_t_hand, ranges * recording.ranges
+    return replace(recording, world_t_hand=t, ranges=d)
 
 
 def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
@@ -240,30 +267,31 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undon
     A plane whose stations do not fit by themselves, while those of others do, holds stations of
     another plane.
     """
-    alone = {
-        p: _misfit_of_planes(recording, (p,), terms) for p in range(len(recording.plane_names))
-    }
-    known = {p: value for p, value in alone.items() if value is not None}
+    planes = range(len(recording.plane_names))
+    alone = [_misfit_of_planes(recording, (p,), terms) for p in planes]
     whole = misfit(recording, terms, "glance")
-    mixed = [p for p, value in known.items() if PROMISING * value > whole]
-    if not 1 <= len(mixed) <= 2 or len(mixed) == len(alone) > 2:
+    untold = [p for p in planes if alone[p] is None]
+    mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
+    if len(mixed) > 2 or (len(mixed) == len(alone) - len(untold) > 2):
         return
-    rows = np.isin(recording.plane_of_station, mixed)
-    part = recording.part(rows)
-    names = [recording.plane_names[p] for p in mixed]
-    undone = _parted if len(mixed) == 1 else _relabelled
-    split = _best_split(part, partial(undone, names=tuple(names)), terms)
-    if split is None:
-        return
-    station = part.station_names[split]
-    if len(mixed) == 1:
-        words = (
-            f"the stations of plane {names[0]} from station {station} on look like another plane's"
-        )
-    else:
-        words = f"the labels {names[0]} and {names[1]} look exchanged from station {station} on"
-    late = np.flatnonzero(rows)[split]
-    yield words, partial(undone, names=tuple(names), split=int(late)), "normal"
+    tried = [(*mixed,)] if mixed else []
+    if len(mixed) < 2:  # with a plane that has too few readings to tell by itself
+        others = [p for p in planes if p in {*mixed, *untold}]
+        pairs = [pair for pair in combinations(others, 2) if not mixed or mixed[0] in pair]
+        tried += pairs[:MOST_PAIRS]
+    for group in tried:
+        names = tuple(recording.plane_names[p] for p in group)
+        rows = np.isin(recording.plane_of_station, group)
+        part = recording.part(rows)
+        undone = _parted if len(names) == 1 else _relabelled
+        split = _best_split(part, partial(undone, names=names), terms)
+        if split is None:
+            continue
+        station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
+        words = f"the labels {' and '.join(names)} look exchanged from station {station} on"
+        if len(names) == 1:
+            words = _of_another_plane(names[0], station)
+        yield words, partial(undone, names=names, split=late), "normal"
 
 
 def _on_the_way(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
@@ -411,6 +439,21 @@ def _scalar_first(rotation: Rotation) -> Rotation:
     return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
 
 
+def _shifted(recording: Recording, rows: int) -> Recording:
+    """Return a recording with the ranges of another row, without the stations that then have none."""
+    count = len(recording.ranges)
+    kept = np.arange(max(-rows, 0), count - max(rows, 0))
+    return replace(recording.part(kept), ranges=recording.ranges[kept + rows], samples=None)
+
+
+def _signed(rotation: Rotation, signs: tuple[int, int, int]) -> Rotation:
+    return Rotation.from_quat(rotation.as_quat() * (*signs, 1))
+
+
+def _permuted(rotation: Rotation, order: tuple[int, int, int]) -> Rotation:
+    return Rotation.from_quat(rotation.as_quat()[:, [*order, 3]])
+
+
 def _numbers(written: Numbers, read: Numbers, factor: float = 1.0) -> Undone:
     """Undo that three numbers were `read` as another thing than `written`, or without a `factor`."""
 
@@ -429,6 +472,18 @@ HYPOTHESES: dict[str, Undone] = {
     "the poses look inverted (hand_T_world instead of world_T_hand)": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
     "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
+    **{
+        f"the {name} of the quaternions look negated": _turned(partial(_signed, signs=signs))
+        for name, signs in {"qx": (-1, 1, 1), "qy": (1, -1, 1), "qz": (1, 1, -1)}.items()
+    },
+    **{
+        f"{name} of the quaternions look exchanged": _turned(partial(_permuted, order=order))
+        for name, order in {
+            "qx and qy": (1, 0, 2),
+            "qx and qz": (2, 1, 0),
+            "qy and qz": (0, 2, 1),
+        }.items()
+    },
     "the positions look like millimetres": _scaled(1e-3, 1.0),
     "the ranges look like millimetres": _scaled(1.0, 1e-3),
     "the ranges look like inches": _scaled(1.0, 0.0254),
@@ -463,6 +518,8 @@ HYPOTHESES: dict[str, Undone] = {
     "the angles about x, y, z look like radians taken as degrees": _numbers(
         "xyz", "xyz", 1.0 / DEGREE
     ),
+    "the ranges look one row late": partial(_shifted, rows=1),
+    "the ranges look one row early": partial(_shifted, rows=-1),
     "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)": _numbers(
         "ZYX", "xyz"
     ),

@@ -109,8 +109,8 @@ def implausible_mounts(
         return CalibrationWarning(
             "far-beam",
             f"a beam lies {far:.3g} m from the hand's origin, where no hand reaches: the lengths look "
-            "like millimetres; a recording has metres (a log may have --range-units mm and "
-            "--length-units mm)",
+            "like millimetres; a recording has metres (`handlaser convert "
+            "--units mm` reads a log that has millimetres)",
             {"distance_m": far},
         )
     ahead = cosines(scene(parameters, readings)) > 0.0

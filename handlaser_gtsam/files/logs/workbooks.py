@@ -16,7 +16,7 @@ import polars as pl
 
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
-from ...text import shown, some
+from ...text import count, shown, some
 from ..table import titles_above, titles_warning
 from .format import LogFormat
 from .packed import A_PART, refuse_zip_bomb
@@ -207,8 +207,8 @@ def _warnings(scan: _Scan, path: Path) -> list[CalibrationWarning]:
     found = []
     for what, places in scan.failed.items():
         words = (
-            f"{path.name}: {len(places)} cells of {shown(what)} ({some(places, 4)}) count as empty; "
-            "calculate the workbook again and save it, or mend them"
+            f"{path.name}: {count(len(places), 'cell')} of {shown(what)} ({some(places, 4)}) taken as "
+            "empty; calculate the workbook again and save it, or mend them"
         )
         found.append(CalibrationWarning("cells-without-value", words, {"cells": len(places)}))
     return found
