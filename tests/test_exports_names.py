@@ -6,7 +6,6 @@ import shlex
 import subprocess
 from xml.dom.minidom import parseString
 
-import numpy as np
 import pytest
 import xacro
 import yaml
@@ -14,11 +13,10 @@ from blark.parse import parse_source_code
 from exported import COMPILER, HOSTILE, calibrated
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.io import loadmat
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.exports.beams import number
 from handlaser_gtsam.files.exports.names import comment_text, identifiers, literal
+from handlaser_gtsam.files.exports.rendering import number
 from handlaser_gtsam.text import name_fault
 
 FILE = calibrated(names=HOSTILE)
@@ -148,15 +146,6 @@ def test_a_compiler_reads_hostile_names(tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr
-
-
-def test_arrays_keep_the_names_themselves(tmp_path):
-    hl.write_export(tmp_path / "beams.npz", FILE, "numpy")
-    hl.write_export(tmp_path / "beams.mat", FILE, "matlab")
-    with np.load(tmp_path / "beams.npz", allow_pickle=False) as archive:
-        assert tuple(archive["beam_names"]) == HOSTILE
-    found = loadmat(tmp_path / "beams.mat", simplify_cells=True)["handlaser"]
-    assert tuple(found["beam_names"]) == HOSTILE
 
 
 @pytest.mark.parametrize("link", ["tool 0", "$(rm x)", "${1/0}", "a'b", 'a"b', "-x", "tööl", "a;b"])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..files.exports.formats import BINARY
 from .answer import print_wrapped
 from .options import QuietOption
 from .progress_line import Working
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 MM = 1e-3
 FormatChoice = StrEnum(
     "FormatChoice",
-    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur matlab numpy c python st",
+    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st",
 )
 AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 
@@ -33,8 +32,8 @@ class Wanted:
         FormatChoice,
         typer.Option(
             metavar="FORMAT",
-            help="urdf, xacro, ros2-static, ros2-yaml, kuka, abb, fanuc, ur, matlab, numpy, c, python "
-            "or st (structured text).",
+            help="urdf, xacro, ros2-static, ros2-yaml, kuka, abb, fanuc, ur, c, python or st "
+            "(structured text).",
             show_default=False,
         ),
     ]
@@ -56,11 +55,11 @@ class Wanted:
             help="Of a tool frame, lies along the beam: kuka, abb, fanuc, ur. Default: z."
         ),
     ] = None
-    along_mm: Annotated[
+    at_reading_mm: Annotated[
         float,
         typer.Option(
-            help="True range at which the origin of a tool frame stands, mm; 0 is the location of "
-            "the beam: kuka, abb, fanuc, ur."
+            help="Reading at whose laser spot the origin of a tool frame stands, mm; 0 is the location "
+            "of the beam: kuka, abb, fanuc, ur."
         ),
     ] = 0.0
     tool: Annotated[
@@ -69,7 +68,7 @@ class Wanted:
     ] = None
     out: Annotated[
         Path | None,
-        typer.Option(readable=False, help="Write to this file; matlab, numpy and --into need it."),
+        typer.Option(readable=False, help="Write to this file; --into needs it."),
     ] = None
 
     def options(self) -> "ExportOptions":
@@ -80,7 +79,7 @@ class Wanted:
             tuple(self.beam or ()),
             self.link or "",
             None if self.axis is None else self.axis.value,
-            self.along_mm * MM,
+            self.at_reading_mm * MM,
             self.tool,
             self.into,
         )
@@ -90,9 +89,8 @@ class Wanted:
         from ..errors import InputError
         from ..files.writing import require_outputs
 
-        if self.out is None and (self.to.value in BINARY or self.into is not None):
-            what = "--into" if self.into is not None else f"the binary format {self.to.value}"
-            raise InputError(f"{what} without --out", "--out FILE")
+        if self.out is None and self.into is not None:
+            raise InputError("--into without --out", "--out FILE")
         require_outputs({"--out": self.out}, (calibration, self.into))
 
 

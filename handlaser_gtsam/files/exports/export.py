@@ -14,16 +14,11 @@ from ..calibration_file import CalibrationFile
 from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .arrays import matlab_bytes, numpy_bytes
-from .beams import exported_beams
-from .c_code import c_text
-from .controllers import LAST_TOOL, abb_text, fanuc_text, kuka_text, ur_text
-from .formats import BINARY, FORMATS, LINKED, NEEDED, TAKEN
+from .beams import MM, exported_beams
+from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, TAKEN, TOOLS
 from .frames import Axis
-from .python_code import python_text
-from .ros import static_publisher_lines, transforms_yaml
-from .structured_text import structured_text
-from .urdf import urdf_text, urdf_with, xacro_text
+from .into_urdf import put_into
+from .rendering import number, rendered
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +33,8 @@ class ExportOptions:
         Of the robot: the one whose frame is the hand (`urdf`, `xacro`, `ros2-static`, `ros2-yaml`).
     axis : "x", "y" or "z", optional
         Of a tool frame, which lies along the beam; z where not given (`kuka`, `abb`, `fanuc`, `ur`).
-    along : float
-        True range at which the origin of a tool frame stands [m]; 0 is the location of the beam.
+    at_reading : float
+        Reading at whose laser spot the origin of a tool frame stands [m]; 0: the location of the beam.
     tool : int, optional
         The first UTOOL that is set, and the first PR that is used for it (`fanuc`).
     into : Path or str, optional
@@ -54,7 +49,7 @@ class ExportOptions:
     beams: tuple[str, ...] = ()
     link: str = ""
     axis: Axis | None = None
-    along: float = 0.0
+    at_reading: float = 0.0
     tool: int | None = None
     into: Path | str | None = None
 
@@ -64,7 +59,7 @@ class ExportOptions:
             raise InputError(f"{name_fault(self.link)} as link".replace(", as", " as"), A_NAME)
         if self.axis is not None:
             require_word("axis", self.axis, ("x", "y", "z"))
-        require_number("along", self.along, -LARGEST, LARGEST, unit="m")
+        require_number("at_reading", self.at_reading, -LARGEST, LARGEST, unit="m")
         if self.tool is not None:
             require_count("tool", self.tool, 1, LAST_TOOL)
         if self.into is not None:
@@ -112,14 +107,14 @@ def export_text(
     Raises
     ------
     InputError
-        No calibration, no such format or beam, a binary format, or options that do not go with it.
+        No calibration, no such format or beam, or options that do not go with it.
     NotConvergedError
         The calibration is none: its status is not "converged".
     """
-    options = _checked(to, options)
-    if to in BINARY:
-        raise InputError(f"the binary format {to} as text", "write_export, which writes a file")
-    return _text(_mounts(_file(calibration)), to, options)
+    options = ExportOptions() if options is None else options
+    require_kind("options", options, ExportOptions)
+    options.check(to)
+    return _text(_mounts(calibration), to, options)
 
 
 def write_export(
@@ -128,7 +123,7 @@ def write_export(
     to: str,
     options: ExportOptions | None = None,
 ) -> None:
-    """Write a calibration to a file as `export_text` has it, or as `matlab` or `numpy`.
+    """Write a calibration to a file as `export_text` has it.
 
     Raises
     ------
@@ -137,52 +132,32 @@ def write_export(
     NotConvergedError
         The calibration is none: its status is not "converged".
     """
-    options, file = _checked(to, options), _file(calibration)
-    mounts = _mounts(file)
-    if to in BINARY:
-        chosen = mounts.arranged(options.beams) if options.beams else mounts
-        data = (matlab_bytes if to == "matlab" else numpy_bytes)(chosen, file)
-    else:
-        data = _text(mounts, to, options).encode()
-    write_bytes(path_of(path), data)
+    write_bytes(path_of(path), export_text(calibration, to, options).encode())
 
 
-def _checked(to: str, options: ExportOptions | None) -> ExportOptions:
-    options = ExportOptions() if options is None else options
-    require_kind("options", options, ExportOptions)
-    options.check(to)
-    return options
-
-
-def _file(calibration: Calibration | CalibrationFile) -> CalibrationFile:
-    if isinstance(calibration, CalibrationFile):
-        return calibration
-    require_kind("calibration", calibration, Calibration)
-    return CalibrationFile.model_validate_json(calibration_text(calibration))
-
-
-def _mounts(file: CalibrationFile) -> Mounts:
-    if file.status != "converged":
-        raise NotConvergedError(file.status, file.message)
-    return mounts_of(file)
+def _mounts(calibration: Calibration | CalibrationFile) -> Mounts:
+    if not isinstance(calibration, CalibrationFile):
+        require_kind("calibration", calibration, Calibration)
+        calibration = CalibrationFile.model_validate_json(calibration_text(calibration))
+    if calibration.status != "converged":
+        raise NotConvergedError(calibration.status, calibration.message)
+    return mounts_of(calibration)
 
 
 def _text(mounts: Mounts, to: str, options: ExportOptions) -> str:
-    beams = exported_beams(mounts, options.beams)
-    link, axis, along = options.link, options.axis or "z", float(options.along)
-    if options.into is not None:
-        return urdf_with(path_of(options.into), beams, link)
-    if to == "fanuc":
-        return fanuc_text(beams, axis, along, options.tool or 1)
-    linked = {
-        "urdf": urdf_text,
-        "xacro": xacro_text,
-        "ros2-static": static_publisher_lines,
-        "ros2-yaml": transforms_yaml,
-    }
-    if to in linked:
-        return linked[to](beams, link)
-    tools = {"kuka": kuka_text, "abb": abb_text, "ur": ur_text}
-    if to in tools:
-        return tools[to](beams, axis, along)
-    return {"c": c_text, "python": python_text, "st": structured_text}[to](beams)
+    axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
+    reading, tool = float(options.at_reading), options.tool or 1
+    beams = exported_beams(mounts, options.beams, axis, reading)
+    if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
+        found = f"tool {tool} as the first of {len(beams)}"
+        raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
+    where = (
+        f"where it reads {number(reading * MM)} mm" if reading else "where the true range is zero"
+    )
+    values = {"parent": options.link, "axis": axis, "where": where, "tool": tool}
+    values["reading"] = number(reading * MM) if reading else ""
+    text = rendered(to, beams=beams, **values)
+    if options.into is None:
+        return text
+    names = [beam.identifier for beam in beams]
+    return put_into(path_of(options.into), text, names, options.link)

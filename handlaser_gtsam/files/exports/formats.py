@@ -3,12 +3,11 @@
 LINKED = ("urdf", "xacro", "ros2-static", "ros2-yaml")
 """Formats that hang frames on a link."""
 TOOLS = ("kuka", "abb", "fanuc", "ur")
-BINARY = ("matlab", "numpy")
-FORMATS = (*LINKED, *TOOLS, *BINARY, "c", "python", "st")
+FORMATS = (*LINKED, *TOOLS, "c", "python", "st")
 TAKEN = {
     "link": LINKED,
     "axis": TOOLS,
-    "along": TOOLS,
+    "at_reading": TOOLS,
     "tool": ("fanuc",),
     "into": ("urdf",),
 }
@@ -18,3 +17,5 @@ NEEDED = {
     "tool": "the number of the first UTOOL that may be replaced",
 }
 """Options without which the formats that take them mean nothing, and what they are."""
+LAST_TOOL = 99
+"""Largest number of a tool; how many a controller really has depends on its configuration."""

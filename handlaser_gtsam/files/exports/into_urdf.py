@@ -1,44 +1,21 @@
-"""Beams as URDF and xacro: a link and a fixed joint for each, the beam along +x of its link.
-
-That is what `sensor_msgs/Range` wants of the frame that its messages name.
-"""
+"""Links and joints put into a URDF: nothing else of it changes."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 from ...errors import InputError
 from ...text import shown, some
 from ..checked_text import read_text
-from .beams import ROLL, ExportedBeam, number, origin_line
-from .frames import yaw_pitch_roll
 
 SHOWN = 40
 """Names of links that a message lists."""
-XACRO = "http://www.ros.org/wiki/xacro"
 
 
-def urdf_text(beams: Sequence[ExportedBeam], link: str) -> str:
-    """Return links and joints to put into the `<robot>` of a URDF."""
-    return _comments() + "".join(_beam(beam, quoteattr(link)) for beam in beams)
+def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> str:
+    """Return the text of a URDF with that of links and joints put in before its end.
 
-
-def xacro_text(beams: Sequence[ExportedBeam], link: str) -> str:
-    """Return a xacro file with a macro `handlaser_beams`, whose parent is `link` unless told."""
-    inside = "".join(_beam(beam, '"${parent}"', "${prefix}") for beam in beams)
-    inside = "".join(f"  {line}\n" for line in inside.splitlines())
-    params = quoteattr(f"parent:={link} prefix:=''")
-    return (
-        f'<?xml version="1.0"?>\n<robot xmlns:xacro="{XACRO}">\n{_comments()}'
-        "  <!-- Include this file, and call <xacro:handlaser_beams/> once in the robot. -->\n"
-        f'  <xacro:macro name="handlaser_beams" params={params}>\n{inside}'
-        "  </xacro:macro>\n</robot>\n"
-    )
-
-
-def urdf_with(path: Path, beams: Sequence[ExportedBeam], link: str) -> str:
-    """Return the text of a URDF with beams put in before its end; all else is as it was.
+    `identifiers` name the links that are added; their joints are called `NAME_joint`.
 
     Raises
     ------
@@ -54,8 +31,8 @@ def urdf_with(path: Path, beams: Sequence[ExportedBeam], link: str) -> str:
     if outline.links.count(link) > 1:
         raise InputError(f"the link {shown(link)} twice", "every link once", path)
     for kind, there, names in (
-        ("link", outline.links, [beam.identifier for beam in beams]),
-        ("joint", outline.joints, [_joint(beam) for beam in beams]),
+        ("link", outline.links, list(identifiers)),
+        ("joint", outline.joints, [f"{name}_joint" for name in identifiers]),
     ):
         taken = [name for name in names if name in there]
         if taken:
@@ -66,41 +43,11 @@ def urdf_with(path: Path, beams: Sequence[ExportedBeam], link: str) -> str:
             )
     before, after = outline.halves
     ending = "\r\n" if "\r\n" in before else "\n"
-    added = urdf_text(beams, link).replace("\n", ending)
+    added = added.replace("\n", ending)
     head, newline, last = before.rpartition("\n")
     if newline and not last.strip():  # the end stands on a line of its own, and keeps its indent
         return head + newline + added + last + after
     return before + ending + added + after
-
-
-def _comments() -> str:
-    lines = (
-        origin_line(),
-        "x of each frame lies along its beam, from where the true range is zero. Units: m, rad.",
-        ROLL,
-    )
-    return "".join(f"  <!-- {line} -->\n" for line in lines)
-
-
-def _joint(beam: ExportedBeam) -> str:
-    return f"{beam.identifier}_joint"
-
-
-def _beam(beam: ExportedBeam, parent: str, prefix: str = "") -> str:
-    """Return the link and the joint of a beam; `parent` is in quotes."""
-    frame = beam.frame("x")
-    xyz = " ".join(map(number, frame.t))
-    rpy = " ".join(map(number, reversed(yaw_pitch_roll(frame.R))))
-    name = prefix + beam.identifier
-    return (
-        f"  <!-- {beam.comment} -->\n"
-        f'  <link name="{name}"/>\n'
-        f'  <joint name="{prefix}{_joint(beam)}" type="fixed">\n'
-        f"    <parent link={parent}/>\n"
-        f'    <child link="{name}"/>\n'
-        f'    <origin xyz="{xyz}" rpy="{rpy}"/>\n'
-        "  </joint>\n"
-    )
 
 
 class _Outline:
