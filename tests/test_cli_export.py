@@ -10,7 +10,7 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.export import FormatChoice
-from handlaser_gtsam.files.exports.formats import FORMATS, TAKEN
+from handlaser_gtsam.files.exports.formats import BEAMS, FORMATS, TAKEN
 
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 NEEDED = {name: ["--link", "tool0"] for name in TAKEN["link"]} | {"fanuc": ["--tool", "3"]}
@@ -35,7 +35,7 @@ def test_the_command_has_the_formats_that_there_are():
     assert tuple(one.value for one in FormatChoice) == FORMATS
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", BEAMS)
 def test_every_format_is_written(handlaser, file, tmp_path, to):
     out = tmp_path / "out"
     arguments = ("export", file, "--to", to, *NEEDED.get(to, ()))
@@ -89,18 +89,18 @@ def test_options_reach_the_frame(handlaser, file):
     assert "x of each frame lies along its beam; its origin is where it reads 15.0 mm" in printed
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", BEAMS)
 @pytest.mark.parametrize(
     ("option", "value"),
     [("link", "tool0"), ("axis", "x"), ("at-reading-mm", "5"), ("tool", "1"), ("into", str(RIG))],
 )
 def test_an_option_that_means_nothing_is_refused(handlaser, file, tmp_path, to, option, value):
-    field = option.removesuffix("-mm").replace("-", "_")
+    field, words = (option.removesuffix("-mm").replace("-", space) for space in "_ ")
     if to in TAKEN[field]:
         return
     arguments = ("export", file, "--to", to, "--out", tmp_path / "out")
     given = [*NEEDED.get(to, ()), f"--{option}", value]
-    refused(handlaser(*arguments, *given), f"{field} with the format {to}", TAKEN[field][0])
+    refused(handlaser(*arguments, *given), f"{words} with the format {to}", TAKEN[field][0])
     assert not (tmp_path / "out").exists()
 
 

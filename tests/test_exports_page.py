@@ -41,5 +41,6 @@ def test_the_page_runs_in_its_order(handlaser, folder):
 
 def test_every_format_is_on_the_page():
     table = re.findall(r"^\| `([\w-]+)` \|", PAGE, flags=re.MULTILINE)
-    assert tuple(table[1:]) == FORMATS
+    named = [name for name in table if name in FORMATS]
+    assert sorted(named) == sorted(FORMATS)
     assert {re.search(r"--to (\S+)", line)[1] for line in COMMANDS if "--to" in line} == {*FORMATS}

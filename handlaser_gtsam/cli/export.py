@@ -1,4 +1,4 @@
-"""handlaser export: a calibration for robots, ROS and programs."""
+"""handlaser export: a calibration, or stations, for robots, ROS and programs."""
 
 import sys
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MM = 1e-3
 FormatChoice = StrEnum(
     "FormatChoice",
-    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st",
+    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st krl rapid tp urscript poses",
 )
 AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 
@@ -33,7 +33,7 @@ class Wanted:
         typer.Option(
             metavar="FORMAT",
             help="urdf, xacro, ros2-static, ros2-yaml, kuka, abb, fanuc, ur, c, python or st "
-            "(structured text).",
+            "(structured text); of stations krl, rapid, tp, urscript (programs) or poses.",
             show_default=False,
         ),
     ]
@@ -66,6 +66,22 @@ class Wanted:
         int | None,
         typer.Option(help="The first UTOOL that is set; uses the PR of that number: fanuc."),
     ] = None
+    signal: Annotated[
+        int,
+        typer.Option(
+            help="Digital output that a program sets at a station: krl, rapid, tp, urscript."
+        ),
+    ] = 1
+    pause_s: Annotated[
+        float,
+        typer.Option(
+            help="How long a program waits at a station, before it sets the output and while it is set."
+        ),
+    ] = 1.0
+    pose_format: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Convention of poses, as in docs/logs.md: poses."),
+    ] = None
     out: Annotated[
         Path | None,
         typer.Option(readable=False, help="Write to this file; --into needs it."),
@@ -82,42 +98,54 @@ class Wanted:
             self.at_reading_mm * MM,
             self.tool,
             self.into,
+            self.signal,
+            self.pause_s,
+            self.pose_format,
         )
 
-    def check(self, calibration: Path) -> None:
+    def check(self, file: Path) -> None:
         """Refuse an output that is missing, cannot be written, or is an input."""
         from ..errors import InputError
         from ..files.writing import require_outputs
 
         if self.out is None and self.into is not None:
             raise InputError("--into without --out", "--out FILE")
-        require_outputs({"--out": self.out}, (calibration, self.into))
+        require_outputs({"--out": self.out}, (file, self.into))
 
 
 def export(
-    calibration: Annotated[
-        Path, typer.Argument(help="Result of `handlaser calibrate --out`.", show_default=False)
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Result of `handlaser calibrate --out`, or stations of `handlaser plan --out`.",
+            show_default=False,
+        ),
     ],
     wanted: Wanted,
     quiet: QuietOption = False,
 ) -> None:
-    """Write calibrated beams as robots, ROS and programs take them.
+    """Write calibrated beams, or planned stations, as robots, ROS and programs take them.
 
     Exit codes: 0 good; 2 bad input; 3 the file holds no calibration that converged.
     """
+    from ..data.station_list import StationList
     from ..files.calibration_reading import read_calibration
     from ..files.exports.export import export_text, write_export
+    from ..files.exports.formats import STATIONS
+    from ..files.stations_csv import read_stations
     from ..text import printable
 
     text = ""
     with Working():
-        wanted.check(calibration)
-        file, options = read_calibration(calibration), wanted.options()
+        wanted.check(file)
+        to, options = wanted.to.value, wanted.options()
+        what = read_stations(file) if to in STATIONS else read_calibration(file)
         if wanted.out is None:
-            text = export_text(file, wanted.to.value, options)
+            text = export_text(what, to, options)
         else:
-            write_export(wanted.out, file, wanted.to.value, options)
-    _warn(file)
+            write_export(wanted.out, what, to, options)
+    if not isinstance(what, StationList):
+        _warn(what)
     if wanted.out is None:
         sys.stdout.write(text)
     elif not quiet:

@@ -71,18 +71,21 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         that concern a part of the recording are tried.
     """
     if rejected is None:
-        mistakes = [
-            *_promising(recording, terms),
-            *_swaps(recording, terms),
-            *_unit_changes(recording),
-            *_mixed_labels(recording, terms),
-            *_on_the_way(recording, terms),
+        rounds: list[Callable[[], list[tuple[str, Undone, Effort]]]] = [
+            lambda: [
+                *_promising(recording, terms),
+                *_swaps(recording, terms),
+                *_unit_changes(recording),
+            ],
+            lambda: [*_mixed_labels(recording, terms), *_on_the_way(recording, terms)],
         ]
     else:
-        mistakes = [*_exchanges(recording, rejected), *_second_plates(recording, rejected)]
-    found = _much_better(recording, terms, mistakes)
-    if not found and rejected is not None and rejected.mean() > MANY_LOST:
-        found = _much_better(recording, terms, [*_mixed_labels(recording, terms)])
+        rounds = [lambda: [*_exchanges(recording, rejected), *_second_plates(recording, rejected)]]
+        if rejected.mean() > MANY_LOST:
+            rounds.append(lambda: [*_mixed_labels(recording, terms)])
+    found: list[tuple[float, str]] = []
+    for mistakes in rounds:  # those that take long are tried only where the others explain nothing
+        found = found or _much_better(recording, terms, mistakes())
     if not found:
         return ""
     found.sort(key=lambda way: way[0], reverse=True)

@@ -1,4 +1,4 @@
-"""Calibrations exported: one table of formats, and the options that each takes."""
+"""Calibrations and stations exported, and the options that each format takes."""
 
 import re
 from dataclasses import dataclass, fields
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...checks import require_count, require_kind, require_names, require_number, require_word
 from ...data.recording import LARGEST
+from ...data.station_list import StationList
 from ...errors import InputError, NotConvergedError
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
@@ -13,12 +14,19 @@ from ...text import A_NAME, name_fault, shown
 from ..calibration_file import CalibrationFile
 from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
+from ..logs.conventions import FORMATS as POSE_FORMATS
 from ..writing import path_of, write_bytes
 from .beams import MM, exported_beams
-from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, TAKEN, TOOLS
+from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS
 from .frames import Axis
 from .into_urdf import put_into
+from .programs import poses_text, program_text
 from .rendering import number, rendered
+
+LAST_SIGNAL = 4096
+"""Largest number of a digital output: KUKA's."""
+LONGEST_PAUSE = 60.0
+"""A longer pause at every station [s] is a slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +47,12 @@ class ExportOptions:
         The first UTOOL that is set, and the first PR that is used for it (`fanuc`).
     into : Path or str, optional
         A URDF file: the result is that file with the beams in it (`urdf`).
+    signal : int
+        Number of the digital output that a program sets at a station (`krl` ... `urscript`).
+    pause : float
+        How long a program waits at a station, before it sets the output and while it is set [s].
+    pose_format : str, optional
+        Convention of the poses of stations (`poses`): a name of docs/logs.md.
 
     Raises
     ------
@@ -52,6 +66,9 @@ class ExportOptions:
     at_reading: float = 0.0
     tool: int | None = None
     into: Path | str | None = None
+    signal: int = 1
+    pause: float = 1.0
+    pose_format: str | None = None
 
     def __post_init__(self) -> None:
         require_names("the name of a beam", self.beams)
@@ -64,6 +81,10 @@ class ExportOptions:
             require_count("tool", self.tool, 1, LAST_TOOL)
         if self.into is not None:
             path_of(self.into)
+        require_count("signal", self.signal, 0, LAST_SIGNAL)
+        require_number("pause", self.pause, 0.0, LONGEST_PAUSE, unit="s")
+        if self.pose_format is not None:
+            require_word("pose_format", self.pose_format, POSE_FORMATS)
 
     def check(self, to: str) -> None:
         """Refuse what a format does not take, and what it cannot do without.
@@ -76,12 +97,12 @@ class ExportOptions:
         require_word("format", to, FORMATS)
         for field in fields(self):
             formats = TAKEN.get(field.name, FORMATS)
-            given = getattr(self, field.name) != field.default
+            given, words = getattr(self, field.name) != field.default, field.name.replace("_", " ")
             if given and to not in formats:
-                found = f"{field.name} with the format {to}"
+                found = f"{words} with the format {to}"
                 raise InputError(found, f"it with {', '.join(formats)} only")
             if not given and field.name in NEEDED and to in formats:
-                raise InputError(f"no {field.name} with the format {to}", NEEDED[field.name])
+                raise InputError(f"no {words} with the format {to}", NEEDED[field.name])
         if (
             to in LINKED
             and to != "urdf"
@@ -92,38 +113,47 @@ class ExportOptions:
 
 
 def export_text(
-    calibration: Calibration | CalibrationFile, to: str, options: ExportOptions | None = None
+    what: Calibration | CalibrationFile | StationList,
+    to: str,
+    options: ExportOptions | None = None,
 ) -> str:
-    """Return the beams of a calibration as a robot, ROS or a program takes them; docs/exports.md.
+    """Return beams or stations as a robot, ROS or a program takes them; docs/exports.md.
 
     Parameters
     ----------
-    calibration : Calibration or CalibrationFile
-        From `calibrate` or `read_calibration`.
+    what : Calibration, CalibrationFile or StationList
+        From `calibrate`, `read_calibration`, `plan(...).stations` or `read_stations`.
     to : str
-        `urdf`, `xacro`, `ros2-static`, `ros2-yaml`, `kuka`, `abb`, `fanuc`, `ur`, `c`, `python`, `st`.
+        Of beams `urdf`, `xacro`, `ros2-static`, `ros2-yaml`, `kuka`, `abb`, `fanuc`, `ur`, `c`,
+        `python`, `st`; of stations `krl`, `rapid`, `tp`, `urscript`, `poses`.
     options : ExportOptions, optional
 
     Raises
     ------
     InputError
-        No calibration, no such format or beam, or options that do not go with it.
+        Neither of them, no such format or beam, or options that do not go with it.
     NotConvergedError
         The calibration is none: its status is not "converged".
     """
     options = ExportOptions() if options is None else options
     require_kind("options", options, ExportOptions)
     options.check(to)
-    return _text(_mounts(calibration), to, options)
+    if to not in STATIONS:
+        return _text(_mounts(what), to, options)
+    require_kind("what", what, StationList)
+    assert isinstance(what, StationList)
+    if to == "poses":
+        return poses_text(what, str(options.pose_format))
+    return program_text(what, to, options.signal, float(options.pause))
 
 
 def write_export(
     path: Path | str,
-    calibration: Calibration | CalibrationFile,
+    what: Calibration | CalibrationFile | StationList,
     to: str,
     options: ExportOptions | None = None,
 ) -> None:
-    """Write a calibration to a file as `export_text` has it.
+    """Write beams or stations to a file as `export_text` has them.
 
     Raises
     ------
@@ -132,16 +162,17 @@ def write_export(
     NotConvergedError
         The calibration is none: its status is not "converged".
     """
-    write_bytes(path_of(path), export_text(calibration, to, options).encode())
+    write_bytes(path_of(path), export_text(what, to, options).encode())
 
 
-def _mounts(calibration: Calibration | CalibrationFile) -> Mounts:
-    if not isinstance(calibration, CalibrationFile):
-        require_kind("calibration", calibration, Calibration)
-        calibration = CalibrationFile.model_validate_json(calibration_text(calibration))
-    if calibration.status != "converged":
-        raise NotConvergedError(calibration.status, calibration.message)
-    return mounts_of(calibration)
+def _mounts(what: Calibration | CalibrationFile | StationList) -> Mounts:
+    if not isinstance(what, CalibrationFile):
+        require_kind("calibration", what, Calibration)
+        assert isinstance(what, Calibration)
+        what = CalibrationFile.model_validate_json(calibration_text(what))
+    if what.status != "converged":
+        raise NotConvergedError(what.status, what.message)
+    return mounts_of(what)
 
 
 def _text(mounts: Mounts, to: str, options: ExportOptions) -> str:

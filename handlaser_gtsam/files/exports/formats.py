@@ -3,16 +3,26 @@
 LINKED = ("urdf", "xacro", "ros2-static", "ros2-yaml")
 """Formats that hang frames on a link."""
 TOOLS = ("kuka", "abb", "fanuc", "ur")
-FORMATS = (*LINKED, *TOOLS, "c", "python", "st")
+BEAMS = (*LINKED, *TOOLS, "c", "python", "st")
+"""Formats of the beams of a calibration."""
+PROGRAMS = ("krl", "rapid", "tp", "urscript")
+"""Languages of robot programs, of stations."""
+STATIONS = (*PROGRAMS, "poses")
+FORMATS = (*BEAMS, *STATIONS)
 TAKEN = {
+    "beams": BEAMS,
     "link": LINKED,
     "axis": TOOLS,
     "at_reading": TOOLS,
     "tool": ("fanuc",),
     "into": ("urdf",),
+    "signal": PROGRAMS,
+    "pause": PROGRAMS,
+    "pose_format": ("poses",),
 }
 """Formats in which an option means something."""
 NEEDED = {
+    "pose_format": "the convention of the poses, such as kuka: docs/logs.md",
     "link": "the link whose frame is the hand, such as tool0",
     "tool": "the number of the first UTOOL that may be replaced",
 }

@@ -1,6 +1,7 @@
 """Numbers of poses become rotations and positions; signs that the numbers mean something else."""
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
-from .conventions import ANGLES, FORMATS, LENGTHS, Convention, called
+from .conventions import ANGLES, FORMATS, LENGTHS, QUATERNIONS, Convention, called
 
 QUATERNION_TOLERANCE = 1e-3
 """A quaternion's length may be off by as much: controllers write six digits or fewer."""
@@ -55,6 +56,27 @@ def poses_of(x: FloatArray, convention: Convention) -> tuple[FloatArray, FloatAr
         U, _, V = np.linalg.svd(T[:, :3, :3])
         return np.asarray(U @ V), length * T[:, :3, 3]
     return _rotation(x[:, 3:], convention).as_matrix(), length * x[:, :3]
+
+
+def numbers_of(R: FloatArray, t: FloatArray, convention: Convention) -> FloatArray:
+    """Return the numbers (M, k) of rotations (M, 3, 3) and positions (M, 3) [m]: `poses_of` undone."""
+    kind, length, angle = convention.rotation, LENGTHS[convention.units], ANGLES[convention.angles]
+    rotation = Rotation.from_matrix(R)
+    if convention.is_matrix:
+        T = np.tile(np.eye(4), (len(R), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = R, t / length
+        return (np.swapaxes(T, 1, 2) if kind == "matrix-columns" else T).reshape(-1, 16)
+    if kind in QUATERNIONS:
+        turn = rotation.as_quat(canonical=True, scalar_first=kind == "wxyz")
+    elif kind == "rotvec":
+        turn = rotation.as_rotvec() / angle
+    else:
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # of gimbal lock, where the third angle is free, and zero
+            turn = rotation.as_euler(kind) / angle  # type: ignore[call-overload]  # checked above
+    return np.hstack((t / length, turn))
 
 
 def _rotation(numbers: FloatArray, convention: Convention) -> Rotation:

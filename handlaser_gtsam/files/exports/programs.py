@@ -1,0 +1,88 @@
+"""Stations as robot programs, and as poses in the convention of a controller.
+
+A program drives from station to station, stops, and sets a digital output while a logger may read. At
+stations on the way, which are named `via`, it does not stop. Where six joints of every station are
+known it moves in the joints, as the ways of a plan are checked; else along lines. FANUC's joints are
+not those of a URDF (J3 counts from the horizon), so that its program always has lines.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...data.station_list import StationList
+from ...planning.route import VIA
+from ..logs.conventions import FORMATS, spelled_columns
+from ..logs.poses import numbers_of
+from .names import comment_text
+from .rendering import fixed, number, rendered
+
+CONVENTION = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
+"""Of the poses of each language."""
+IN_JOINTS = ("krl", "rapid", "urscript")
+JOINTS = 6
+"""An arm of another number of joints has axes that programs count in other ways."""
+LONGEST_NAME = 20
+"""Of a station in a remark: FANUC has 30 characters for all of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A station in a program.
+
+    Attributes
+    ----------
+    words : str
+        Its name and plane, harmless in a comment.
+    pose : tuple of str
+        Its numbers in the convention of the program.
+    joints : tuple of str
+        [rad] in URScript, else [deg]; empty where the program moves along lines.
+    read : bool
+        Whether the program stops there.
+    """
+
+    words: str
+    pose: tuple[str, ...]
+    joints: tuple[str, ...]
+    read: bool
+
+
+def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:
+    """Return the program of some stations; it waits `pause` [s] before and while the signal is set."""
+    x = numbers_of(stations.world_R_hand, stations.world_t_hand, FORMATS[CONVENTION[to]])
+    joints = stations.joints
+    if to not in IN_JOINTS or joints is None or joints.shape[1] != JOINTS:
+        joints = np.empty((len(x), 0))
+    names = zip(stations.station_names, stations.plane_labels, strict=True)
+    write, unit = (number, 1.0) if to == "urscript" else (fixed, 180.0 / math.pi)
+    stops = [
+        Stop(
+            f"station {comment_text(name)[:LONGEST_NAME]}, plane {comment_text(plane)}",
+            tuple(map(write, pose)),
+            tuple(write(unit * joint) for joint in turned),
+            not name.startswith(VIA),
+        )
+        for (name, plane), pose, turned in zip(names, x.tolist(), joints.tolist(), strict=True)
+    ]
+    return rendered(to, stops=stops, signal=signal, pause=pause)
+
+
+def poses_text(stations: StationList, pose_format: str) -> str:
+    """Return a CSV of stations with the columns of a pose format (docs/logs.md)."""
+    convention = FORMATS[pose_format]
+    x = numbers_of(stations.world_R_hand, stations.world_t_hand, convention)
+    turn = (convention.columns or spelled_columns(convention.rotation))[0]
+    columns = turn if convention.is_matrix else ("x", "y", "z", *turn)
+    rows = [",".join(("plane", "station", *columns))]
+    names = zip(stations.plane_labels, stations.station_names, strict=True)
+    for pair, numbers in zip(names, x.tolist(), strict=True):
+        cells = (quoted(cell) for cell in pair)
+        rows.append(",".join((*cells, *map(number, numbers))))
+    return "\n".join(rows) + "\n"
+
+
+def quoted(cell: str) -> str:
+    """Return a name as a cell of a CSV."""
+    return '"' + cell.replace('"', '""') + '"' if set(cell) & set(',"\r\n') else cell
