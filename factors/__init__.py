@@ -1,11 +1,10 @@
 """GTSAM factors of hand-mounted range beams, for any graph with any keys."""
 
-from handlaser_gtsam.keys import BeamKeys
-
 from .beam_drift import beam_drift
 from .block import RangeBlock, range_factor, require_rows
 from .evaluation import Evaluation
 from .gathering import gathered
+from .keys import BeamKeys
 from .range_error_prior import range_error_prior
 from .range_to_plane import range_to_plane
 from .range_to_plane_from_pose import range_to_plane_from_pose

@@ -17,7 +17,8 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.checks import require_number
 from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.keys import BeamKeys
+
+from .keys import BeamKeys
 
 LEAST = 1e-12
 """Of 1 + c: directions that are opposite have no shortest way from one to the other."""

@@ -19,10 +19,10 @@ from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.data.recording import LARGEST
 from handlaser_gtsam.errors import InputError, SolverError
-from handlaser_gtsam.keys import BeamKeys, integer_key
 from handlaser_gtsam.model.weighting import Whitening
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
+from .keys import BeamKeys, integer_key
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""

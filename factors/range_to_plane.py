@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.keys import BeamKeys
 
 from .block import Noise, RangeBlock, positive_ranges, range_factor
+from .keys import BeamKeys
 
 
 def range_to_plane(

@@ -12,9 +12,8 @@ import numpy as np
 from gtsam import CustomFactor
 from numpy.typing import ArrayLike
 
-from handlaser_gtsam.keys import BeamKeys
-
 from .block import Noise, RangeBlock, positive_ranges, range_factor
+from .keys import BeamKeys
 
 
 def range_to_plane_from_pose(

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .estimation.range_error_grid import RangeErrorGrid as RangeErrorGrid
     from .estimation.scales import Scale as Scale
     from .estimation.scales import Scales as Scales
+    from .factors.keys import BeamKeys as BeamKeys
     from .files.calibration_file import CalibrationFile as CalibrationFile
     from .files.calibration_json import write_calibration as write_calibration
     from .files.calibration_reading import read_calibration as read_calibration
@@ -62,7 +63,6 @@ if TYPE_CHECKING:
     from .files.study_picture import write_study_picture as write_study_picture
     from .files.study_toml import DeclaredStudy as DeclaredStudy
     from .files.study_toml import read_study as read_study
-    from .keys import BeamKeys as BeamKeys
     from .model.joint import JointCovariance as JointCovariance
     from .model.losses import Loss as Loss
     from .model.plausible import Plausible as Plausible
@@ -177,7 +177,7 @@ _NAMES = {
     "files.study_picture": "write_study_picture",
     "files.study_toml": "DeclaredStudy read_study",
     "files.stations_csv": "read_stations write_stations",
-    "keys": "BeamKeys",
+    "factors.keys": "BeamKeys",
     "model.joint": "JointCovariance",
     "model.losses": "Loss",
     "model.plausible": "Plausible",

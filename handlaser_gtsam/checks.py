@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, frozen
 from .errors import ArgumentError, InputError, NumberError
+from .quantities import IN_DEG, IN_MM
 from .text import A_NAME, name_fault, shown
 
 
@@ -129,8 +130,8 @@ def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: fl
 
 
 UNITS = {
-    "_mm": (1e3, "mm"),
-    "_deg": (180.0 / math.pi, "deg"),
+    "_mm": (IN_MM, "mm"),
+    "_deg": (IN_DEG, "deg"),
     "_percent": (100.0, "%"),
     "_per_m": (1.0, "1/m"),
 }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..quantities import MM
 from .answer import print_wrapped
 from .options import QuietOption
 from .progress_line import Working
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from ..files.calibration_file import CalibrationFile
     from ..files.exports.export import ExportOptions
 
-MM = 1e-3
 FormatChoice = StrEnum(
     "FormatChoice",
     "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st krl rapid tp urscript poses",

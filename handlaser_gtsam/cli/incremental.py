@@ -12,12 +12,11 @@ from ..data.recording import Recording
 from ..errors import CalibrationWarning
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
+from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..session import Comparison, Session, Update
 from ..session.drift import Moved
 from ..solvers.progress import tell
-
-MM = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptio
 
 def _warning(moved: Moved) -> CalibrationWarning:
     shift = float(np.linalg.norm(moved.shift))
-    by = f"by {np.degrees(moved.turn):.2g} deg and {MM * shift:.2g} mm"
+    by = f"by {np.degrees(moved.turn):.2g} deg and {IN_MM * shift:.2g} mm"
     words = (
         f"beam {moved.beam} seems to have moved before plane {moved.since}, "
         f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
@@ -98,7 +97,7 @@ def update_table(fed: PlaneByPlane) -> Table:
 def _largest(sigma: FloatArray | None) -> tuple[str, str]:
     if sigma is None:
         return "-", "-"
-    return f"{MM * sigma[:, :3].max():.4f}", f"{np.degrees(sigma[:, 3:6].max()):.4f}"
+    return f"{IN_MM * sigma[:, :3].max():.4f}", f"{np.degrees(sigma[:, 3:6].max()):.4f}"
 
 
 def comparison_line(comparison: Comparison) -> str:

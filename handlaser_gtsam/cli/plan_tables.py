@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.route import VIA, Plan
-from ..results.lines import DEG, MM, count
+from ..quantities import IN_DEG, IN_MM
+from ..results.lines import count
 
 ROWS = 10
 """Rows of the forecast."""
@@ -33,11 +34,11 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
         )
     for name, plate in plan.plates.items():
         x, y, z = plate.normal
-        a, b, c = plate.point * MM
+        a, b, c = plate.point * IN_MM
         yield (
             f"put the plate for plane {name} with its normal along ({x:.3f}, {y:.3f}, {z:.3f}), "
-            f"through ({a:.0f}, {b:.0f}, {c:.0f}) mm, to within {plate.within * MM:.2g} mm and "
-            f"{plate.tilt * DEG:.2g} deg"
+            f"through ({a:.0f}, {b:.0f}, {c:.0f}) mm, to within {plate.within * IN_MM:.2g} mm and "
+            f"{plate.tilt * IN_DEG:.2g} deg"
         )
     if plan.safe is not None:
         yield (
@@ -55,7 +56,7 @@ def scene_lines(robot: Robot) -> Iterator[str]:
     if robot.table is None:
         missing.append("the table (state table_mm in [robot])")
     else:
-        within.append(f"the table at {robot.table * MM:.4g} mm")
+        within.append(f"the table at {robot.table * IN_MM:.4g} mm")
     if not len(robot.start):
         missing.append("the way to the first station (state start_joints in [robot])")
     missing.append(
@@ -67,7 +68,7 @@ def scene_lines(robot: Robot) -> Iterator[str]:
 
 def _forecast(plan: Plan) -> Iterator[str]:
     forecast = plan.forecast
-    distance = forecast.working_distance * MM
+    distance = forecast.working_distance * IN_MM
     yield (
         "largest standard deviation of any beam after so many stations, and the radius that holds its "
         f"spot at {distance:.3g} mm with 95 %:"
@@ -77,9 +78,9 @@ def _forecast(plan: Plan) -> Iterator[str]:
     shown = {round(last * index / (ROWS - 1)) for index in range(ROWS)}
     for number in sorted(shown | {last}):
         yield (
-            f"{number:8}  {_cell(forecast.location_sigma[number] * MM):>11}  "
-            f"{_cell(forecast.direction_sigma[number] * DEG):>13}  "
-            f"{_cell(forecast.spot[number] * MM):>7}"
+            f"{number:8}  {_cell(forecast.location_sigma[number] * IN_MM):>11}  "
+            f"{_cell(forecast.direction_sigma[number] * IN_DEG):>13}  "
+            f"{_cell(forecast.spot[number] * IN_MM):>7}"
         )
 
 

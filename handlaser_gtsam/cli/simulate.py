@@ -1,6 +1,5 @@
 """handlaser simulate: a recording whose truth is known."""
 
-import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -8,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..quantities import DEG, MM
 from .answer import print_wrapped
 from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..validation import simulate as simulation
 
-MM, DEG = 1e-3, math.pi / 180.0
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
 

@@ -11,8 +11,9 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 
 from ..data.recording import Recording
+from ..quantities import IN_MM
 from ..results.calibration import Calibration
-from ..results.lines import MM, UNDETERMINED, small_mm, wrapped
+from ..results.lines import UNDETERMINED, small_mm, wrapped
 from ..results.measuring import spot, typical_plane
 from ..results.noise_lines import noise_words, range_error_words, zero_excluded
 from ..results.reports import Beam, Plane
@@ -78,7 +79,7 @@ def calibration_tables(
             station, plane = found
             yield (
                 f"a plane measured by all beams at once, as at station {station}: "
-                f"+- {plane.distance_sigma * MM:.3g} mm in distance, "
+                f"+- {plane.distance_sigma * IN_MM:.3g} mm in distance, "
                 f"+- {math.degrees(plane.angle_sigma):.3g} deg in angle"
             )
     yield from _fit_lines(result)
@@ -129,7 +130,7 @@ def _beam_table(beam: Beam, result: Calibration) -> Table:
     interval = np.zeros((8, 2)) if interval is None else interval
     value = beam.coordinates
     for i, (name, spec, unit) in enumerate(ROWS[: 6 + beam.terms]):
-        scale = MM if unit == "mm" else 1.0
+        scale = IN_MM if unit == "mm" else 1.0
         numbers = [x * scale for x in (value[i], sigma[i], *interval[i])]
         shown = [format(x, spec) if math.isfinite(sigma[i]) else UNDETERMINED for x in numbers]
         table.add_row(name, *shown, unit)
@@ -150,9 +151,9 @@ def _spot_lines(result: Calibration, reading: float) -> Iterator[str]:
     for name in result.beams:
         found = spot(result, name, reading)
         yield (
-            f"laser spot of beam {name} at a reading of {reading * MM:.4g} mm: +- "
-            f"{found.along * MM:.3g} mm along the beam, to which a reading adds "
-            f"{found.reading_sigma * MM:.3g}, +- {found.across * MM:.3g} mm across, "
+            f"laser spot of beam {name} at a reading of {reading * IN_MM:.4g} mm: +- "
+            f"{found.along * IN_MM:.3g} mm along the beam, to which a reading adds "
+            f"{found.reading_sigma * IN_MM:.3g}, +- {found.across * IN_MM:.3g} mm across, "
             f"+- {math.degrees(found.direction_sigma):.3g} deg"
         )
 
@@ -163,9 +164,9 @@ def _plane_table(planes: list[Plane]) -> Table:
         table.add_column(name, justify="left" if name == "plane" else "right", no_wrap=True)
     for plane in planes[:SHOWN_PLANES]:
         turn = math.inf if plane.normal_sigma is None else math.degrees(plane.normal_sigma)
-        shift = math.inf if plane.offset_sigma is None else plane.offset_sigma * MM
+        shift = math.inf if plane.offset_sigma is None else plane.offset_sigma * IN_MM
         normal = (_pair(x, turn, ".6f")[0] for x in plane.normal)
-        offset = _pair(plane.offset * MM, shift, ".3f")[0]
+        offset = _pair(plane.offset * IN_MM, shift, ".3f")[0]
         spread = _pair(0.0, turn, ".4f")[1], _pair(0.0, shift, ".4f")[1]
         table.add_row(plane.name, *normal, spread[0], offset, spread[1])
     if len(planes) > SHOWN_PLANES:
@@ -203,7 +204,7 @@ def _fit_lines(result: Calibration) -> Iterator[str]:
             yield f"known worst: {result.observability.weakest}"
     rejected = [
         f"rejected: station {one.station}, beam {one.beam}: {one.reason}"
-        + ("" if one.residual is None else f", residual {one.residual * MM:.3g} mm")
+        + ("" if one.residual is None else f", residual {one.residual * IN_MM:.3g} mm")
         for one in fit.rejected
     ]
     yield from _first(rejected, SHOWN_REJECTED, "rejected: {} more; --out or --json has all")

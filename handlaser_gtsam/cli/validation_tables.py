@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from ..results.lines import MM
+from ..quantities import IN_MM
 from ..results.reports import Fit
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
@@ -83,7 +83,7 @@ def hold_out_lines(found: HoldOut) -> Iterator[str]:
         shift = math.hypot(*beam.shift)
         yield (
             f"beam {beam.name} alone moved: p = {beam.p_value:.2g}; it would have moved by "
-            f"{shift * MM:.3g} mm and turned by {math.degrees(beam.turn):.3g} deg"
+            f"{shift * IN_MM:.3g} mm and turned by {math.degrees(beam.turn):.3g} deg"
         )
 
 
@@ -111,10 +111,10 @@ def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
     unit = math.sqrt(sum(one.tests * one.standardized**2 for one in splits) / tests)
     largest = max(one.max_residual for one in splits)
     yield (
-        f"30 % of the stations from the other 70 %, {len(splits)} times: rms {rms * MM:.4g} mm, "
-        f"largest {largest * MM:.4g} mm, {unit:.2f} of the predicted standard deviations"
+        f"30 % of the stations from the other 70 %, {len(splits)} times: rms {rms * IN_MM:.4g} mm, "
+        f"largest {largest * IN_MM:.4g} mm, {unit:.2f} of the predicted standard deviations"
     )
 
 
 def _size(errors: Fit | HoldOut | Prediction) -> str:
-    return f"rms {errors.rms * MM:.4g} mm, largest {errors.max_residual * MM:.4g} mm"
+    return f"rms {errors.rms * IN_MM:.4g} mm, largest {errors.max_residual * IN_MM:.4g} mm"

@@ -29,9 +29,9 @@ from ..planning.goal import Goal
 from ..planning.plate import Placement, Plate
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
+from ..quantities import DEG, MM
 from .checked_text import FileRecord, in_table
 
-MM, DEG = 1e-3, math.pi / 180.0
 UNIT = 1e-3
 """What the length of a quaternion may differ from 1 by, as in a recording."""
 

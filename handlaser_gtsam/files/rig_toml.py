@@ -34,6 +34,7 @@ from ..planning.bounds import Bounds
 from ..planning.goal import Goal
 from ..planning.plate import Placement
 from ..planning.workspace import Workspace
+from ..quantities import DEG, IN_DEG, IN_MM, MM
 from ..results.limits import Limits
 from .checked_text import FileRecord, in_table, read_checked, square_matrix
 from .logs.format import LogFormat
@@ -183,7 +184,6 @@ def toml_value(text: str) -> object:
 
 
 def _to_si(rig: _Rig, folder: Path) -> Rig:
-    mm, deg = 1e-3, math.pi / 180.0
     span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
     if span is None:
         span = (0.0, math.inf)
@@ -192,14 +192,14 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
     linearity = rig.sensor.linearity_percent
     with in_table("limits", rig.limits):
         limits = Limits(
-            scaled(rig.limits.rms_mm, mm),
-            scaled(rig.limits.location_sigma_mm, mm),
-            scaled(rig.limits.direction_sigma_deg, deg),
+            scaled(rig.limits.rms_mm, MM),
+            scaled(rig.limits.location_sigma_mm, MM),
+            scaled(rig.limits.direction_sigma_deg, DEG),
         )
     with in_table("sensor", rig.sensor):
         sensor = Sensor(
-            span[0] * mm,
-            span[1] * mm,
+            span[0] * MM,
+            span[1] * MM,
             math.radians(90.0 if incidence is None else incidence),
             Sensor().linearity if linearity is None else 0.01 * linearity,
             rig.sensor.kind,
@@ -234,16 +234,16 @@ def _workspace(rig: _Rig, folder: Path) -> Workspace | None:
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
     """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
-    mm, deg, given, S = 1e-3, math.pi / 180.0, Noise(), table.pose_covariance
+    given, S = Noise(), table.pose_covariance
     with in_table(name, table):
         return Noise(
-            scaled(table.range_sigma_mm, mm),
-            scaled(table.pose_translation_sigma_mm, mm),
-            scaled(table.pose_rotation_sigma_deg, deg),
-            scaled(table.incidence_sigma_mm, mm, given.incidence_sigma),
+            scaled(table.range_sigma_mm, MM),
+            scaled(table.pose_translation_sigma_mm, MM),
+            scaled(table.pose_rotation_sigma_deg, DEG),
+            scaled(table.incidence_sigma_mm, MM, given.incidence_sigma),
             None if S is None else square_matrix(S, 6, f"{name}.pose_covariance"),
-            scaled(table.pose_translation_prior_mm, mm, given.pose_translation_prior),
-            scaled(table.pose_rotation_prior_deg, deg, given.pose_rotation_prior),
+            scaled(table.pose_translation_prior_mm, MM, given.pose_translation_prior),
+            scaled(table.pose_rotation_prior_deg, DEG, given.pose_rotation_prior),
         )
 
 
@@ -251,17 +251,17 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
     """Write the noise and the sensor's range; unknown values are left out."""
     lines = ["[noise]"]
     for name, value, unit in (
-        ("range_sigma_mm", noise.range_sigma, 1e3),
-        ("pose_translation_sigma_mm", noise.pose_translation_sigma, 1e3),
-        ("pose_rotation_sigma_deg", noise.pose_rotation_sigma, 180.0 / math.pi),
-        ("incidence_sigma_mm", noise.incidence_sigma or None, 1e3),
+        ("range_sigma_mm", noise.range_sigma, IN_MM),
+        ("pose_translation_sigma_mm", noise.pose_translation_sigma, IN_MM),
+        ("pose_rotation_sigma_deg", noise.pose_rotation_sigma, IN_DEG),
+        ("incidence_sigma_mm", noise.incidence_sigma or None, IN_MM),
     ):
         if value is not None:
             lines.append(f"{name} = {value * unit:.12g}")
     if noise.pose_covariance is not None and noise.pose_covariance.ndim == 2:
         lines.append(f"pose_covariance = {noise.pose_covariance.tolist()}")
     if math.isfinite(sensor.range_max):
-        least, most = sensor.range_min * 1e3, sensor.range_max * 1e3
+        least, most = sensor.range_min * IN_MM, sensor.range_max * IN_MM
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
     write_text(path_of(path), "\n".join(lines) + "\n")
 

@@ -27,20 +27,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from ..data.noise import Noise
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
+from ..quantities import DEG, MM
 from ..validation.scenes import ERRORS, SENSORS, Layout
 from ..validation.simulate import Errors
 from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
 from .checked_text import FileRecord, in_table, read_checked
 from .rig_toml import NoiseTable, noise_of, scaled, toml_value
 from .writing import path_of
-
-MM, DEG = 1e-3, np.pi / 180.0
 
 
 class _Scene(FileRecord):

@@ -7,8 +7,9 @@ from ..data.noise import Noise
 from ..data.recording import Recording
 from ..errors import HandlaserError
 from ..model.sensor import Sensor
+from ..quantities import IN_MM
 from ..results.calibration import Calibration
-from ..results.lines import MM, wrapped
+from ..results.lines import wrapped
 from .bounds import Bounds
 from .completing import completing_motion
 from .goal import Goal
@@ -81,7 +82,7 @@ def advice_lines(plan: Plan) -> list[str]:
     for j, plane in enumerate(stations.plane_labels):
         if np.isnan(plan.ranges[j]).all():
             continue
-        x, y, z = stations.world_t_hand[j] * MM
+        x, y, z = stations.world_t_hand[j] * IN_MM
         q = ", ".join(f"{value:.4f}" for value in quaternions[j])
         lines.append(f"  before plane {plane}: ({x:.1f}, {y:.1f}, {z:.1f}) mm, qx qy qz qw ({q})")
     return lines

@@ -12,9 +12,9 @@ from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..quantities import IN_DEG, IN_MM
 from ..results.alternatives import OF_READINGS
 from ..results.limits import Limits
-from ..results.lines import DEG, MM
 from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT, DIRECTION_UNIT = 1e-4, math.radians(0.1)
@@ -166,7 +166,7 @@ class Forecast(Value):
     def words(self, stations: int) -> str:
         """Return what is known after so many stations, in words."""
         return (
-            f"location {self.location_sigma[stations] * MM:.2g} mm, "
-            f"direction {self.direction_sigma[stations] * DEG:.2g} deg, "
-            f"spot within {self.spot[stations] * MM:.2g} mm"
+            f"location {self.location_sigma[stations] * IN_MM:.2g} mm, "
+            f"direction {self.direction_sigma[stations] * IN_DEG:.2g} deg, "
+            f"spot within {self.spot[stations] * IN_MM:.2g} mm"
         )

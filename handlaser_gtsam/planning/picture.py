@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from ..arrays import FloatArray
-from ..results.lines import DEG, MM
+from ..quantities import IN_DEG, IN_MM
 from .goal import Forecast, Goal
 
 WIDTH, HEIGHT = 300, 240
@@ -21,11 +21,11 @@ MOST_TICKS = 6
 
 def forecast_svg(forecast: Forecast, goal: Goal) -> str:
     """Return a picture of what will be known after so many stations, beside the goal."""
-    distance = forecast.working_distance * MM
+    distance = forecast.working_distance * IN_MM
     panels = (
-        ("location, mm", forecast.location_sigma * MM, goal.location_sigma, MM),
-        ("direction, deg", forecast.direction_sigma * DEG, goal.direction_sigma, DEG),
-        (f"95 % spot at {distance:.3g} mm, mm", forecast.spot * MM, goal.spot, MM),
+        ("location, mm", forecast.location_sigma * IN_MM, goal.location_sigma, IN_MM),
+        ("direction, deg", forecast.direction_sigma * IN_DEG, goal.direction_sigma, IN_DEG),
+        (f"95 % spot at {distance:.3g} mm, mm", forecast.spot * IN_MM, goal.spot, IN_MM),
     )
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{len(panels) * WIDTH}" '

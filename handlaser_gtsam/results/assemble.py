@@ -28,6 +28,7 @@ from ..observability.wording import (
     weakest,
 )
 from ..outliers.reasons import Reasons
+from ..quantities import IN_MM
 from ..solvers.progress import tell
 from .calibration import Calibration
 from .calibration_fields import Status, strong_correlations
@@ -218,10 +219,10 @@ def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...
         CalibrationWarning(
             "range-end",
             f"{len(end.rows)} of the {end.extreme} {'largest' if end.far else 'smallest'} readings of "
-            f"beam {names[end.beam]}, from {end.limit * 1e3:.4g} mm {'on' if end.far else 'down'}, are "
-            f"too {'short' if end.far else 'long'} and were left out: its range seems to end there, "
-            "and readings shortly before may err, too; state a narrower range (--range-mm MIN MAX, or "
-            "range_mm in the rig file's [sensor]), or measure within it",
+            f"beam {names[end.beam]}, from {end.limit * IN_MM:.4g} mm {'on' if end.far else 'down'}, "
+            f"are too {'short' if end.far else 'long'} and were left out: its range seems to end "
+            "there, and readings shortly before may err, too; state a narrower range (--range-mm MIN "
+            "MAX, or range_mm in the rig file's [sensor]), or measure within it",
             {"beam": names[end.beam], "limit_m": end.limit, "rejected": len(end.rows)},
         )
         for end in why.range_ends

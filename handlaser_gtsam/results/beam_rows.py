@@ -6,7 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..arrays import FloatArray
-from .lines import DEG, MM, WIDTH, decimals, with_sigma
+from ..quantities import IN_DEG, IN_MM
+from .lines import WIDTH, decimals, with_sigma
 from .reports import Beam
 
 SHOWN_BEAMS = 8
@@ -54,7 +55,7 @@ def _each_with_sigma(beam: Beam) -> tuple[tuple[str, str], tuple[str, str]]:
     """Return rows of location and direction, and k1 and k2, every number with its sigma."""
     sigma, rows = _sigma(beam), []
     for name, symbol, at, scale, most in (
-        (_short(beam.name), "r", slice(3), MM, 4),
+        (_short(beam.name), "r", slice(3), IN_MM, 4),
         ("", "v", slice(3, 6), 1.0, 6),
     ):
         values, sigmas = beam.coordinates[at] * scale, sigma[at] * scale
@@ -90,8 +91,11 @@ def _compact_rows(beams: list[Beam]) -> Iterator[str]:
 def _largest_sigmas(beam: Beam) -> tuple[tuple[str, str], tuple[str, str], tuple[str, str]]:
     """Return location [mm] and direction [deg], each with its largest sigma, and k1 and k2 [1/m]."""
     sigma = _sigma(beam)
-    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * DEG
-    location = _cells(beam.location * MM, sigma[:3] * MM, 3), _size(float(sigma[:3].max()) * MM)
+    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma * IN_DEG
+    location = (
+        _cells(beam.location * IN_MM, sigma[:3] * IN_MM, 3),
+        _size(float(sigma[:3].max()) * IN_MM),
+    )
     direction = _cells(beam.direction, sigma[3:6], 5), _size(turn)
     k1, k2 = (
         _concise(float(k), float(s), most) if term else "0"

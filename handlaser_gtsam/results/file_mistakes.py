@@ -19,6 +19,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
+from ..quantities import DEG
 from ..starts import Effort, find_start
 
 MUCH_BETTER = 100.0
@@ -43,7 +44,6 @@ SPLITS = 9
 """So many evenly spaced stations are tried as the first of a second plate; then the best is refined."""
 MOST_PAIRS = 3
 """So many pairs of planes, of which one has too few readings by itself, are tried for other labels."""
-DEGREE = np.pi / 180.0
 MOST_SWAPS = 40
 GROUPS = 4
 """Planes are left out in so many groups to find the one before which beams look swapped."""
@@ -513,13 +513,13 @@ HYPOTHESES: dict[str, Undone] = {
             "z, x, y coordinates": (2, 0, 1),
         }.items()
     },
-    "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEGREE),
-    "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEGREE),
+    "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEG),
+    "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEG),
     "the rotation vectors look like radians taken as degrees": _numbers(
-        "vector", "vector", 1.0 / DEGREE
+        "vector", "vector", 1.0 / DEG
     ),
     "the angles about x, y, z look like radians taken as degrees": _numbers(
-        "xyz", "xyz", 1.0 / DEGREE
+        "xyz", "xyz", 1.0 / DEG
     ),
     "the ranges look one row late": partial(_shifted, rows=1),
     "the ranges look one row early": partial(_shifted, rows=-1),

@@ -13,7 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
-from ..keys import BeamKeys
+from ..factors.keys import BeamKeys
 from ..model.joint import JointCovariance
 from ..observability.open_axes import open_axes
 from ..observability.rank import ObservabilityOptions

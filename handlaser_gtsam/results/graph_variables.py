@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError
-from ..keys import BeamKeys
+from ..factors.keys import BeamKeys
 from .fit import fit_of_rows
 from .reports import Fit
 

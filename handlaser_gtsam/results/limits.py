@@ -8,8 +8,8 @@ import numpy as np
 
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA
+from ..quantities import IN_DEG, IN_MM
 from .calibration_fields import CalibrationData
-from .lines import DEG, MM
 from .systematic import SystematicError
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]
@@ -94,7 +94,7 @@ class LimitCheck:
 
     @property
     def _unit(self) -> tuple[float, str]:
-        return (DEG, "deg") if self.quantity == "direction_sigma" else (MM, "mm")
+        return (IN_DEG, "deg") if self.quantity == "direction_sigma" else (IN_MM, "mm")
 
 
 def checked(calibration: CalibrationData, limits: Limits) -> tuple[LimitCheck, ...]:

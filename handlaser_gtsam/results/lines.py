@@ -4,13 +4,12 @@ import math
 import textwrap
 
 from ..data.noise import LEAST_SIGMA
+from ..quantities import IN_MM
 from ..text import count as count
 from ..text import some as some
 
 WIDTH = 100
 """Columns of the default screen, and of everything that is not printed to a terminal."""
-MM = 1e3
-DEG = 180.0 / math.pi
 UNDETERMINED = "undetermined"
 """Stands for a number that the recording does not determine."""
 
@@ -20,7 +19,7 @@ def small_mm(value: float, digits: int) -> str:
 
     No sensor is better than `LEAST_SIGMA`, which is ten thousand times what rounding leaves of a metre.
     """
-    return "0 mm (rounding)" if value < LEAST_SIGMA else f"{value * MM:.{digits}g} mm"
+    return "0 mm (rounding)" if value < LEAST_SIGMA else f"{value * IN_MM:.{digits}g} mm"
 
 
 def as_many(lines: int, width: int) -> int:

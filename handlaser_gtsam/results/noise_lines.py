@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
+from ..quantities import IN_DEG, IN_MM
 from .calibration_fields import CalibrationData
-from .lines import DEG, MM, small_mm, some
+from .lines import small_mm, some
 from .reports import NoiseComponent
 
 SHOWN = 4
@@ -27,7 +28,7 @@ def noise_words(result: CalibrationData, *, brief: bool = False) -> str:
     ranges = [one for one in estimated if one.quantity == "range"]
     parts = [_estimate(one) for one in ranges]
     if brief and len(parts) > 1:
-        sigmas = [one.sigma * MM for one in ranges]
+        sigmas = [one.sigma * IN_MM for one in ranges]
         how = (
             f"estimated; {PRIOR} some" if any(one.prior_carries for one in ranges) else "estimated"
         )
@@ -41,7 +42,7 @@ def noise_words(result: CalibrationData, *, brief: bool = False) -> str:
 
 def _estimate(one: NoiseComponent) -> str:
     """Return an estimated sigma with its own standard deviation."""
-    scale, unit = (DEG, "deg") if one.quantity == "pose rotation" else (MM, "mm")
+    scale, unit = (IN_DEG, "deg") if one.quantity == "pose rotation" else (IN_MM, "mm")
     error = f" +- {one.error * scale:.1g}" if math.isfinite(one.error) else ""
     owner = KINDS[one.quantity] + ("" if one.beam is None else f" of beam {one.beam}")
     how = PRIOR if one.prior_carries else "estimated"
@@ -56,8 +57,8 @@ def _given_poses(result: CalibrationData) -> list[str]:
         return ["hand poses as variables of the graph" if variables else "hand poses exact"]
     variance, estimated = np.einsum("sii->si", pose).mean(axis=0), result.noise_estimate
     given = {
-        "pose translation": f"{math.sqrt(float(variance[3:].mean())) * MM:.2g} mm",
-        "pose rotation": f"{math.sqrt(float(variance[:3].mean())) * DEG:.2g} deg",
+        "pose translation": f"{math.sqrt(float(variance[3:].mean())) * IN_MM:.2g} mm",
+        "pose rotation": f"{math.sqrt(float(variance[:3].mean())) * IN_DEG:.2g} deg",
     }
     found = {one.quantity for one in estimated}
     return [f"{KINDS[one]} {size} (given)" for one, size in given.items() if one not in found]

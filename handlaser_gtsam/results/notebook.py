@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from html import escape
 
+from ..quantities import IN_DEG, IN_MM
 from .calibration_fields import CalibrationData
-from .lines import DEG, MM, UNDETERMINED, decimals
+from .lines import UNDETERMINED, decimals
 from .spot_error import spot_radii
 from .summary import sizes
 from .verdict import verdict
@@ -43,15 +44,15 @@ def notebook_html(calibration: CalibrationData) -> str:
 def _rows(calibration: CalibrationData, reading: float) -> Iterator[str]:
     radii = spot_radii(calibration, reading) if calibration.success else {}
     for name, beam in list(calibration.beams.items())[:SHOWN_BEAMS]:
-        sigma = float("inf") if beam.sigma is None else float(beam.sigma[:3].max()) * MM
-        turn = float("inf") if beam.direction_sigma is None else beam.direction_sigma * DEG
+        sigma = float("inf") if beam.sigma is None else float(beam.sigma[:3].max()) * IN_MM
+        turn = float("inf") if beam.direction_sigma is None else beam.direction_sigma * IN_DEG
         digits = decimals(sigma, 4)
         place = [UNDETERMINED] * 4
         if sigma < float("inf"):
-            place = [f"{x * MM:.{digits}f}" for x in beam.location.tolist()] + [f"{sigma:.2g}"]
+            place = [f"{x * IN_MM:.{digits}f}" for x in beam.location.tolist()] + [f"{sigma:.2g}"]
         towards = [UNDETERMINED] * 2
         if turn < float("inf"):
             towards = [", ".join(f"{x:.5f}" for x in beam.direction.tolist()), f"{turn:.2g}"]
-        radius = f"{radii[name] * MM:.2g}" if name in radii else ""
+        radius = f"{radii[name] * IN_MM:.2g}" if name in radii else ""
         cells = "".join(f"<td>{escape(one)}</td>" for one in (name, *place, *towards, radius))
         yield f"<tr>{cells}</tr>"

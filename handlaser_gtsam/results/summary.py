@@ -3,11 +3,12 @@
 import numpy as np
 
 from ..data.recording import Recording
+from ..quantities import IN_MM
 from .beam_rows import beam_rows
 from .calibration_fields import CalibrationData
 from .improvement import WELL_CONDITIONED
 from .limits import worst_of_each
-from .lines import MM, UNDETERMINED, WIDTH, as_many, count, small_mm, some, wrapped
+from .lines import UNDETERMINED, WIDTH, as_many, count, small_mm, some, wrapped
 from .noise_lines import noise_words, range_error_words
 from .systematic import SystematicError
 from .verdict import Verdict
@@ -114,7 +115,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     if found:
         clear = [
             f"{one.code} of {size_in_words(one.size, one.unit)} (p = {one.p_value:.1g}), moving a spot "
-            f"by {_moved(one, reading, unnoticed=False) * MM:.2g} mm"
+            f"by {_moved(one, reading, unnoticed=False) * IN_MM:.2g} mm"
             for one in found
             if not one.explained_by
         ]
@@ -131,7 +132,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     return (
         f"{words}; the worst unnoticed: {worst.code} below "
         f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
-        f"{_moved(worst, reading, unnoticed=True) * MM:.2g} mm"
+        f"{_moved(worst, reading, unnoticed=True) * IN_MM:.2g} mm"
     )
 
 

@@ -25,6 +25,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..observability.wording import Names
+from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import Rows
 from .score_tests import ScoreTests, alike
@@ -292,7 +293,7 @@ def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: st
     """Say which beam is moved most, and which is turned most."""
     location, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(twist, axis=1)
     return (
-        f"the location of beam {beams[int(location.argmax())]} {verb} {location.max() * 1e3:.2g} mm "
+        f"the location of beam {beams[int(location.argmax())]} {verb} {location.max() * IN_MM:.2g} mm "
         f"and the direction of beam {beams[int(turn.argmax())]} {verb} {np.rad2deg(turn.max()):.2g} deg"
     )
 

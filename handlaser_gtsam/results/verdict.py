@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..data.recording import Recording
+from ..quantities import IN_MM
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
@@ -252,4 +253,4 @@ def _clause(words: str) -> str:
 
 
 def _mm(value: float) -> str:
-    return f"{value * 1e3:.2g}" if value < 0.01 else f"{value * 1e3:.0f}"
+    return f"{value * IN_MM:.2g}" if value < 0.01 else f"{value * IN_MM:.0f}"

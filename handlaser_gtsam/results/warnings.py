@@ -17,8 +17,9 @@ from ..model.distributions import chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import Names
+from ..quantities import IN_DEG, IN_MM
 from .dependence import Dependence
-from .lines import DEG, MM, count
+from .lines import count
 from .reports import Fit
 from .significance import SINGLE_LEVEL
 
@@ -83,7 +84,8 @@ def misfit(
         return CalibrationWarning(
             COARSE,
             f"the readings do not fit: they are rounded to {2e3 * half:.3g} mm where they spread by "
-            f"{spread * 1e3:.3g} mm; write more decimals, use a finer sensor, or vary the ranges more",
+            f"{spread * IN_MM:.3g} mm; write more decimals, use a finer sensor, or vary the ranges "
+            "more",
             {"rounding_m": 2.0 * half, "spread_m": spread},
         )
     return poor_fit(readings, fit)
@@ -94,8 +96,8 @@ def poor_fit(readings: Readings, fit: Fit) -> CalibrationWarning:
     spread = readings.spread()
     return CalibrationWarning(
         "no-fit",
-        f"the readings do not fit: rms {fit.rms * 1e3:.3g} mm where they spread by "
-        f"{spread * 1e3:.3g} mm; {CHECKS}",
+        f"the readings do not fit: rms {fit.rms * IN_MM:.3g} mm where they spread by "
+        f"{spread * IN_MM:.3g} mm; {CHECKS}",
         {"rms_m": fit.rms, "spread_m": spread},
     )
 
@@ -231,7 +233,7 @@ def _same_mounts(
 def noise_advice(fit: Fit) -> str:
     """Say what to do where the motion would be enough, but not for residuals of this size."""
     return (
-        f"the motion would be enough if the readings fitted better than {fit.rms * 1e3:.3g} mm rms: "
+        f"the motion would be enough if the readings fitted better than {fit.rms * IN_MM:.3g} mm rms: "
         f"{CHECKS}; otherwise add stations with more varied orientations"
     )
 
@@ -296,7 +298,7 @@ def _large_pose_errors(scales: Sequence[ScaleEstimate]) -> Iterator[CalibrationW
         at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
         if one.scale.name != RANGE and at_least > BAD_ROBOT * expected:
             turns = one.scale.name == ROTATION
-            unit, size = ("deg", DEG) if turns else ("mm", MM)
+            unit, size = ("deg", IN_DEG) if turns else ("mm", IN_MM)
             yield CalibrationWarning(
                 "large-pose-errors",
                 f"the hand's {'rotation' if turns else 'position'} errs by {one.sigma * size:.2g} "

@@ -14,17 +14,16 @@ from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..estimation.learned import LearnedScales
 from ..factors import beam_drift
-from ..keys import BeamKeys, beam_keys
+from ..factors.keys import BeamKeys, beam_keys
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
+from ..quantities import KNOWN
 from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
 from .drift import History
 from .reference import Reference
 from .reports import Change
 
-MOST_SIGMA = 0.1
-"""Beams are determined when all their standard deviations are below this part of their units."""
 SAME_SCALE = 0.02
 """Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
 SAME_SIGMA = 0.005
@@ -143,7 +142,7 @@ class SessionConfig:
     def determines(self, state: BeamState) -> bool:
         """Tell whether the beams are known to a part of their natural units."""
         unit = np.array([self.length] * 3 + [1.0] * 3 + [1.0, 1.0 / self.length])
-        return bool((state.sigmas() < MOST_SIGMA * unit).all())
+        return bool((state.sigmas() < KNOWN * unit).all())
 
     def apart(self, one: Beams, other: Beams) -> float:
         """Return how far two estimates of the beams are apart, in natural units."""

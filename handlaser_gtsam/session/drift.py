@@ -24,10 +24,9 @@ from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
+from ..quantities import KNOWN
 from .reference import MOVES, Reference
 
-MOST_SIGMA = 0.1
-"""What is known worse than to this part of its natural unit, is not tested."""
 FALSE_ALARMS = 2e-5
 """How often a search may find something where nothing has moved."""
 
@@ -170,7 +169,7 @@ class History:
         if not epochs.size:
             return None
         whole = self.totals[-1]
-        if np.linalg.eigvalsh(whole.matrix)[0] < MOST_SIGMA**-2:
+        if np.linalg.eigvalsh(whole.matrix)[0] < KNOWN**-2:
             whole = (
                 whole + self.known
             )  # else what is assumed of a move would count as a sign of one
@@ -194,7 +193,7 @@ class History:
         beams = self.reference.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
-        keep = values > MOST_SIGMA**-2
+        keep = values > KNOWN**-2
         safe = np.where(keep, values, 1.0)
         rank = keep.sum(axis=2)
         statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)

@@ -12,11 +12,12 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..estimation.information import Information
-from ..keys import plane_key, pose_key
+from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.errors_in_variables import weighed
 from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
+from ..quantities import KNOWN
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
@@ -24,8 +25,6 @@ from ..solvers.poses import pose_priors
 from .config import SessionConfig
 from .reference import Reference, plane_information
 
-MOST_SIGMA = 0.1
-"""A plane is determined when all its standard deviations are below this part of their units."""
 PASSES = 2
 """Of weighing a plane: what its readings hold of noise is judged by the plane that the weights make,
 which is not the one through the laser spots."""
@@ -70,7 +69,7 @@ class FittedPlane:
         """Tell whether the readings alone determine the plane, for known beams."""
         unit = np.array([1.0, 1.0, self.readings.typical_range()])
         information = self.normal.plane[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
-        return bool(np.linalg.eigvalsh(information)[0] > MOST_SIGMA**-2)
+        return bool(np.linalg.eigvalsh(information)[0] > KNOWN**-2)
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
         """Return where some of the readings stand in the recording (M, B) that they are of."""

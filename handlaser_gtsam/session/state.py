@@ -10,7 +10,7 @@ import numpy as np
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..factors import RangeBlock
-from ..keys import plane_key, pose_key
+from ..factors.keys import plane_key, pose_key
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import parameters_of
 from ..solvers.incremental import IncrementalGraph, IncrementalOptions

@@ -12,7 +12,7 @@ from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
 from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
-from ..keys import BeamKeys, beam_keys, plane_key, pose_key
+from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening, stations_from_zero
 from .poses import PosePriors

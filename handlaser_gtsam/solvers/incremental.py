@@ -24,7 +24,7 @@ from ..arrays import FloatArray
 from ..checks import require_count, require_number
 from ..data.parameters import Parameters
 from ..factors import RangeBlock, gathered, range_factor
-from ..keys import BeamKeys, plane_key
+from ..factors.keys import BeamKeys, plane_key
 from ..model.joint import beams_lift
 from .beam_state import BeamStart, BeamState, PlaneFactors
 from .graph import parameters_of

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..keys import BeamKeys
+from ..factors.keys import BeamKeys
 
 WITH_THE_OTHERS = 0.05
 """What has moved by more than this part of its threshold is linearised anew once another must be."""

@@ -26,6 +26,7 @@ from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
+from ..quantities import KNOWN
 from ..results.mounts import Mounts
 from ..solvers.normal_equations import normal_equations
 from ..solvers.progress import tell
@@ -35,8 +36,6 @@ from ..starts.growing import PartialStart, grow
 STEPS, SETTLED = 20, 1e-12
 RANK = 1e-12
 """Singular values below this part of the largest are rounding, in natural units."""
-MOST_SIGMA = 0.1
-"""What a recording knows worse than to this part of its natural unit, it does not test."""
 ROUNDS = 3
 LEAST_DOF = 10
 """Degrees of freedom from which a range sigma is estimated from the recording itself."""
@@ -212,13 +211,13 @@ class _Quadratic:
         values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
         free = len(readings) - 3 * readings.planes
         along = axes.T @ reduced.gradient / how.sigma**2
-        scale, keep = 1.0, values > MOST_SIGMA**-2
+        scale, keep = 1.0, values > KNOWN**-2
         # Few readings cannot tell their own sigma: that of the calibration stands for it.
         known = known or free - int(keep.sum()) < LEAST_DOF
         for _ in range(0 if known else ROUNDS):
             rest = cost - float((along[keep] ** 2 / values[keep]).sum())
             scale = rest / (free - int(keep.sum()))
-            keep = values / scale > MOST_SIGMA**-2
+            keep = values / scale > KNOWN**-2
         axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
         bases = model.tangent_basis(mounts.directions)
         lift = beams_lift(bases, mounts.terms)

@@ -1,6 +1,5 @@
 """What is kept of a run of a study, and what many runs say."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from ..arrays import FloatArray
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError
 from ..model.joint import beam_lifts
+from ..quantities import IN_DEG, IN_MM
 from ..results.calibration import Calibration
 
 MOUNT, COORDINATES = 5, 8
@@ -125,8 +125,8 @@ def summarized(rows: pl.DataFrame) -> pl.DataFrame:
         runs=pl.len(),
         converged=100.0 * (pl.col("status") == "converged").mean(),
         refused=100.0 * (pl.col("status") == "refused").mean(),
-        location_mm=1e3 * mean_square.sqrt(),
-        direction_deg=180.0 / math.pi * turn.sqrt(),
+        location_mm=IN_MM * mean_square.sqrt(),
+        direction_deg=IN_DEG * turn.sqrt(),
         nees=pl.col("nees").mean(),
         standard_error=pl.col("nees").std() / pl.col("nees").count().sqrt(),
         nees_with_k=pl.col("nees_with_k").mean(),

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.geometry import normalized
+from ...quantities import IN_DEG, IN_MM
 from ...results.mounts import Mounts
 from .frames import Axis, quaternion, rotation_vector, smallest_rotation, yaw_pitch_roll
 from .names import comment_text, identifiers
-
-MM, DEG = 1e3, 180.0 / math.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +87,8 @@ def _words(mounts: Mounts, index: int) -> str:
     sigma = mounts.sigma[index]
     at = slice(8 * index + 3, 8 * index + 6)
     turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[at, at])[-1]), 0.0))
-    x, y, z = (f"{value * MM:.3g}" for value in sigma[:3])
-    words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * DEG:.3g} deg"]
+    x, y, z = (f"{value * IN_MM:.3g}" for value in sigma[:3])
+    words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * IN_DEG:.3g} deg"]
     k1, k2 = mounts.range_errors[index]
     words += [f"k1 {k1:.6g} +- {sigma[6]:.2g}"] if mounts.terms[index] else []
     words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[index] > 1 else []

@@ -8,6 +8,7 @@ from ...checks import require_count, require_kind, require_names, require_number
 from ...data.recording import LARGEST
 from ...data.station_list import StationList
 from ...errors import InputError, NotConvergedError
+from ...quantities import IN_MM
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
 from ...text import A_NAME, name_fault, shown
@@ -16,7 +17,7 @@ from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
 from ..logs.conventions import FORMATS as POSE_FORMATS
 from ..writing import path_of, write_bytes
-from .beams import MM, exported_beams
+from .beams import exported_beams
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS
 from .frames import Axis
 from .into_urdf import put_into
@@ -183,10 +184,12 @@ def _text(mounts: Mounts, to: str, options: ExportOptions) -> str:
         found = f"tool {tool} as the first of {len(beams)}"
         raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     where = (
-        f"where it reads {number(reading * MM)} mm" if reading else "where the true range is zero"
+        f"where it reads {number(reading * IN_MM)} mm"
+        if reading
+        else "where the true range is zero"
     )
     values = {"parent": options.link, "axis": axis, "where": where, "tool": tool}
-    values["reading"] = number(reading * MM) if reading else ""
+    values["reading"] = number(reading * IN_MM) if reading else ""
     text = rendered(to, beams=beams, **values)
     if options.into is None:
         return text

@@ -6,13 +6,13 @@ known it moves in the joints, as the ways of a plan are checked; else along line
 not those of a URDF (J3 counts from the horizon), so that its program always has lines.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...data.station_list import StationList
 from ...planning.route import VIA
+from ...quantities import IN_DEG
 from ..logs.conventions import FORMATS, spelled_columns
 from ..logs.poses import numbers_of
 from .names import comment_text
@@ -56,7 +56,7 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     if to not in IN_JOINTS or joints is None or joints.shape[1] != JOINTS:
         joints = np.empty((len(x), 0))
     names = zip(stations.station_names, stations.plane_labels, strict=True)
-    write, unit = (number, 1.0) if to == "urscript" else (fixed, 180.0 / math.pi)
+    write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)
     stops = [
         Stop(
             f"station {comment_text(name)[:LONGEST_NAME]}, plane {comment_text(plane)}",

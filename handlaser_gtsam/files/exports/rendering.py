@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from ..._version import __version__
-from .beams import DEG, MM
+from ...quantities import IN_DEG, IN_MM
 from .names import literal
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ def _environment() -> "Environment":
     found.filters |= {
         "number": number,
         "numbers": lambda values, between: between.join(map(number, values)),
-        "mm": lambda values: [fixed(value * MM) for value in values],
-        "deg": lambda values: [fixed(value * DEG) for value in values],
+        "mm": lambda values: [fixed(value * IN_MM) for value in values],
+        "deg": lambda values: [fixed(value * IN_DEG) for value in values],
         "unit": lambda values: [fixed(value, 12) for value in values],
         "literal": literal,
         "shell": shlex.quote,

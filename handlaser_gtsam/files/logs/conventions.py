@@ -10,18 +10,18 @@ KUKA's A B C and FANUC's W P R are the same matrix with the numbers reversed. So
 the controllers, as collected in the table of the how-to page (docs/logs.md).
 """
 
-import math
 import re
 from dataclasses import dataclass
 
 from ...checks import require_word
 from ...errors import InputError
+from ...quantities import DEG, MM
 from ...text import shown
 
 QUATERNIONS, MATRICES = ("xyzw", "wxyz"), ("matrix", "matrix-columns")
-LENGTHS = {"m": 1.0, "mm": 1e-3}
+LENGTHS = {"m": 1.0, "mm": MM}
 """Units of length [m]."""
-ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
+ANGLES = {"rad": 1.0, "deg": DEG}
 """Units of angle [rad]."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""

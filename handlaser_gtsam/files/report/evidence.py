@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...quantities import IN_MM
 from ...results.improvement import WELL_CONDITIONED
-from ...results.lines import MM, count
+from ...results.lines import count
 from ...results.noise_lines import noise_words, range_error_words
 from ...results.significance import DOUBTFUL_LEVEL, chance
 from ...results.systematic import SystematicError
@@ -40,10 +41,10 @@ def fit_facts(subject: Subject) -> Facts:
     fit = subject.calibration.fit
     station, beam = fit.max_residual_at
     facts = [
-        ("rms residual", f"{concise(fit.rms * MM)} mm"),
+        ("rms residual", f"{concise(fit.rms * IN_MM)} mm"),
         (
             "largest residual",
-            f"{concise(fit.max_residual * MM)} mm, station {station}, beam {beam}",
+            f"{concise(fit.max_residual * IN_MM)} mm, station {station}, beam {beam}",
         ),
     ]
     if subject.solved:
@@ -186,7 +187,7 @@ def _systematic(one: SystematicError, reading: float) -> tuple[Cell, ...]:
     shift = one.spots(reading, unnoticed=not one.found)
     most = float(np.nan_to_num(shift).max()) if shift.size else math.nan
     below = Cell(size_in_words(size, one.unit), size) if math.isfinite(size) else Cell(NONE)
-    return name, state, significant(one.p_value, 2), below, significant(most * MM, 2)
+    return name, state, significant(one.p_value, 2), below, significant(most * IN_MM, 2)
 
 
 def systematic_facts(subject: Subject) -> Facts:
@@ -238,7 +239,7 @@ def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple
         state = Cell(f"contradict it ({chance(held.p_value)})", 3.0, "bad")
     elif held.p_value < DOUBTFUL_LEVEL:
         state = Cell(f"hardly agree ({chance(held.p_value)})", 2.0, "care")
-    numbers = (significant(held.rms * MM), significant(held.max_residual * MM))
+    numbers = (significant(held.rms * IN_MM), significant(held.max_residual * IN_MM))
     return (
         name_cell(plane),
         Cell(str(held.readings), held.readings),
@@ -259,6 +260,6 @@ def splits_words(subject: Subject) -> str:
     largest = max(one.max_residual for one in splits)
     return (
         f"30 % of the stations predicted from the other 70 %, {count(len(splits), 'time')}: rms "
-        f"{concise(rms * MM)} mm, largest {concise(largest * MM)} mm, which is {concise(unit)} of the "
-        "predicted standard deviations (expected 1)."
+        f"{concise(rms * IN_MM)} mm, largest {concise(largest * IN_MM)} mm, which is {concise(unit)} "
+        "of the predicted standard deviations (expected 1)."
     )

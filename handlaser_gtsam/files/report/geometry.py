@@ -7,7 +7,7 @@ import numpy as np
 from ... import model
 from ...arrays import FloatArray, IntArray
 from ...data.parameters import Beams as BeamArrays
-from ...results.lines import MM
+from ...quantities import IN_MM
 from .figure import short
 from .subject import ReadingRows, Subject
 
@@ -75,14 +75,14 @@ def in_world(subject: Subject) -> Geometry | None:
     recording, rows = subject.calibration.recording, subject.rows
     if recording is None or rows is None:
         return None
-    R, t = recording.world_R_hand, recording.world_t_hand * MM
+    R, t = recording.world_R_hand, recording.world_t_hand * IN_MM
     shown = _every(len(t), MOST_HANDS)
     beams: tuple[Beams, ...] = ()
     planes: tuple[tuple[str, FloatArray], ...] = ()
     everything = t
     if subject.solved:
         beams, planes = _beams(subject, rows), _planes(subject, rows)
-        everything = np.concatenate((t, rows.spot * MM))
+        everything = np.concatenate((t, rows.spot * IN_MM))
     length = AXES * max(float(np.ptp(everything, axis=0).max()), 1.0)
     ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
     names = tuple(
@@ -110,7 +110,7 @@ def of_hand(names: tuple[str, ...], beams: BeamArrays, reach: FloatArray) -> Geo
     found = []
     for name, r, v, k, most in zip(names, *beams, reach, strict=True):
         g = float(model.corrected(most[None], k[None])[0])
-        ends = np.stack((r, r + g * v)) * MM
+        ends = np.stack((r, r + g * v)) * IN_MM
         found.append(Beams(name, ends[None], (f"beam {short(name)}",)))
     extent = np.concatenate([one.segments.reshape(-1, 3) for one in found] + [np.zeros((1, 3))])
     length = 4.0 * AXES * max(float(np.ptp(extent, axis=0).max()), 1.0)
@@ -131,10 +131,10 @@ def _beams(subject: Subject, rows: ReadingRows) -> tuple[Beams, ...]:
         start = R @ beam.location + recording.world_t_hand[rows.station[own]]
         words = tuple(
             f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
-            f"plane {short(recording.plane_labels[j])}, reading {d * MM:.3f} mm"
+            f"plane {short(recording.plane_labels[j])}, reading {d * IN_MM:.3f} mm"
             for j, d in zip(rows.station[own].tolist(), rows.reading[own].tolist(), strict=True)
         )
-        found.append(Beams(beam.name, np.stack((start, rows.spot[own]), axis=1) * MM, words))
+        found.append(Beams(beam.name, np.stack((start, rows.spot[own]), axis=1) * IN_MM, words))
     return tuple(found)
 
 
@@ -158,7 +158,7 @@ def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray]
         flat = (on - middle) @ basis.T
         low, high = MARGIN * flat.min(axis=0), MARGIN * flat.max(axis=0)
         corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-        found.append((plane.name, (middle + np.array(corners) @ basis) * MM))
+        found.append((plane.name, (middle + np.array(corners) @ basis) * IN_MM))
     return tuple(found)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..._version import __version__
-from ...results.lines import MM, count
+from ...quantities import IN_MM
+from ...results.lines import count
 from ...results.verdict import OPENING
 from ...text import printable, some
 from .options import changed_on, sha256
@@ -127,7 +128,7 @@ def _sensor(subject: Subject) -> str:
     sensor = subject.options.rig.sensor
     parts = [] if sensor.kind is None else [sensor.kind]
     if sensor.range_stated:
-        parts.append(f"reads {sensor.range_min * MM:.6g} to {sensor.range_max * MM:.6g} mm")
+        parts.append(f"reads {sensor.range_min * IN_MM:.6g} to {sensor.range_max * IN_MM:.6g} mm")
     if sensor.max_incidence < np.pi / 2.0:
         parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
     parts.append(f"expected linear to {100.0 * sensor.linearity:.3g} % of a reading")
@@ -175,7 +176,7 @@ def plan_table(subject: Subject) -> Table | None:
     rows = tuple(
         (
             text(stations.plane_labels[j]),
-            *(number(x * MM, 1) for x in stations.world_t_hand[j].tolist()),
+            *(number(x * IN_MM, 1) for x in stations.world_t_hand[j].tolist()),
             *(number(x, 4) for x in quaternions[j].tolist()),
         )
         for j in range(len(stations.plane_labels))
@@ -204,7 +205,7 @@ def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
             "range sigma",
             "estimated"
             if given.range_sigma is None
-            else f"{concise(given.range_sigma * MM)} mm, given",
+            else f"{concise(given.range_sigma * IN_MM)} mm, given",
         ),
         ("model", _model(subject)),
         ("start", f"{start.method}; {count(len(start.tried), 'start')} tried"),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...results.lines import DEG, MM
+from ...quantities import IN_DEG, IN_MM
 from ..json_text import Record
 from .figure import COLOURS, Figure, axis, layout, numbers
 from .subject import Subject
@@ -21,13 +21,13 @@ def stations_figure(subject: Subject) -> Figure | None:
     past, plan = subject.history, subject.plan
     if past is None or not np.isfinite(past.known.spot).any():
         return None
-    spot = f"95 % spot at {subject.reading * MM:.3g} mm, mm"
+    spot = f"95 % spot at {subject.reading * IN_MM:.3g} mm, mm"
     traces: list[Record] = []
     for index, (name, quantity, unit) in enumerate(
         (
-            (spot, "spot", MM),
-            ("location, mm", "location_sigma", MM),
-            ("direction, deg (right)", "direction_sigma", DEG),
+            (spot, "spot", IN_MM),
+            ("location, mm", "location_sigma", IN_MM),
+            ("direction, deg (right)", "direction_sigma", IN_DEG),
         )
     ):
         curve = _curve(

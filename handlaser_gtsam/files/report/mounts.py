@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...arrays import FloatArray
+from ...quantities import IN_DEG, IN_MM
 from ...results.calibration_fields import LABELS
-from ...results.lines import DEG, MM
 from ...results.measuring import spot
 from ...results.reports import Beam
 from ...results.spot_error import spot_radii
@@ -31,7 +31,7 @@ from .tables import (
 MOST_BEAMS, MOST_PLANES = 50, 200
 """Beams and planes that are listed; the JSON has all."""
 UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
-SCALES = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0, 1.0)
+SCALES = (IN_MM, IN_MM, IN_MM, 1.0, 1.0, 1.0, 1.0, 1.0)
 MOST_DIGITS = (5, 5, 5, 7, 7, 7, 7, 5)
 PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
 """Coordinates that are shown with equally many decimals."""
@@ -85,7 +85,7 @@ def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
                 text(beam.name),
                 words,
                 Cell(NONE),
-                significant(turn * DEG, 2),
+                significant(turn * IN_DEG, 2),
                 *blank,
                 text("deg"),
             )
@@ -101,13 +101,13 @@ def spots_table(subject: Subject) -> Table | None:
     for name in list(radii)[:MOST_BEAMS]:
         found = spot(calibration, name, reading)
         numbers = (radii[name], found.along, found.across, found.reading_sigma)
-        cells = [significant(x * MM, 2) for x in numbers]
-        rows.append((name_cell(name), *cells, significant(found.direction_sigma * DEG, 2)))
+        cells = [significant(x * IN_MM, 2) for x in numbers]
+        rows.append((name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)))
     return Table(
         "spots",
-        f"At a reading of {concise(reading * MM, 4)} mm, the working distance: the radius that holds "
-        "the spot with 95 % from the calibration alone, and its standard deviations. One reading adds "
-        "its own noise along the beam.",
+        f"At a reading of {concise(reading * IN_MM, 4)} mm, the working distance: the radius that "
+        "holds the spot with 95 % from the calibration alone, and its standard deviations. One reading "
+        "adds its own noise along the beam.",
         (
             Column("beam", number=False),
             Column("95 % spot mm"),
@@ -136,9 +136,9 @@ def planes_table(subject: Subject) -> Table | None:
             determined(x, s, digits)
             for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
         ]
-        offset = determined(plane.offset * MM, shift, digits_of([shift * MM], 4))
-        row = (*n, significant(turn * DEG, 2), offset)
-        rows.append((name_cell(plane.name), *row, significant(shift * MM, 2)))
+        offset = determined(plane.offset * IN_MM, shift, digits_of([shift * IN_MM], 4))
+        row = (*n, significant(turn * IN_DEG, 2), offset)
+        rows.append((name_cell(plane.name), *row, significant(shift * IN_MM, 2)))
     return Table(
         "planes",
         "n · x + b = 0 in the world frame; n points away from the sensor.",
@@ -167,7 +167,7 @@ def limits_table(subject: Subject) -> Table | None:
         return None
     rows = []
     for one in checks[: 3 * MOST_BEAMS]:
-        scale, unit = (DEG, "deg") if one.quantity == "direction_sigma" else (MM, "mm")
+        scale, unit = (IN_DEG, "deg") if one.quantity == "direction_sigma" else (IN_MM, "mm")
         words = one.quantity.replace("_", " ").replace("sigma", "std dev")
         state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
         value, limit = significant(one.value * scale), significant(one.limit * scale)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...model.distributions import beta_quantile, gaussian_quantile
-from ...results.lines import DEG, MM
+from ...quantities import IN_DEG, IN_MM
 from ..json_text import Record
 from .figure import (
     COLOURS,
@@ -81,7 +81,7 @@ def _points(subject: Subject, rows: ReadingRows, shown: IntArray, x: FloatArray)
                 "mode": "markers",
                 "name": f"beam {label(name)}",
                 "x": numbers(x[own]),
-                "y": numbers(rows.residual[own] * MM),
+                "y": numbers(rows.residual[own] * IN_MM),
                 "text": words,
                 "marker": {
                     "color": colour(index, len(names)),
@@ -102,7 +102,7 @@ def _legend(subject: Subject) -> Record:
 
 def _band(subject: Subject) -> list[Record]:
     """Return the band of one standard deviation of a reading."""
-    sigma = subject.calibration.fit.range_sigma * MM
+    sigma = subject.calibration.fit.range_sigma * IN_MM
     if not (subject.solved and math.isfinite(sigma)):
         return []
     shape: Record = {
@@ -128,7 +128,7 @@ def _against_range(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figu
     drawn = layout(
         "reading, mm", "residual, mm", more={"shapes": _band(subject)} | _legend(subject)
     )
-    return Figure("by-range", caption, _points(subject, rows, shown, rows.reading * MM), drawn)
+    return Figure("by-range", caption, _points(subject, rows, shown, rows.reading * IN_MM), drawn)
 
 
 def _against_incidence(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figure:
@@ -139,7 +139,7 @@ def _against_incidence(subject: Subject, rows: ReadingRows, shown: IntArray) -> 
     drawn = layout(
         "incidence, deg", "residual, mm", more={"shapes": _band(subject)} | _legend(subject)
     )
-    points = _points(subject, rows, shown, rows.incidence * DEG)
+    points = _points(subject, rows, shown, rows.incidence * IN_DEG)
     return Figure("by-incidence", caption, points, drawn)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...arrays import IntArray
-from ...results.lines import MM
+from ...quantities import IN_MM
 from .subject import ReadingRows, Subject
 from .tables import NONE, Cell, Column, Table, digits_of, more, name_cell, number, significant, text
 
@@ -25,7 +25,7 @@ def stations_table(subject: Subject) -> Table | None:
         np.maximum.at(largest, rows.station, np.nan_to_num(np.abs(rows.residual)))
         shown = np.sort(np.argsort(-largest, kind="stable")[:MOST_STATIONS])
         note = f"The {MOST_STATIONS} stations of {count} with the largest residuals."
-    digits = digits_of([subject.calibration.fit.rms * MM], 6) + 1
+    digits = digits_of([subject.calibration.fit.rms * IN_MM], 6) + 1
     order = np.argsort(rows.station, kind="stable")
     first = np.searchsorted(rows.station[order], np.arange(every + 1))
     return Table(
@@ -61,7 +61,7 @@ def _station(
         return ()
     used = own[rows.used[own]]
     e, z = rows.residual[used], rows.standardized[used]
-    place = [number(x * MM, 1) for x in recording.world_t_hand[j].tolist()]
+    place = [number(x * IN_MM, 1) for x in recording.world_t_hand[j].tolist()]
     told = f"{len(used)} of {len(own)}" if len(used) < len(own) else str(len(used))
     head = (name_cell(recording.station_names[j]), name_cell(recording.plane_labels[j]), *place)
     counted = Cell(told, float(len(used)), "care" if len(used) < len(own) else "")
@@ -74,8 +74,8 @@ def _station(
     return (
         *head,
         counted,
-        number(float(np.sqrt(np.mean(e**2))) * MM, digits),
-        number(float(e[worst]) * MM, digits),
+        number(float(np.sqrt(np.mean(e**2))) * IN_MM, digits),
+        number(float(e[worst]) * IN_MM, digits),
         name_cell(recording.beam_names[rows.beam[used[worst]]]),
         number(far, 1, "care" if far > FAR else ""),
         number(steepest, 1),
@@ -92,7 +92,7 @@ def rejected_table(subject: Subject) -> Table | None:
             name_cell(one.station),
             name_cell(one.beam),
             text(one.reason),
-            significant(None if one.residual is None else one.residual * MM),
+            significant(None if one.residual is None else one.residual * IN_MM),
         )
         for one in rejected[:MOST_REJECTED]
     )

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ...results.lines import DEG, MM
+from ...quantities import IN_DEG, IN_MM
 from ...results.reports import Beam
 from ...results.spot_error import spot_radii
 from ..json_text import Record
@@ -74,7 +74,7 @@ def _counts(subject: Subject) -> list[tuple[str, str]]:
     found.append(("readings", str(read)))
     found.append(("rejected", str(len(fit.rejected))))
     if subject.solved and math.isfinite(fit.rms):
-        found.append(("rms residual", significant(fit.rms * MM).text + " mm"))
+        found.append(("rms residual", significant(fit.rms * IN_MM).text + " mm"))
     return found
 
 
@@ -82,7 +82,7 @@ def beams_table(subject: Subject) -> Table:
     """Return one row a beam: where it sits and points, and how well that is known."""
     beams = list(subject.calibration.beams.values())
     radii = spot_radii(subject.calibration, subject.reading) if subject.solved else {}
-    at = f" at a reading of {significant(subject.reading * MM, 4).text} mm" if radii else ""
+    at = f" at a reading of {significant(subject.reading * IN_MM, 4).text} mm" if radii else ""
     rows = tuple(_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
     notes = []
     if any(cell.mark == "care" for row in rows for cell in row):
@@ -108,21 +108,21 @@ def beams_table(subject: Subject) -> Table:
 def _row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    where = digits_of((sigma[:3] * MM).tolist(), 5)
+    where = digits_of((sigma[:3] * IN_MM).tolist(), 5)
     whither = digits_of(sigma[3:6].tolist(), 7)
     cells = [
         determined(value * scale, known, digits, NONE)
         for value, known, scale, digits in zip(
             beam.coordinates[:6].tolist(),
             sigma[:6].tolist(),
-            [MM] * 3 + [1.0] * 3,
+            [IN_MM] * 3 + [1.0] * 3,
             [where] * 3 + [whither] * 3,
             strict=True,
         )
     ]
-    location = significant(float(sigma[:3].max()) * MM, 2)
-    spot = significant(None if radius is None else radius * MM, 2)
-    direction = significant(turn * DEG, 2)
+    location = significant(float(sigma[:3].max()) * IN_MM, 2)
+    spot = significant(None if radius is None else radius * IN_MM, 2)
+    direction = significant(turn * IN_DEG, 2)
     return name_cell(beam.name), *cells[:3], location, *cells[3:], direction, spot
 
 

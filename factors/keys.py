@@ -9,7 +9,7 @@ from numbers import Integral
 
 import gtsam
 
-from .errors import InputError
+from handlaser_gtsam.errors import InputError
 
 EXAMPLE = "gtsam.symbol('l', 0), ..."
 
