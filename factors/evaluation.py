@@ -8,7 +8,9 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.model.weighting import Whitening
 
 LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, 5), slice(5, 7)
+"""Columns of the variables of a beam in its row."""
 NORMAL, OFFSET, PLANE, POSE = slice(7, 9), 9, slice(7, 10), slice(10, 16)
+"""Columns of the plane and of the hand pose."""
 BEAM = 7
 """Columns of one beam."""
 

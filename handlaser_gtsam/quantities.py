@@ -11,3 +11,5 @@ IN_MM, IN_DEG = 1e3, 180.0 / math.pi
 """A metre in millimetres, and a radian in degrees."""
 KNOWN = 0.1
 """What is known worse than to this part of its natural unit, the range or 1, is not determined."""
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation of a Gaussian over the median of its absolute values."""

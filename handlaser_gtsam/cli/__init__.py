@@ -7,6 +7,7 @@ import sys
 from .stopping import INTERRUPTED, WORDS, Stopping
 
 BAD_INPUT, UNDETERMINED = 2, 3
+"""Exit codes: of bad input, and of a recording that does not determine what was asked."""
 THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"
 """Environment variables of the linear algebra under NumPy, which reads them when it is imported."""
 

@@ -15,6 +15,7 @@ WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
 """Takes away what stands in the line of a terminal."""
 INTERRUPTED = 130
+"""Exit code of a shell for what SIGINT ended: 128 and the number of the signal."""
 IMPORTING = "<frozen importlib._bootstrap>"
 
 

@@ -22,9 +22,8 @@ from ..results.verdict import Verdict
 from ..validation.cross_check import CrossCheck
 from .width import ENDLESS, columns, text_width
 
-SHOWN_PLANES = 12
-SHOWN_REJECTED = 10
-SHOWN_CORRELATIONS = 5
+SHOWN_PLANES, SHOWN_REJECTED, SHOWN_CORRELATIONS = 12, 10, 5
+"""Rows of each list on the screen; --json has all."""
 ROWS = (
     ("location x", ".4f", "mm"),
     ("location y", ".4f", "mm"),

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import CalibrationWarning
+from ..quantities import MEDIAN_TO_SIGMA
 from .recording import Recording, typical_range
 
 SAME_POSE = 1e-6
@@ -37,8 +38,8 @@ MOST_NOISE = 0.01
 the hand has moved on, and its pose was logged again."""
 SCATTERING = 0.8
 """Samples that scatter by this part of the given sigma or more are taken to be independent."""
-MEDIAN_TO_SIGMA = 1.4826
 ROUNDS = 20
+"""Passes over all coordinates at most: it ends when one splits nothing."""
 
 
 def merged_stations(

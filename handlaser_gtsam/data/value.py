@@ -18,6 +18,7 @@ import numpy as np
 SHOWN = 8
 """Arrays and tuples with more entries are represented by their size."""
 SHOWN_NAMES = 4
+"""Keys of a mapping that its repr lists."""
 SHOWN_TEXT = 60
 """Longer texts are cut."""
 

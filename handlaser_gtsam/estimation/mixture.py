@@ -43,6 +43,7 @@ LARGE = 400
 LARGEST_CHUNK = 4_000_000
 """Numbers of the largest intermediate array."""
 BISECTIONS = 45
+"""Halvings of an interval: what is left of it, 3e-14, is rounding."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ SHARED, SHARED_STEP = 16.0, 0.1
 WIDTH = 9.0
 """A grid that is refined keeps what is within this of the top, in the logarithm."""
 POINTS = 8
+"""Of a refined grid, along each scale."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

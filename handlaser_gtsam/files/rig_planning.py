@@ -31,9 +31,7 @@ from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from ..quantities import DEG, MM
 from .checked_text import FileRecord, in_table
-
-UNIT = 1e-3
-"""What the length of a quaternion may differ from 1 by, as in a recording."""
+from .recording_csv import QUATERNION_TOLERANCE
 
 
 class WorkspaceTable(FileRecord):
@@ -163,7 +161,7 @@ class PlacementTable(FileRecord):
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:
     q = np.array(quaternion)
-    if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= UNIT:
+    if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= QUATERNION_TOLERANCE:
         raise InputError(f"{name} {quaternion}", "qx, qy, qz, qw of length 1")
     return Rotation.from_quat(q).as_matrix()
 

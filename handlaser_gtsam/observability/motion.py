@@ -27,7 +27,8 @@ LEAST_TURN = np.radians(1.0)
 """Turns that spread less than this about an axis [rad] do not count."""
 LEAST_SPREAD = 1e-2
 """Translations span a direction in which they spread by at least this part of the widest."""
-DRAWS = 6
+DRAWS = 120
+"""Random beams and planes that are tried at most: it ends at the first that leave nothing open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,7 @@ def _open_in_general(readings: Readings, names: Names) -> tuple[OpenPart, ...]:
     rng = np.random.default_rng(0)
     best: tuple[OpenPart, ...] | None = None
     least = np.inf
-    for _ in range(20 * DRAWS):
+    for _ in range(DRAWS):
         at = _general_position(readings, rng)
         try:
             found = observability(at, readings, 0, 0.0)

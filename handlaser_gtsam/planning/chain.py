@@ -25,6 +25,7 @@ JUDGED, STUCK = 15, 0.05
 MET = 1e-9
 """A pose is met to this [m], [rad]."""
 LEAST_DAMPING = 1e-12
+"""Keeps the equations solvable where the arm is singular at its pose [m^2], [rad^2]."""
 LARGEST_CHANGE = 0.5
 """Of any joint in one step [rad], [m]."""
 

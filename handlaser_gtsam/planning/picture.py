@@ -16,7 +16,9 @@ STYLE = (
     ".curve{stroke:#0b6;stroke-width:2;fill:none}.goal{stroke:#c33;stroke-dasharray:5 4}"
 )
 NICE = (1.0, 2.0, 5.0)
+"""Ticks are these times a power of ten."""
 MOST_TICKS = 6
+"""Labels that fit beside one another."""
 
 
 def forecast_svg(forecast: Forecast, goal: Goal) -> str:

@@ -24,6 +24,7 @@ from .workspace import Workspace, picked, reachable, workspace_of
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
 MOST_STATIONS = 1000
+"""Nobody drives to more of them: a larger number is a slip."""
 DRAWS = 4
 """Draws of the belief over which the gain is averaged beside its mean."""
 

@@ -17,6 +17,7 @@ from ..validation.simulate import plane_name
 STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""
 MOST_PLANES = 100
+"""Nobody puts up a plate more often: a larger number is a slip."""
 TILTS = (0.5, 1.0)
 """Of the largest tilt: how far a plate is turned in the orientations that are compared."""
 SIDES = 8

@@ -28,6 +28,7 @@ STEP = np.deg2rad(1.0)
 SAME = 1e-4
 """Joints that differ by less are one solution [rad], [m]."""
 LARGEST_CLEARANCE = 0.5
+"""No arm keeps farther from itself [m]: a larger number is in another unit."""
 ARMS = 4
 """Arms that are kept loaded."""
 

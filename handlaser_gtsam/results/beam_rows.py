@@ -11,6 +11,7 @@ from .lines import WIDTH, decimals, with_sigma
 from .reports import Beam
 
 SHOWN_BEAMS = 8
+"""Beams that are shown in full: two lines each on half a screen."""
 FEW = 4
 """Up to so many beams, every number has its own standard deviation."""
 THREE_WIDE = 76

@@ -45,6 +45,7 @@ SPLITS = 9
 MOST_PAIRS = 3
 """So many pairs of planes, of which one has too few readings by itself, are tried for other labels."""
 MOST_SWAPS = 40
+"""Pairs of beams, times planes, that are tried: more would take longer than the calibration."""
 GROUPS = 4
 """Planes are left out in so many groups to find the one before which beams look swapped."""
 Numbers = Literal["vector", "xyz", "XYZ", "ZYX"]

@@ -10,6 +10,7 @@ from .lines import small_mm, some
 from .reports import NoiseComponent
 
 SHOWN = 4
+"""Names of beams that a line lists."""
 PRIOR = "the prior decides"
 """Of a sigma of which the recording says little."""
 KINDS = {

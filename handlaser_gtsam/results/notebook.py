@@ -11,6 +11,7 @@ from .summary import sizes
 from .verdict import verdict
 
 SHOWN_BEAMS = 20
+"""Beams whose rows a notebook shows; the others are counted."""
 TITLES = (
     "beam",
     "x mm",

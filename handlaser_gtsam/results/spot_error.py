@@ -46,6 +46,7 @@ from .calibration_fields import CalibrationData
 from .reports import Beam
 
 LEVEL = 0.95
+"""Probability with which a laser spot is within its radius."""
 STEP = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""
 RANK = 1e-12

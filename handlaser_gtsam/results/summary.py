@@ -14,8 +14,8 @@ from .systematic import SystematicError
 from .verdict import Verdict
 from .wording import size_in_words
 
-LINES = 30
-SHOWN_REJECTED = 3
+LINES, SHOWN_REJECTED = 30, 3
+"""Lines of the whole answer, which then stands on one screen, and readings that one of them lists."""
 SHOWN_ERRORS = 4
 """Kinds of systematic errors that are named in one list."""
 

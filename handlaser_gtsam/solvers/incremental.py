@@ -31,6 +31,7 @@ from .graph import parameters_of
 from .isam import WITH_THE_OTHERS, isam_parameters, letter, thresholds
 
 BEAMS_LAST = 1
+"""Group of the beams in iSAM2's ordering; all others are in group 0 and are eliminated first."""
 ROUNDS = 15
 """Of relinearisation after a change: more mean that too little is determined."""
 WEAK = 0.01

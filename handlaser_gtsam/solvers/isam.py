@@ -9,6 +9,7 @@ from ..factors.keys import BeamKeys
 WITH_THE_OTHERS = 0.05
 """What has moved by more than this part of its threshold is linearised anew once another must be."""
 NEVER = 1_000_000_000
+"""Updates between relinearisations of iSAM2's own: the session says when to linearise."""
 
 
 def thresholds(

@@ -14,6 +14,7 @@ from ..quantities import IN_DEG, IN_MM
 from ..results.calibration import Calibration
 
 MOUNT, COORDINATES = 5, 8
+"""Freedoms of a mount, and coordinates of a beam in its covariance."""
 WITHIN = 1.959964
 """Standard deviations to either side that hold 95 % of a Gaussian."""
 KINDS: dict[str, type[pl.DataType]] = {

@@ -17,9 +17,9 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...data.stations import HELD, worth_of_mean
+from ...quantities import MEDIAN_TO_SIGMA
 from .format import Average
 
-MEDIAN_TO_SIGMA = 1.4826
 LEAST = 3
 """So many readings have a median that is not their mean."""
 

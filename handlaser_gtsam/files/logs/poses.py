@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
+from ..recording_csv import QUATERNION_TOLERANCE
 from .conventions import ANGLES, FORMATS, LENGTHS, QUATERNIONS, Convention, called
 
-QUATERNION_TOLERANCE = 1e-3
-"""A quaternion's length may be off by as much: controllers write six digits or fewer."""
 MATRIX_TOLERANCE = 1e-3
 """And so may every entry of R'R; the nearest rotation is taken."""
 FARTHEST = 30.0
@@ -22,6 +21,7 @@ NEAREST = 5.0
 """Positions that all stay within so many millimetres of the origin are metres."""
 UNIT_WORDS = {"m": "metres", "mm": "millimetres"}
 TURN = 2.0 * math.pi * (1.0 + 1e-9)
+"""A turn [rad], and what rounding adds to it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ FRAMES = (
     "frame, in which they are given. Lengths in mm, angles in deg, k1 without unit, k2 in 1/m."
 )
 SHOWN_NAMES = 12
+"""Names of beams, planes and columns that a row of the head lists."""
 LIBRARIES = ("gtsam", "numpy", "scipy")
 
 

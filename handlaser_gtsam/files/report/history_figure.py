@@ -5,13 +5,14 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
+from ...planning.picture import NICE
 from ...quantities import IN_DEG, IN_MM
 from ..json_text import Record
 from .figure import COLOURS, Figure, axis, layout, numbers
 from .subject import Subject
 
-NICE = (1.0, 2.0, 5.0)
 MOST_TICKS = 7
+"""Labels that fit above one another."""
 ROOM = 0.06
 """Above and below a logarithmic curve, in decades."""
 

@@ -32,7 +32,9 @@ MOST_BEAMS, MOST_PLANES = 50, 200
 """Beams and planes that are listed; the JSON has all."""
 UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
 SCALES = (IN_MM, IN_MM, IN_MM, 1.0, 1.0, 1.0, 1.0, 1.0)
+"""From SI units to these, for x, y, z, vx, vy, vz, k1 and k2."""
 MOST_DIGITS = (5, 5, 5, 7, 7, 7, 7, 5)
+"""Decimals of each at most: what is smaller no sensor shows."""
 PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
 """Coordinates that are shown with equally many decimals."""
 

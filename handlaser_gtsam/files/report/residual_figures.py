@@ -28,6 +28,7 @@ from .subject import ReadingRows, Subject
 MOST_POINTS = 1000
 """Points of a figure; of more, every so many-th and the largest."""
 MOST_TICKS, MOST_BANDS = 16, 60
+"""Names of planes that fit below a figure, and bands that an eye tells apart behind it."""
 ROOM = 48
 """Letters of all planes below a figure on a phone."""
 SPREAD = 0.7

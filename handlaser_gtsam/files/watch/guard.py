@@ -14,8 +14,8 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
-FORBIDDEN = 403
-HTTP_PORT = 80
+FORBIDDEN, HTTP_PORT = 403, 80
+"""A status of HTTP, and the port that browsers leave out of addresses."""
 HEADERS = {
     "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",

@@ -21,6 +21,7 @@ from .page import live_page
 from .patience import PatientProtocol
 
 PORT = 8642
+"""Of the page where none is stated: one that no common server takes."""
 TRIED = 20
 """Ports that are tried, from `PORT` on, where none is asked for."""
 BUFFER = 1 << 18
