@@ -48,6 +48,8 @@ CHAINS_IN_LENGTH = 4
 unknowns leave nothing that could be told."""
 DRAWS, LEAST_DRAWS, NUMBERS = 300, 20, 1_000_000
 """Draws of the noise; fewer where there are so many readings that all numbers would be more."""
+MOST_STEPS = 1000
+"""Of the search for sizes: a dozen parts take some twenty."""
 SEED = 20
 """Of the draws: the same recording gives the same result each time."""
 
@@ -109,6 +111,8 @@ def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> D
     white = np.random.default_rng(SEED).standard_normal((len(rows.readings), count))
     quiet = chains.squares(residuals.of_noise(white))
     seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
+    if not seen[0] > 0.0:
+        return INDEPENDENT
     shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
     if not (share > shares.mean(axis=1) + FAR * shares.std(axis=1))[1:].any():
         return INDEPENDENT
@@ -116,7 +120,7 @@ def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> D
     drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
     spread = quiet.std(axis=1)
-    parts, _ = nnls(means / spread[:, None], seen / spread)
+    parts, _ = nnls(means / spread[:, None], seen / spread, maxiter=MOST_STEPS)
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
     growth = max(_growths(rows, residuals.projection, chains, parts))
