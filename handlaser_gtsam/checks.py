@@ -134,6 +134,7 @@ UNITS = {
     "_deg": (IN_DEG, "deg"),
     "_percent": (100.0, "%"),
     "_per_m": (1.0, "1/m"),
+    "_s": (1.0, "s"),
 }
 """By the ending of a field's or an option's name: what a number in SI units is multiplied by there."""
 
