@@ -89,8 +89,7 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         found = found or _much_better(recording, terms, mistakes())
     if not found:
         return ""
-    found.sort(key=lambda way: way[0], reverse=True)
-    best = found[0][0]
+    best = max(ratio for ratio, _ in found)
     words = " or ".join(way for ratio, way in found if ratio > best / ALIKE)
     return f"{words}: read so, the readings fit {min(np.sqrt(best), 1e6):.0f} times better"
 
