@@ -34,7 +34,7 @@ from handlaser_gtsam.files.logs.ros1_bag import MAGIC
 NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 ROWS = 8
 MOST_MB, MOST_S = 500.0, 2.0
-"""What a file may take: asked for by the issue of which most of these files come."""
+"""What a file may take: memory, and time on a machine with nothing else to do."""
 KB_A_MB = 1024.0
 Columns = Mapping[str, Sequence[Any]]
 
