@@ -5,8 +5,8 @@ x * MM is in metres where x is in millimetres, and x * IN_MM in millimetres wher
 
 import math
 
-MM, DEG = 1e-3, math.pi / 180.0
-"""A millimetre [m] and a degree [rad]."""
+MM, INCH, DEG = 1e-3, 0.0254, math.pi / 180.0
+"""A millimetre and an inch [m], and a degree [rad]."""
 IN_MM, IN_DEG = 1e3, 180.0 / math.pi
 """A metre in millimetres, and a radian in degrees."""
 KNOWN = 0.1

@@ -36,6 +36,8 @@ POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
 NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
 STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 """The first line by which a spreadsheet states the separator."""
+MOST_LOOKED_AT = 1000
+"""Cells of a line that tell whether it is a header: no log has more columns."""
 MOST_TITLES = 20
 """A header stands behind so many lines of titles at most."""
 NANOMETRE_DECIMALS = 9
@@ -145,11 +147,18 @@ def without_titles(
     """Return a text without the titles above its header, whose lines stay, empty; and a warning."""
     lines = text.split("\n", MOST_TITLES + 1)
     first = lines[: MOST_TITLES + 1]
-    above = titles_above([[cell.strip(f'{BLANK}"') for cell in x.split(separator)] for x in first])
+    above = titles_above(
+        [[cell.strip(f'{BLANK}"') for cell in first_cells(x, separator)] for x in first]
+    )
     titles = [line.strip(BLANK + separator) for line in lines[:above]]
     if not any(titles):
         return text, ()
     return "\n".join([""] * above + lines[above:]), titles_warning(titles, path)
+
+
+def first_cells(line: str, separator: str) -> list[str]:
+    """Return the first `MOST_LOOKED_AT` cells of a line."""
+    return line.split(separator, MOST_LOOKED_AT)[:MOST_LOOKED_AT]
 
 
 def titles_above(rows: Sequence[Sequence[str]]) -> int:

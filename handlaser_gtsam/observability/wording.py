@@ -18,8 +18,6 @@ SHARE = 0.02
 """A part of a null vector below this length is not worth a word."""
 MOST_NAMED = 8
 """Of more beams that are open alike only the first is described."""
-MOST_WEAK = 1
-"""So many parts of what is known worst are named, and how many more there are."""
 WEAK_SHARE = 0.4
 """Of the longest part of the weakest direction: what is shorter is not named."""
 LEAK = 1e-6
@@ -135,8 +133,8 @@ def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
     lengths = map(_lengths, _rows(space, parameters).values())
     parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
     words = undetermined(parts)
-    more = len(words) - MOST_WEAK
-    return "; ".join(words[:MOST_WEAK]) + (f"; and {more} more" if more > 0 else "")
+    more = f"; and {len(words) - 1} more" if len(words) > 1 else ""
+    return words[0] + more if words else ""
 
 
 def open_coordinates(found: Observability, parameters: Parameters) -> tuple[FloatArray, FloatArray]:

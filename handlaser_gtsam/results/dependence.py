@@ -29,8 +29,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import nnls
-from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
@@ -225,18 +225,26 @@ class _Chains:
         for rows in np.split(self.order, self.bounds[1:-1]):
             steps = np.sqrt(1.0 - rho**2) * white[rows]
             steps[0] = white[rows[0]]
-            noise[rows] = lfilter([1.0], [1.0, -rho], steps, axis=0)
+            noise[rows] = _discounted_sums(steps, rho)
         return noise
 
     def variances(self, gain: FloatArray, length: float) -> FloatArray:
         """Return the variances (q,) of the sums over columns (N, q) times noise of that length."""
         rho, found = float(np.exp(-1.0 / length)), np.zeros(gain.shape[1])
         for rows in np.split(self.order, self.bounds[1:-1]):
-            before = lfilter([0.0, rho], [1.0, -rho], gain[rows], axis=0)
-            found += (gain[rows] ** 2 + 2.0 * gain[rows] * before).sum(axis=0)
+            found += (gain[rows] * (2.0 * _discounted_sums(gain[rows], rho) - gain[rows])).sum(
+                axis=0
+            )
         return found
 
     def growth_of_means(self, length: float) -> float:
         """Return the variance of the mean of the longest chain, over that of independent noise."""
         lags = np.arange(1, self.longest)
         return 1.0 + 2.0 * float(((1.0 - lags / self.longest) * np.exp(-lags / length)).sum())
+
+
+def _discounted_sums(x: FloatArray, rho: float) -> FloatArray:
+    """Return y (n, q) with y[i] = x[i] + rho y[i - 1] of columns x (n, q)."""
+    # Ones on the diagonal and -rho below it. scipy.signal has this, and takes half a second to import.
+    band = np.array([[1.0], [-rho]]).repeat(len(x), axis=1)
+    return np.asarray(dtbtrs(band, x, uplo="L", diag="U")[0])

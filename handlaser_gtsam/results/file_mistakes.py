@@ -19,7 +19,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
-from ..quantities import DEG
+from ..quantities import DEG, INCH, MM
 from ..starts import Effort, find_start
 
 MUCH_BETTER = 100.0
@@ -233,10 +233,10 @@ def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
     for what, own in beams:
         for words, factor in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
             whole = np.where(own, factor[:, None], 1.0)
-            yield words, partial(_rescaled, ranges=whole), "quick"
+            yield words, partial(_scaled, ranges=whole), "quick"
     distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
     for words, factor in _changes_of(distance, "the positions", recording):
-        yield words, partial(_rescaled, positions=factor[:, None]), "quick"
+        yield words, partial(_scaled, positions=factor[:, None]), "quick"
 
 
 def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tuple[str, FloatArray]]:
@@ -252,16 +252,9 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
         rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split
         station = recording.station_names[split]
         where = f"from station {station} on" if late else f"before station {station}"
-        for unit, metres in (("millimetres", 1e-3), ("inches", 0.0254), ("centimetres", 1e-2)):
+        for unit, metres in (("millimetres", MM), ("inches", INCH), ("centimetres", 10.0 * MM)):
             words = f"{what} {where} look like {unit}, and the others like metres"
             yield words, np.where(rows, metres, 1.0)
-
-
-def _rescaled(
-    recording: Recording, ranges: FloatArray | float = 1.0, positions: FloatArray | float = 1.0
-) -> Recording:
-    t, d = positions * recording.world_t_hand, ranges * recording.ranges
-    return replace(recording, world_t_hand=t, ranges=d)
 
 
 def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
@@ -275,7 +268,7 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undon
     whole = misfit(recording, terms, "glance")
     untold = [p for p in planes if alone[p] is None]
     mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
-    if len(mixed) > 2 or (len(mixed) == len(alone) - len(untold) > 2):
+    if len(mixed) > 2:
         return
     tried = [(*mixed,)] if mixed else []
     if len(mixed) < 2:  # with a plane that has too few readings to tell by itself
@@ -419,14 +412,14 @@ def _inverted(recording: Recording) -> Recording:
     return replace(recording, world_R_hand=R, world_t_hand=t)
 
 
-def _scaled(positions: float, ranges: float) -> Undone:
-    def undone(recording: Recording) -> Recording:
-        t, d = positions * recording.world_t_hand, ranges * recording.ranges
-        if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
-            return recording
-        return replace(recording, world_t_hand=t, ranges=d)
-
-    return undone
+def _scaled(
+    recording: Recording, positions: FloatArray | float = 1.0, ranges: FloatArray | float = 1.0
+) -> Recording:
+    """Return a recording in other units; as it is where that is beyond what a recording may hold."""
+    t, d = positions * recording.world_t_hand, ranges * recording.ranges
+    if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
+        return recording
+    return replace(recording, world_t_hand=t, ranges=d)
 
 
 def _reordered(order: tuple[int, ...], signs: tuple[int, ...]) -> Undone:
@@ -487,10 +480,10 @@ HYPOTHESES: dict[str, Undone] = {
             "qy and qz": (0, 2, 1),
         }.items()
     },
-    "the positions look like millimetres": _scaled(1e-3, 1.0),
-    "the ranges look like millimetres": _scaled(1.0, 1e-3),
-    "the ranges look like inches": _scaled(1.0, 0.0254),
-    "the positions look like inches": _scaled(0.0254, 1.0),
+    "the positions look like millimetres": partial(_scaled, positions=MM),
+    "the ranges look like millimetres": partial(_scaled, ranges=MM),
+    "the ranges look like inches": partial(_scaled, ranges=INCH),
+    "the positions look like inches": partial(_scaled, positions=INCH),
     **{
         f"the {name} of the positions look negated": _reordered((0, 1, 2), signs)
         for name, signs in {

@@ -18,7 +18,6 @@ from itertools import zip_longest
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import median_filter
-from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
@@ -58,6 +57,8 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
 
     Times (N,) increase. There is none where the hand or the readings rest all the time.
     """
+    from scipy.signal import find_peaks  # takes half a second to import, and few logs need it
+
     spans = track.time[-1] - track.time[0], time[-1] - time[0]
     if min(spans) <= 0.0:
         return []

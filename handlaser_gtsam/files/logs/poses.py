@@ -72,9 +72,8 @@ def numbers_of(R: FloatArray, t: FloatArray, convention: Convention) -> FloatArr
         turn = rotation.as_rotvec() / angle
     else:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # of gimbal lock, where the third angle is free, and zero
+            # Of gimbal lock, where the third angle is free, and zero.
+            warnings.simplefilter("ignore")
             turn = rotation.as_euler(kind) / angle  # type: ignore[call-overload]  # checked above
     return np.hstack((t / length, turn))
 

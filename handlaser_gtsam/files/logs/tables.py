@@ -25,6 +25,7 @@ from ..table import (
     POINT,
     SEPARATORS,
     Table,
+    first_cells,
     table_of,
     table_text,
     without_separator_line,
@@ -106,7 +107,8 @@ def _of_text(path: Path, given: LogFormat) -> Table:
 
 def _refuse_no_header(text: str, separator: str, path: Path) -> None:
     """Refuse a first line that has numbers, and no two names, where names of columns should be."""
-    cells = next((line for line in text.split("\n") if line.strip()), "").split(separator)
+    line = next((line for line in text.split("\n") if line.strip()), "")
+    cells = first_cells(line, separator)
     numbers = [cell for cell in cells if NUMBER.fullmatch(cell.strip())]
     if len(numbers) > 1 and len(cells) - len(numbers) < 2:
         found = f"numbers in the first line ({shown(numbers[0].strip())[1:-1]}, ...)"
