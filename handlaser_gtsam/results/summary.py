@@ -39,7 +39,7 @@ def screen_lines(
     def some_lines(text: str, most: int) -> list[str]:
         return wrapped(text, as_many(most, width), width)
 
-    lines = some_lines(verdict.sentence, 5)
+    lines = wrapped(verdict.sentence, None, width)
     lines += some_lines(_counts(result, recording), 1)
     if any(beam.sigma is not None for beam in beams):
         lines += beam_rows(beams, width)
@@ -52,7 +52,7 @@ def screen_lines(
     if result.status == "converged":
         lines += some_lines(_systematic(result.systematic, verdict.reading), 2)
     if result.fit.rejected:
-        lines += some_lines(_rejected(result), 1)
+        lines += some_lines(_rejected(result), 2)
     return lines + _warnings(result, as_many(LINES, width) - closing - len(lines), width)
 
 
