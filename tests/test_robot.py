@@ -217,6 +217,23 @@ def heights(path, robot, joints):
 
 
 @needs_pinocchio
+def test_nothing_but_the_first_link_may_be_below_the_table():
+    """Of joints at which the arm touches nothing else, by the heights of its axes, on a tilted base."""
+    path = example("ur5").urdf
+    turn = Rotation.from_euler("xyz", [0.5, -0.3, 1.0]).as_matrix()
+    without = hl.Robot(path, "tool0", turn, [0.1, 0.2, 0.3], clearance=0.002)
+    q = drawn(without, 150)
+    lowest = heights(path, without, q)[:, 1:].min(axis=1)
+    for level in (-0.3, 0.1):
+        free = replace(without, table=level).free(q)
+        assert not free[lowest < level - 0.01].any()
+        assert free[
+            lowest > level + 0.15
+        ].all()  # no link is thicker, or reaches farther beyond its axis
+        assert 10 < free.sum() < 140
+
+
+@needs_pinocchio
 @pytest.mark.parametrize("knows", [True, False], ids=["table", "no table"])
 def test_no_move_leads_through_the_table(recording, knows):
     """A UR5 that stands on a table, its hand looking down, 100 to 350 mm above it.

@@ -42,7 +42,9 @@ class Drive:
 
 def drive(seed, stops=60, speed=1.0, rate=125.0, rest_s=2.0, turn_deg=25.0, planes=2):
     rng = np.random.default_rng(seed)
-    n = np.array([[0.0, 0.0, -1.0], [0.26, 0.0, -0.966], [-0.2, 0.3, -0.933]])[:planes]
+    far = planes > 2  # three planes are turned far from one another
+    n = np.array([[0.0, 0.0, -1.0], [0.5, 0.0, -0.866], [-0.4, 0.5, -0.768]])[:planes]
+    n = n if far else np.array([[0.0, 0.0, -1.0], [0.26, 0.0, -0.966]])[:planes]
     foot = np.array([[0.5, 0.0, 0.2], [0.5, 0.4, 0.25], [0.1, 0.4, 0.15]])[:planes]
     which = np.repeat(np.arange(planes), -(-stops // planes))[:stops]
     faces = Rotation.from_euler("x", np.pi) * Rotation.identity()
