@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .recording import Recording
 
 ROTATION_TOLERANCE = 1e-6
-"""Entries of R'R may differ from the identity by so much: matrices in single precision do."""
+"""Largest entry of R'R - I: what single precision leaves of an orthonormal matrix."""
 LARGEST = 1e6
 """Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
 

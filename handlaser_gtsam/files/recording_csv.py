@@ -30,7 +30,7 @@ from .writing import path_of, write_text
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX, SAMPLES = "range_", "samples_"
 QUATERNION_TOLERANCE = 1e-3
-"""A quaternion's length may differ from 1 by so much: controllers write six digits or fewer."""
+"""Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
 MISSPELT = 0.75
 """A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
 

@@ -58,7 +58,7 @@ DIRECTIONS = np.array(
 has a cosine of 0.886 or more to any direction."""
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 TOOL_STEPS = 7
-"""A tool frame may be displaced from so many evenly spaced stations on. A step half-way between two of
+"""Evenly spaced stations from which on a tool frame may be displaced. A step half-way between two of
 them correlates by 0.88 or more with one of the two."""
 LEAST_STATIONS = 2
 """A plane is taken as displaced only where it has so many stations before and after."""

@@ -121,6 +121,7 @@ def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> D
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
     spread = quiet.std(axis=1)
     parts, _ = nnls(means / spread[:, None], seen / spread, maxiter=MOST_STEPS)
+    # An estimated size of the noise lacks what the unknowns took of it.
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
     growth = max(_growths(rows, residuals.projection, chains, parts))

@@ -43,7 +43,7 @@ UNIT_GAP = 3.0
 SPLITS = 9
 """So many evenly spaced stations are tried as the first of a second plate; then the best is refined."""
 MOST_PAIRS = 3
-"""So many pairs of planes, of which one has too few readings by itself, are tried for other labels."""
+"""Most pairs of planes tried for exchanged labels, where one has too few readings to tell by itself."""
 MOST_SWAPS = 40
 """Pairs of beams, times planes, that are tried: more would take longer than the calibration."""
 GROUPS = 4
@@ -221,7 +221,7 @@ def _second_plates(
 def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
     """Lengths that have another unit from some station on: they differ by a large factor throughout.
 
-    All ranges, those of one beam, or the positions.
+    They are all ranges, the ranges of one beam, or the positions.
     """
     every = np.ones(len(recording.beam_names), dtype=bool)
     beams = [("the ranges", every)]
@@ -266,13 +266,13 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undon
     planes = range(len(recording.plane_names))
     alone = [_misfit_of_planes(recording, (p,), terms) for p in planes]
     whole = misfit(recording, terms, "glance")
-    untold = [p for p in planes if alone[p] is None]
+    too_small = [p for p in planes if alone[p] is None]
     mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
     if len(mixed) > 2:
         return
     tried = [(*mixed,)] if mixed else []
     if len(mixed) < 2:  # with a plane that has too few readings to tell by itself
-        others = [p for p in planes if p in {*mixed, *untold}]
+        others = [p for p in planes if p in {*mixed, *too_small}]
         pairs = [pair for pair in combinations(others, 2) if not mixed or mixed[0] in pair]
         tried += pairs[:MOST_PAIRS]
     for group in tried:

@@ -79,7 +79,7 @@ class ScoreTests:
     dof : int or None
         Behind the scale of the noise; None where it is given.
     growth : float
-        By how much the noise of errors that vary slowly is larger than that of a reading says.
+        Factor on the standard deviations of errors that vary slowly, where the noise does, too.
     codes : (m,) of str
     plane, beam, position : (m,)
         What each member concerns: a plane, a beam, and the position in the recording of its first

@@ -171,8 +171,7 @@ def fit_warnings(
 ) -> tuple[CalibrationWarning, ...]:
     """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first.
 
-    `names` are those of the beams in the order of the readings; `together` tells how many of these
-    count as one.
+    `names` are the beams' in the order of the readings; `together` says how many readings count as one.
     """
     parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
@@ -243,8 +242,8 @@ def _wrong_sigmas(
 ) -> Iterator[CalibrationWarning]:
     """Warn of given sigmas that chi2 contradicts; `treated` where errors of the poses are counted.
 
-    So many readings, `as_one`, tell as much as one that is independent. Of errors that go together the
-    unknowns explain a part that is larger than they are many, so that a small chi2 tells nothing.
+    `as_one` readings tell as much as one that is independent. Where that is more than one, the unknowns
+    follow the errors that readings share, so that a small chi2 is no sign of sigmas too large.
 
     Range errors smaller than their prior says, as of sensors without any, make chi2 smaller by up to
     what there are: so it is too small only where it is so for the readings alone.

@@ -20,7 +20,7 @@ from .progress import tell
 from .steps import apply_step, damped_step
 
 LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
-"""Parts of the information that are added: nothing but rounding, and so much that no step is left."""
+"""Least and largest part of the information that is added: rounding, and what leaves no step."""
 LEVEL = 1e-9
 """A candidate whose cost falls by less than this part has arrived."""
 QUANTILE = 1.2

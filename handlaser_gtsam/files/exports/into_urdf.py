@@ -13,7 +13,7 @@ SHOWN = 40
 
 
 def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> str:
-    """Return the text of a URDF with that of links and joints put in before its end.
+    """Return the text of a URDF into which links and joints were put before its end.
 
     `identifiers` name the links that are added; their joints are called `NAME_joint`.
 

@@ -2,8 +2,8 @@
 
 A program drives from station to station, stops, and sets a digital output while a logger may read. At
 stations on the way, which are named `via`, it does not stop. Where six joints of every station are
-known it moves in the joints, as the ways of a plan are checked; else along lines. FANUC's joints are
-not those of a URDF (J3 counts from the horizon), so that its program always has lines.
+known it moves in the joints, as the ways of a plan are checked; else along lines. FANUC counts J3 from
+the horizon, which no URDF does, so that its program always has lines.
 """
 
 from dataclasses import dataclass

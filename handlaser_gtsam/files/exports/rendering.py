@@ -29,7 +29,7 @@ def number(value: float) -> str:
 
 
 def fixed(value: float, digits: int = 9) -> str:
-    """Return a number with so many decimals, never "-0"."""
+    """Return a number with a fixed number of decimals, never "-0"."""
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 

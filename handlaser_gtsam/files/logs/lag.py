@@ -365,7 +365,7 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
     first = np.searchsorted(stamps, stamps - MOST)
     last = np.searchsorted(stamps, stamps + MOST, side="right") - 1
     settled = (label[first] == label) & (label[last] == label)
-    move = np.cumsum(np.diff(moves, prepend=False))  # odd numbers are those of moves
+    move = np.cumsum(np.diff(moves, prepend=False))  # moves have odd numbers
     begin, end = np.searchsorted(move, move), np.searchsorted(move, move, side="right") - 1
     short = moves & (stamps[end] - stamps[begin] <= LONGEST_MOVE)
     settled &= ~np.isin(move, move[short & ~settled])

@@ -30,7 +30,7 @@ MOST_STEPS = 1_000_000
 HALF_WIDTH = 5
 """Velocities are differences over twice so many steps: readings have noise."""
 CANDIDATES = 6
-"""So many candidates of either kind at most: a motion that repeats has several."""
+"""Most candidates of either kind: a motion that repeats has several."""
 LEAST_OVERLAP = 0.3
 """Offsets at which a smaller part of the shorter recording lies within the other count less."""
 RESTS = 0.1
