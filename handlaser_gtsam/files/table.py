@@ -274,7 +274,7 @@ def _lines(text: str, path: Path, separator: str) -> _Lines:
 
 def _known(line: str, known: Collection[str]) -> int:
     """Return how many known names a line has, whatever separates them."""
-    cells = re.split(f"[{SEPARATORS}]", line)
+    cells = re.split(f"[{SEPARATORS}]", line, maxsplit=MOST_LOOKED_AT)
     return len(set(known) & {cell.strip(f'{BLANK}"') for cell in cells})
 
 
@@ -282,7 +282,7 @@ def _separator(header: str, known: set[str]) -> str:
     """Return the separator under which a header has most known names, then most names."""
 
     def names(separator: str) -> tuple[int, int]:
-        cells = [cell.strip(f'{BLANK}"') for cell in header.split(separator)]
+        cells = [cell.strip(f'{BLANK}"') for cell in header.split(separator, MOST_LOOKED_AT)]
         return len(known & set(cells)), len(cells)
 
     return max(SEPARATORS, key=names)

@@ -21,7 +21,7 @@ from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
 from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import Candidate, Round, agreeing
-from .snooping import Screening, beyond_chance, quick_evidence, screen
+from .snooping import Screening, beyond_chance, enough, quick_evidence, screen
 
 SUSPICIOUS = 0.35
 """Where most readings agree this much better than all of them do, there are outliers to look for;
@@ -165,7 +165,8 @@ def find_consensus(
     found = [] if plain is None else [(start.method, plain)]
     settled = start.fits or judge.settles(plain, start.believed)
     last = start
-    if not settled:
+    everything = np.ones(len(readings), dtype=bool)
+    if not settled and enough(readings, everything, usable):
         for one in _robust(judge, part, start, plain)[:SCREENED]:
             tight = judge.screened(one.parameters, one.scale)
             found += [] if tight is None else [(METHOD, tight)]
@@ -176,7 +177,6 @@ def find_consensus(
         plain = judge.screened(last.parameters)
         found += [] if plain is None else [(last.method, plain)]
     if not found:
-        everything = np.ones(len(readings), dtype=bool)
         return Consensus(start, everything, last.parameters, last.method, None)
     method, kept = min(found, key=_evidence)
     kept = _with_better_beams(judge, kept)

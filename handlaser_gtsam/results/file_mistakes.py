@@ -29,7 +29,7 @@ ALIKE = 4.0
 PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
 SPARE = 15
-"""So many readings of one beam more than unknowns tell a mistake from a chance fit."""
+"""So many readings more than unknowns tell a mistake from a chance fit."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
 MANY_LOST = 0.1
@@ -60,7 +60,8 @@ Undone = Callable[[Recording], Recording]
 def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
     """Say how else the file could be read so that it fits a hundredfold better; nothing if it cannot.
 
-    Where several ways fit alike, as y negated and both x and z do, all of them are said.
+    Where several ways fit alike, as y negated and both x and z do, all of them are said. Nothing is said
+    of a recording that is so small that another way may fit by chance.
 
     Parameters
     ----------
@@ -71,6 +72,8 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         Readings that were rejected as outliers. Where they are given, the others fit, and only mistakes
         that concern a part of the recording are tried.
     """
+    if not _tells(recording):
+        return ""
     if rejected is None:
         rounds: list[Callable[[], list[tuple[str, Undone, Effort]]]] = [
             lambda: [
@@ -124,12 +127,16 @@ def _one_beam(recording: Recording) -> Recording:
     """Return the readings of the beam with most of them, where they suffice."""
     seen = ~np.isnan(recording.ranges)
     beam = int(np.argmax(seen.sum(axis=0)))
-    planes = len(set(recording.plane_of_station[seen[:, beam]].tolist()))
-    if seen[:, beam].sum() < 7 + 3 * planes + SPARE:
-        return recording
     others = np.ones(seen.shape, dtype=bool)
     others[:, beam] = False
-    return recording.without(others).part(seen[:, beam])
+    one = recording.without(others).part(seen[:, beam])
+    return one if _tells(one) else recording
+
+
+def _tells(recording: Recording) -> bool:
+    """Tell whether a recording has readings enough to tell a mistake from a chance fit."""
+    unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
+    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + SPARE)
 
 
 def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
@@ -336,10 +343,7 @@ def _moved_on(recording: Recording, share: float) -> Recording:
 def _misfit_of_planes(recording: Recording, planes: tuple[int, ...], terms: int) -> float | None:
     """Return the misfit of some planes alone; None where they have too few readings to tell."""
     part = recording.part(np.isin(recording.plane_of_station, planes))
-    unknowns = 7 * len(part.beam_names) + 3 * len(planes)
-    if (~np.isnan(part.ranges)).sum() < unknowns + SPARE:
-        return None
-    return misfit(part, terms, "glance")
+    return misfit(part, terms, "glance") if _tells(part) else None
 
 
 def _best_split(part: Recording, undone: Callable[..., Recording], terms: int) -> int | None:
