@@ -131,7 +131,7 @@ def main() -> None:
     }
     found |= {f"command: {key}": values for key, values in of_the_command().items()}
     if options.write is not None:
-        np.savez(options.write, **found)
+        np.savez(options.write, **found)  # type: ignore[arg-type]  # names of arrays, not options
         print(f"{len(found)} entries written")
         return
     before = np.load(options.against)
