@@ -513,7 +513,7 @@ def _calibrate(cell: Cell, beams: list[str], rig: Path | None):  # type: ignore[
         recording = hl.read_recording(path)
     known = hl.Rig(sensor=hl.Sensor(kind="triangulation")) if rig is None else hl.read_rig(rig)
     result = hl.calibrate(recording, known.noise, hl.CalibrationOptions(sensor=known.sensor))
-    return result, verdict(result, recording, known.limits)
+    return result, verdict(result, known.limits)
 
 
 def _distance(cell: Cell, result: hl.Calibration, reading: float) -> tuple[float, float]:

@@ -89,6 +89,8 @@ if TYPE_CHECKING:
     from .results.calibration_fields import Coordinate as Coordinate
     from .results.calibration_fields import Correlation as Correlation
     from .results.graph_reading import read_graph as read_graph
+    from .results.improvement import Improvement as Improvement
+    from .results.limits import LimitCheck as LimitCheck
     from .results.limits import Limits as Limits
     from .results.measuring import MeasuredPlane as MeasuredPlane
     from .results.measuring import Spot as Spot
@@ -104,7 +106,9 @@ if TYPE_CHECKING:
     from .results.reports import RangeErrorScales as RangeErrorScales
     from .results.reports import ScaledSolution as ScaledSolution
     from .results.reports import StartReport as StartReport
+    from .results.spot_error import VarianceShares as VarianceShares
     from .results.systematic import SystematicError as SystematicError
+    from .results.verdict import Verdict as Verdict
     from .session.drift import Moved as Moved
     from .session.reports import Change as Change
     from .session.reports import Comparison as Comparison
@@ -197,12 +201,15 @@ _NAMES = {
     "results.calibration": "Calibration",
     "results.calibration_fields": "Coordinate Correlation",
     "results.graph_reading": "read_graph",
-    "results.limits": "Limits",
+    "results.improvement": "Improvement",
+    "results.limits": "LimitCheck Limits",
     "results.measuring": "MeasuredPlane Spot measured_plane spot",
     "results.mounts": "Mounts",
     "results.reports": "Beam BeamMixture Determined Fit NoiseComponent Plane RangeErrorScales"
     " ScaledSolution StartReport",
+    "results.spot_error": "VarianceShares",
     "results.systematic": "SystematicError",
+    "results.verdict": "Verdict",
     "session.drift": "Moved",
     "session.reports": "Change Comparison Update",
     "session.session": "Session",

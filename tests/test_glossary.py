@@ -5,11 +5,11 @@ import shutil
 
 import pytest
 from helpers import GRIPPER, ROOT, degenerate
-from rich.table import Table
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.study import COLUMNS, TITLES
-from handlaser_gtsam.cli.tables import ROWS
+from handlaser_gtsam.results.calibration_fields import LABELS
+from handlaser_gtsam.results.description import rendering, screen
 from handlaser_gtsam.results.verdict import OPENING
 from handlaser_gtsam.results.wording import WORDING
 
@@ -72,15 +72,16 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def headings(monkeypatch):
-    """Collect what rich puts at the head of columns."""
+    """Collect the heads of columns of the tables that are shown."""
     found = set()
-    add = Table.add_column
+    for module in (rendering, screen):
+        show = module.text_table
 
-    def adding(self, header="", *rest, **named):
-        found.add(str(header))
-        return add(self, header, *rest, **named)
+        def showing(table, *rest, show=show):
+            found.update(column.title for column in table.columns)
+            return show(table, *rest)
 
-    monkeypatch.setattr(Table, "add_column", adding)
+        monkeypatch.setattr(module, "text_table", showing)
     return found
 
 
@@ -112,7 +113,7 @@ def test_what_lines_begin_with_and_heads_of_tables(
 
 def test_words_of_the_code_are_there():
     """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
-    words = [name for name, _, _ in ROWS] + [*OPENING.values(), *WORDING]
+    words = [*LABELS, *OPENING.values(), *WORDING]
     words += [TITLES.get(name, name) for name, _ in COLUMNS]
     assert set(words) <= set(TERMS), set(words) - set(TERMS)
 

@@ -46,7 +46,9 @@ def test_a_calibration_is_written_as_ever(name):
         assert one.pop("start")["method"]
         assert one.pop("iterations") > 0
         one["warnings"] = [{"code": warning["code"]} for warning in one["warnings"]]
-    for one in now["systematic"]:  # what has come since
+    verdict = now.pop("verdict")  # what has come since
+    assert verdict["usable"] == (name == "determined")
+    for one in now["systematic"]:
         assert {"plausible", "spot_shift_m"} <= one.keys()
         del one["plausible"], one["spot_shift_m"]
     now["systematic"] = [one for one in now["systematic"] if one["code"] not in NEW_CODES]

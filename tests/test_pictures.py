@@ -11,6 +11,8 @@ from helpers import GRIPPER
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.options import ReportOptions
 from handlaser_gtsam.files.report.page import report_text
+from handlaser_gtsam.results.description.tables import LONGEST
+from handlaser_gtsam.text import shortened
 
 HOSTILE = ("<script>alert(1)</script>", "$x^2$ & </td>", "_hidden", "%{x}" + "y" * 100)
 FLAT = ("by-range", "by-incidence", "by-station", "by-plane", "qq", "correlation", "by-count")
@@ -63,7 +65,7 @@ def test_a_notebook_shows_the_verdict_and_a_row_a_beam(calibration):
     for row, beam in zip(rows, calibration.beams.values(), strict=True):
         name, *numbers = ["".join(cell.itertext()) for cell in row]
         assert name == beam.name
-        shown = [float(x) for x in numbers[:3]]
+        shown = [float(x.replace("\N{MINUS SIGN}", "-")) for x in numbers[:3]]
         assert shown == pytest.approx(beam.location * 1e3, abs=5.1e-3)
         assert float(numbers[3]) == pytest.approx(beam.location_sigma.max() * 1e3, rel=0.05)
 
@@ -73,13 +75,13 @@ def test_names_in_a_notebook_are_text(hostile):
     assert "<script" not in page
     root = ElementTree.fromstring(f"<div>{page.replace('&plusmn;', '+-')}</div>")
     first = [row[0].text for row in root.findall(".//tbody/tr")]
-    assert first == list(HOSTILE)
+    assert first == [shortened(name, LONGEST) for name in HOSTILE]
 
 
 def test_a_notebook_shows_no_number_that_means_nothing(gripper, noise):
     page = hl.calibrate(gripper.part([0, 1, 2, 3]), noise)._repr_html_()
     assert "Not usable, undetermined" in page
-    assert page.count("<td>undetermined</td>") == 4 * 6
+    assert "<td>" not in page
     assert "nan" not in page
     assert "inf" not in page
 

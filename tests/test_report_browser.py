@@ -118,7 +118,7 @@ def test_the_load_event_waits_for_every_flat_figure(chromium, reports):
     page = chromium.new_page()
     page.add_init_script(
         "addEventListener('load', () => { window.atLoad = "
-        "[...document.querySelectorAll('.plots .canvas[data-drawn=yes]')].map((one) => one.id); });"
+        "[...document.querySelectorAll('.plot:not(.space) .canvas[data-drawn=yes]')].map((one) => one.id); });"
     )
     page.goto((reports / "good.html").as_uri(), wait_until="load")
     page.wait_for_selector("html[data-ready=yes]", timeout=SLOW)
@@ -130,7 +130,7 @@ def test_the_load_event_waits_for_every_flat_figure(chromium, reports):
 def test_every_flat_figure_draws_its_points(seen):
     expected = FLAT if seen.name != "open" else ("by-range", "by-station", "by-plane")
     drawn = seen.evaluate(
-        "[...document.querySelectorAll('.plots .canvas')].map(one => [one.id, one.dataset.drawn])"
+        "[...document.querySelectorAll('.plot:not(.space) .canvas')].map(one => [one.id, one.dataset.drawn])"
     )
     assert sorted(drawn) == sorted([name, "yes"] for name in expected)
     for name in expected:
@@ -270,7 +270,7 @@ FAULTS = """(rounding) => {
     if (across > rounding && down > rounding) faults.push(`overlap: ${named(one)} and ${named(next)}`);
   }
   // Text of the figures: inside its figure, and not one over the other.
-  for (const place of document.querySelectorAll(".plots .canvas[data-drawn]")) {
+  for (const place of document.querySelectorAll(".plot:not(.space) .canvas[data-drawn]")) {
     const frame = place.getBoundingClientRect(), boxes = [];
     for (const one of place.querySelectorAll("svg text")) {
       if (!one.textContent.trim() || getComputedStyle(one).opacity === "0") continue;

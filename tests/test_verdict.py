@@ -1,5 +1,6 @@
 """The verdict: every branch of it, and the numbers that it rests on two ways."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ from helpers import GRIPPER, degenerate, error_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import CalibrationWarning
+from handlaser_gtsam.files.calibration_json import calibration_text
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
@@ -16,6 +18,7 @@ from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.verdict import verdict
+from handlaser_gtsam.results.wording import WORDING
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
 
@@ -63,13 +66,13 @@ def test_no_covariance_is_no_radius():
     assert radius(np.zeros((3, 3))) == 0.0
 
 
-def test_the_spot_error_is_that_of_the_worst_beam(calibration, recording):
-    found = verdict(calibration, recording, reading=0.02)
+def test_the_spot_error_is_that_of_the_worst_beam(calibration):
+    found = verdict(calibration, reading=0.02)
     radii = {name: radius(spot(calibration, name, 0.02).covariance) for name in calibration.beams}
     assert found.spot_beam == max(radii, key=lambda name: radii[name])
     assert found.spot_error == pytest.approx(max(radii.values()), rel=1e-9)
     estimated = replace(calibration, fit=replace(calibration.fit, range_sigma_given=False, dof=5))
-    assert verdict(estimated, recording, reading=0.02).spot_error > 1.2 * found.spot_error
+    assert verdict(estimated, reading=0.02).spot_error > 1.2 * found.spot_error
 
 
 # What the variance is made of
@@ -84,7 +87,7 @@ def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
         return hl.calibrate(recording, noise, replace(BOTH, outliers="keep"))
 
     middle = variance(1.0, 1.0)
-    found = variance_shares(middle, "2", 0.015, recording)
+    found = variance_shares(middle, "2", 0.015)
 
     def share(one, other):
         traces = [np.trace(spot(c, "2", 0.015).covariance) for c in (one, other)]
@@ -97,9 +100,9 @@ def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
     assert found.poses == pytest.approx(poses, abs=0.03)
 
 
-def test_exact_poses_have_no_share_and_unknown_ones_no_number(calibration, recording):
-    assert variance_shares(calibration, "1", 0.015, recording).poses == 0.0
-    assert math.isnan(variance_shares(calibration, "1", 0.015).poses)
+def test_exact_poses_have_no_share_and_unknown_ones_no_number(calibration):
+    assert variance_shares(calibration, "1", 0.015).poses == 0.0
+    assert math.isnan(variance_shares(replace(calibration, recording=None), "1", 0.015).poses)
 
 
 def test_the_share_of_range_errors_is_what_fixing_them_takes_away(calibration):
@@ -121,8 +124,8 @@ def test_the_share_of_range_errors_is_what_fixing_them_takes_away(calibration):
 # The decision
 
 
-def test_usable_within_its_limits(calibration, recording):
-    found = verdict(calibration, recording, LOOSE)
+def test_usable_within_its_limits(calibration):
+    found = verdict(calibration, LOOSE)
     assert (found.usable, found.code, found.exceeded) == (True, "usable", ())
     assert len(found.limits) == 1 + 2 * 4
     nearest = max(found.limits, key=lambda one: one.ratio)
@@ -132,11 +135,9 @@ def test_usable_within_its_limits(calibration, recording):
 
 
 @pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])
-def test_outside_a_limit(calibration, recording, name):
+def test_outside_a_limit(calibration, name):
     value = max(c.value for c in checked(calibration, LOOSE) if c.quantity == name)
-    inside, outside = (
-        verdict(calibration, recording, Limits(**{name: x * value})) for x in (1.01, 0.99)
-    )
+    inside, outside = (verdict(calibration, Limits(**{name: x * value})) for x in (1.01, 0.99))
     assert (inside.usable, inside.code) == (True, "usable")
     assert (outside.usable, outside.code) == (False, "outside-limits")
     too_large = checked(calibration, Limits(**{name: 0.99 * value}))
@@ -146,70 +147,68 @@ def test_outside_a_limit(calibration, recording, name):
     assert outside.best.code == expected
 
 
-def test_warnings_ask_for_care(calibration, recording):
+def test_warnings_ask_for_care(calibration):
     doubt = hl.CalibrationWarning("far-reading", "a reading is far off")
-    found = verdict(replace(calibration, warnings=(doubt,)), recording)
+    found = verdict(replace(calibration, warnings=(doubt,)))
     assert (found.usable, found.code) == (True, "usable-with-care")
 
 
 def test_undetermined_names_what_and_what_helps():
     recording = degenerate("pure translations")
-    found = verdict(hl.calibrate(recording), recording)
+    found = verdict(hl.calibrate(recording))
     assert (found.usable, found.code, found.spot_error) == (False, "undetermined", None)
     assert found.best.code == "more-motion"
     assert "turn the hand" in found.best.words
     assert "..." not in found.sentence
 
 
-def test_what_did_not_converge_is_not_usable(calibration, recording):
+def test_what_did_not_converge_is_not_usable(calibration):
     failed = replace(calibration, status="not_converged", message="the solver gave up")
-    found = verdict(failed, recording)
+    found = verdict(failed)
     assert (found.usable, found.code) == (False, "not-converged")
     assert "the solver gave up" in found.sentence
 
 
-def test_a_calibration_without_a_covariance_has_no_spot_error(calibration, recording):
-    found = verdict(replace(calibration, covariance=None), recording)
+def test_a_calibration_without_a_covariance_has_no_spot_error(calibration):
+    found = verdict(replace(calibration, covariance=None))
     assert (found.spot_error, found.spot_beam, found.shares) == (None, "", None)
     assert found.usable
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.9, "usable-with-care"), (1.1, "systematic-error")])
 @pytest.mark.parametrize("turns", [False, True])
-def test_a_systematic_error_counts_by_what_it_does_to_the_spot(
-    calibration, recording, factor, code, turns
-):
+def test_a_systematic_error_counts_by_what_it_does_to_the_spot(calibration, factor, code, turns):
     """Its estimated effect counts against the 95 % radius of the same beam, whatever could hide."""
-    clean = verdict(calibration, recording)
+    clean = verdict(calibration)
     beam = list(calibration.beams).index(clean.spot_beam)
     shift = np.zeros((4, 3))
     shift[beam, 1] = factor * clean.spot_error
     effect = np.zeros((4, 4, 3))
     effect[:, 1 if turns else 0] = shift / clean.reading if turns else shift
     one = error_of(100.0 * shift, spot_error=effect)
-    found = verdict(replace(calibration, systematic=(one,)), recording)
+    found = verdict(replace(calibration, systematic=(one,)))
     assert found.code == code
     assert found.usable == (code != "systematic-error")
     assert (found.best.code, found.best.words) == ("systematic", "use a flatter plate")
     for unharmful in (replace(one, found=False), replace(one, explained_by="lag")):
-        hidden = verdict(replace(calibration, systematic=(unharmful,)), recording)
+        hidden = verdict(replace(calibration, systematic=(unharmful,)))
         assert hidden.code == "usable"
 
 
-def test_the_systematic_error_that_harms_most_is_named(calibration, recording):
+def test_the_systematic_error_that_harms_most_is_named(calibration):
     small, large = np.full((4, 3), 1e-3), np.full((4, 3), 2e-3)
     both = (
         error_of(small),
         error_of(large, code="lag", message="a lag", remedy="wait", p_value=1e-3),
     )
-    found = verdict(replace(calibration, systematic=both), recording)
+    found = verdict(replace(calibration, systematic=both))
     assert found.best.words == "wait"
     assert "a lag" in found.sentence
 
 
-def test_a_systematic_error_of_unknown_effect_asks_for_care(calibration, recording):
+def test_a_systematic_error_of_unknown_effect_asks_for_care(calibration):
     one = error_of(np.full((4, 3), np.nan), detectable=math.inf)
-    found = verdict(replace(calibration, systematic=(one,)), recording)
+    found = verdict(replace(calibration, systematic=(one,)))
     assert found.code == "usable-with-care"
 
 
@@ -279,10 +278,10 @@ def test_robot_errors_dominate_where_they_do():
     recording, _ = simulated(layout=Layout(planes=6))
     noise = hl.Noise(3e-5, 5e-5, 5e-4)
     result = hl.calibrate(recording, noise, hl.CalibrationOptions("none"))
-    assert verdict(result, recording).shares.poses > 0.8
+    assert verdict(result).shares.poses > 0.8
     small = hl.Noise(3e-5, 1e-7, 1e-6)
     result = hl.calibrate(recording, small, hl.CalibrationOptions("none"))
-    assert verdict(result, recording).shares.poses < 0.05
+    assert verdict(result).shares.poses < 0.05
 
 
 # Several tests at once, and words for p
@@ -330,38 +329,38 @@ def with_p(validation, *p_values):
     return replace(validation, planes=planes)
 
 
-def test_planes_that_agree_confirm(validation, recording):
-    found = verdict_of_validation(with_p(validation, 0.9, 0.5, 0.01, 0.3), recording)
+def test_planes_that_agree_confirm(validation):
+    found = verdict_of_validation(with_p(validation, 0.9, 0.5, 0.01, 0.3))
     assert (found.usable, found.code) == (True, "usable")
     assert "confirmed by 4 planes" in found.sentence
 
 
-def test_a_plane_that_contradicts_is_named(validation, recording):
-    found = verdict_of_validation(with_p(validation, 0.0014, 0.3, 0.5, 0.9), recording)
+def test_a_plane_that_contradicts_is_named(validation):
+    found = verdict_of_validation(with_p(validation, 0.0014, 0.3, 0.5, 0.9))
     assert (found.usable, found.code) == (False, "contradicted")
     assert "plane A contradicts" in found.sentence
     assert "1 of 700" in found.sentence
-    assert verdict_of_validation(with_p(validation, 0.0026, 0.3, 0.5, 0.9), recording).usable
+    assert verdict_of_validation(with_p(validation, 0.0026, 0.3, 0.5, 0.9)).usable
 
 
-def test_the_rms_limit_holds_for_planes_left_out(validation, recording):
+def test_the_rms_limit_holds_for_planes_left_out(validation):
     calm = with_p(validation, 0.9, 0.9, 0.9, 0.9)
     largest = max(one.result.rms for one in validation.planes)
     assert largest > validation.calibration.fit.rms
-    assert verdict_of_validation(calm, recording, Limits(rms=1.01 * largest)).usable
-    found = verdict_of_validation(calm, recording, Limits(rms=0.99 * largest))
+    assert verdict_of_validation(calm, Limits(rms=1.01 * largest)).usable
+    found = verdict_of_validation(calm, Limits(rms=0.99 * largest))
     assert found.code == "outside-limits"
     assert [one.subject for one in found.limits if not one.held] == ["without plane D"]
 
 
-def test_what_is_not_usable_stays_so_when_validated(validation, recording):
-    found = verdict_of_validation(validation, recording, Limits(location_sigma=1e-6))
+def test_what_is_not_usable_stays_so_when_validated(validation):
+    found = verdict_of_validation(validation, Limits(location_sigma=1e-6))
     assert found.code == "outside-limits"
 
 
-def test_one_plane_confirms_nothing(validation, recording):
-    found = verdict_of_validation(replace(validation, planes=()), recording)
-    assert found == verdict(validation.calibration, recording)
+def test_one_plane_confirms_nothing(validation):
+    found = verdict_of_validation(replace(validation, planes=()))
+    assert found == verdict(validation.calibration)
 
 
 def test_the_worst_check_of_every_quantity(calibration):
@@ -369,3 +368,49 @@ def test_the_worst_check_of_every_quantity(calibration):
     assert [one.quantity for one in worst] == ["rms", "location_sigma", "direction_sigma"]
     largest = max(beam.direction_sigma for beam in calibration.beams.values())
     assert worst[2].value == largest
+
+
+# --- for programs ------------------------------------------------------------------------------------
+
+
+def written(result, limits=None):
+    return json.loads(calibration_text(result, verdict(result, limits)))["verdict"]
+
+
+def test_a_program_reads_the_verdict_without_parsing_words(calibration):
+    found = written(calibration)
+    judged = calibration.verdict
+    assert (found["code"], found["usable"], found["causes"]) == ("usable", True, [])
+    assert found["spot"] == {
+        "beam": judged.spot_beam,
+        "reading_m": judged.reading,
+        "radius_m": judged.spot_error,
+    }
+    assert found["remedies"][0]["code"] == judged.best.code
+    assert found["may_hide"] is None  # nothing says what is plausible
+
+
+def test_causes_have_codes_and_numbers(calibration):
+    exceeded = written(calibration, Limits(rms=1e-6))["causes"]
+    assert [cause["code"] for cause in exceeded] == ["outside-limits"]
+    assert exceeded[0]["values"]["value"] == calibration.fit.rms
+    assert exceeded[0]["values"]["limit"] == 1e-6
+    harm = error_of(np.ones((4, 3)), p_value=1e-9)
+    (cause,) = written(replace(calibration, systematic=(harm,)))["causes"]
+    assert (cause["code"], cause["values"]["size"]) == (harm.code, harm.size)
+
+
+def test_what_is_not_determined_or_does_not_fit_has_a_cause(calibration, recording):
+    undetermined = written(hl.calibrate(recording.part(range(4)), hl.Noise(3e-5)))
+    assert (undetermined["code"], undetermined["spot"]) == ("undetermined", None)
+    assert undetermined["causes"][0]["code"] == "undetermined"
+    failed = replace(calibration, status="not_converged", message="the solver gave up")
+    assert written(failed)["causes"][0]["code"] == "not-converged"
+
+
+def test_what_may_hide_has_a_code_and_sizes(recording):
+    options = hl.CalibrationOptions(sensor=hl.Sensor(kind="triangulation"))
+    found = written(hl.calibrate(recording, hl.Noise(3e-5), options))["may_hide"]
+    assert found["code"] in WORDING
+    assert found["spot_shift_m"] > 0.0
+    assert found["size"] > 0.0

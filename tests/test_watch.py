@@ -25,8 +25,9 @@ from handlaser_gtsam.validation.scenes import Layout
 pytest.importorskip("starlette", reason="needs the extra watch")
 pytest.importorskip("uvicorn", reason="needs the extra watch")
 
-from watching import HOSTILE_BEAMS, Client, answer, until, watching, write_hostile
+from watching import HOSTILE_BEAMS, Client, Sent, answer, until, watching, write_hostile
 
+from handlaser_gtsam.files.report.page import SECTIONS
 from handlaser_gtsam.files.watch import patience
 from handlaser_gtsam.files.watch.follower import Follower
 from handlaser_gtsam.files.watch.guard import Names, names_of
@@ -100,14 +101,14 @@ def test_everybody_ends_at_the_same_state_after_a_thousand_stations(tmp_path, lo
         until(lambda: "state" in late.newest and "status" in late.newest)
         assert late.newest["state"] == live[0].newest["state"]
         assert late.status == live[0].status
-        shown = live[0].state
+        shown = live[0].sent
     rig = hl.read_rig(tmp_path / "rig.toml")
     read = hl.read_recording(path, rig.sensor)
     expected = hl.calibrate(read, rig.noise, hl.CalibrationOptions(sensor=rig.sensor))
-    assert shown["verdict"]["opening"] == "Usable"
-    for row, beam in zip(shown["beams"]["rows"], expected.beams.values(), strict=True):
+    assert shown.opening == "Usable"
+    for row, beam in zip(shown.rows("mounts", "beams"), expected.beams.values(), strict=True):
         for cell, value in zip(row[1:4], beam.location.tolist(), strict=True):
-            text = cell[0].replace("\N{MINUS SIGN}", "-")
+            text = cell.replace("\N{MINUS SIGN}", "-")
             unit = 10.0 ** -len(text.partition(".")[2])  # of the last digit that is shown
             assert abs(float(text) - 1e3 * value) <= 0.51 * unit
 
@@ -131,7 +132,7 @@ def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
     text = "x" * 200 * KIB
     before = resident(os.getpid())
     for number in range(2000):
-        server.publish("state", json.dumps([number, text]))
+        server.publish({"state": json.dumps([number, text])})
         if number % 20 == 0:
             time.sleep(0.01)
     until(lambda: all(one.state[:1] == [1999] for one in live if "state" in one.newest))
@@ -148,7 +149,7 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
     stopped, live = look_on(server.port, buffer=4 * KIB, begin=False), look_on(server.port)
     until(lambda: server.clients == 2)
     for number in range(30):
-        server.publish("state", json.dumps([number, "x" * 400 * KIB]))
+        server.publish({"state": json.dumps([number, "x" * 400 * KIB])})
         time.sleep(0.05)
     until(lambda: server.clients == 1)
     until(lambda: live.state[0] == 29)
@@ -167,7 +168,7 @@ def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_o
         slow.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1")
         with contextlib.suppress(ConnectionResetError):
             assert slow.recv(1) == b""
-    server.publish("state", "[3]")
+    server.publish({"state": "[3]"})
     until(lambda: live.state == [3])
     assert live.open
 
@@ -190,14 +191,14 @@ def test_connections_are_limited(server, monkeypatch, look_on):
                 except ConnectionResetError:
                     ended += 1
         assert ended == 5
-    server.publish("state", "[4]")
+    server.publish({"state": "[4]"})
     until(lambda: live.state == [4])
 
 
 def test_a_status_follows_the_state_that_it_speaks_of():
     hub = Hub("")
-    hub.publish("status", "[2]")
-    hub.publish("state", "[1]")
+    hub.publish({"status": "[2]"})
+    hub.publish({"state": "[1]"})
     told = hub.unheard({})
     assert told.index(b"event: state\n") < told.index(b"event: status\n")
 
@@ -208,22 +209,22 @@ def test_who_vanishes_is_forgotten(server, look_on):
     for one in clients[1:]:
         one.close()
     until(lambda: server.clients == 1)
-    server.publish("state", "[7]")
+    server.publish({"state": "[7]"})
     until(lambda: clients[0].state == [7])
 
 
 def test_who_comes_back_hears_only_what_is_new(server, look_on):
-    server.publish("state", "[1]")
+    server.publish({"state": "[1]"})
     first = look_on(server.port)
     until(lambda: "state" in first.newest)
     mark = Hub("")
-    mark.publish("state", "[1]")
+    mark.publish({"state": "[1]"})
     (known,) = re.findall(r"id: (\w+)", mark.unheard({}).decode())
     asking = socket.create_connection(("127.0.0.1", server.port))
     host = f"Host: 127.0.0.1:{server.port}"
     asking.sendall(f"GET /events HTTP/1.1\r\n{host}\r\nLast-Event-ID: {known}\r\n\r\n".encode())
     until(lambda: server.clients == 2)
-    server.publish("status", "[2]")
+    server.publish({"status": "[2]"})
     heard = b""
     while b"event: status" not in heard:
         heard += asking.recv(4096)
@@ -341,17 +342,21 @@ class Shown:
         self._thread = threading.Thread(target=self.follower.run)
         self._thread.start()
 
-    def _published(self, kind, text):
-        assert "\n" not in text
-        self.states += kind == "state"
-        self.newest[kind] = json.loads(text)
+    def _published(self, messages):
+        assert not any("\n" in text for text in messages.values())
+        self.states += "state" in messages
+        self.newest = self.newest | messages
+
+    @property
+    def sent(self):
+        return Sent(self.newest)
 
     def is_at(self, phase, stations=None):
         """Wait until a state of so many stations is shown, and what the status says; return it."""
 
         def reached():
-            state, status = self.newest.get("state"), self.newest.get("status", {})
-            counted = None if state is None else int(dict(state["counts"])["stations"])
+            status, counted = self.sent.json("status") or {}, self.sent.counted("stations")
+            counted = None if counted < 0 else counted
             return status.get("phase") == phase and counted == stations and status
 
         return until(reached)
@@ -378,16 +383,16 @@ def test_a_recording_that_comes_grows_goes_and_comes_again(shown):
     assert shown.is_at("waiting")["note"] == "waiting for the first station"
     shown.path.write_text("".join(LINES[:4]))
     shown.is_at("current", 3)
-    assert shown.newest["state"]["verdict"]["opening"] == "Not usable, undetermined"
-    assert any("Turn the hand" in words for words in shown.newest["state"]["next"]["advice"])
-    assert shown.newest["state"]["falling"] is None
+    assert shown.sent.opening == "Not usable, undetermined"
+    assert "Turn the hand" in shown.sent.words("next")
+    assert shown.sent.figure("by-count") is None
     with shown.path.open("a") as file:
         file.write("".join(LINES[4:20]) + LINES[20][:30])
         file.flush()
         until(lambda: shown.is_at("current", 19)["note"] == "line 21 is not whole yet")
-        assert shown.newest["state"]["verdict"]["opening"] == "Usable"
-        assert len(shown.newest["state"]["next"]["stations"]["rows"]) == 3
-        assert shown.newest["state"]["falling"]["data"]
+        assert shown.sent.opening == "Usable"
+        assert len(shown.sent.rows("next", "next")) == 3
+        assert shown.sent.figure("by-count")["data"]
         until(lambda: shown.is_at("current", 19)["note"].startswith("not used: "))
         file.write(LINES[20][30:])
     assert shown.is_at("current", 20)["note"] == ""
@@ -415,8 +420,8 @@ def test_what_is_wrong_is_said_and_the_last_good_state_stays(shown):
         shown.path.write_text(text)
         error = until(lambda words=words: words in shown.is_at("refused", 19)["error"])
         assert error
-        assert str(shown.path) in shown.newest["status"]["error"]
-        assert shown.newest["status"]["error"].isprintable()
+        assert str(shown.path) in shown.sent.json("status")["error"]
+        assert shown.sent.json("status")["error"].isprintable()
         assert shown.newest["state"] == kept
     shown.path.write_bytes(good.encode("utf-16"))
     until(lambda: "UTF-16" in shown.is_at("refused", 19)["error"])
@@ -468,7 +473,7 @@ def test_a_log_in_two_files_is_followed_as_both_grow(tmp_path):
         )
         readings.write_text("\n".join(both[1][:20]) + "\n")
         shown.is_at("current", 19)
-        shown_then = shown.newest["state"]["beams"]
+        shown_then = shown.sent.rows("mounts", "beams")
         with readings.open("a") as file:  # a line that is not whole, of a station without a pose
             file.write(both[1][20][:10])
             file.flush()
@@ -482,7 +487,7 @@ def test_a_log_in_two_files_is_followed_as_both_grow(tmp_path):
         for file, lines in ((readings, both[1]), (path, both[0])):
             file.write_text("\n".join(lines) + "\n")
         shown.is_at("current", len(LINES) - 1)
-        assert shown.newest["state"]["beams"] != shown_then
+        assert shown.sent.rows("mounts", "beams") != shown_then
     finally:
         shown.end()
 
@@ -511,15 +516,15 @@ def test_a_change_whose_time_stamp_is_put_back_is_found(shown):
 def test_the_rig_file_counts_as_soon_as_it_changes(shown):
     shown.path.write_text("".join(LINES))
     shown.is_at("current", 44)
-    assert shown.newest["state"]["verdict"]["mark"] == "good"
+    assert 'class="verdict good"' in shown.sent.html("verdict")
     shown.rig.write_text(RIG + "[limits]\nrms_mm = 0.001\n")
-    until(lambda: "outside the limits" in shown.newest["state"]["verdict"]["opening"])
+    until(lambda: "outside the limits" in shown.sent.opening)
     shown.rig.write_text(RIG + "[limits]\nrms_mm = zero\n")
     assert str(shown.rig) in shown.is_at("refused", 44)["error"]
     shown.rig.unlink()  # one that lies in the folder may be missing
     shown.is_at("current", 44)
     shown.rig.write_text(RIG)
-    until(lambda: shown.newest["state"]["verdict"]["opening"] == "Usable")
+    until(lambda: shown.sent.opening == "Usable")
 
 
 def test_a_last_line_without_an_end_counts_once_the_file_has_rested(shown):
@@ -541,7 +546,7 @@ def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
         if worker is not None and worker.process.pid is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(worker.process.pid, signal.SIGKILL)
-        return shown.newest["status"]["error"]
+        return shown.sent.json("status")["error"]
 
     # One that ends amid the work is tried once more; one that ends again is named.
     shown.path.write_text("".join(LINES[:24]))
@@ -559,15 +564,17 @@ def test_names_are_text_wherever_they_are_shown(tmp_path):
         found.is_at("current", 44)
     finally:
         found.end()
-    state = found.newest["state"]
-    # The page sets it as text.
-    assert [row[0][0] for row in state["beams"]["rows"]] == list(HOSTILE_BEAMS)
-    for figure in (state["space"], state["falling"]):
-        shown = [{**one, "legendgroup": ""} for one in figure["data"]]  # that is never text
+    sent = found.sent
+    assert [row[0] for row in sent.rows("mounts", "beams")] == list(HOSTILE_BEAMS)
+    for section in SECTIONS:  # what the page sets as HTML holds no element that a name made
+        assert not re.search(r"<(script|img|b)\b", sent.html(section))
+    for name in ("space-world", "by-count"):
+        figure = sent.figure(name)
+        shown = [{**trace, "legendgroup": ""} for trace in figure["data"]]  # that is never text
         drawn = json.dumps(shown)
         for tag in ("<script", "<img", "</td>"):
             assert tag not in drawn
-    assert "&lt;script&gt;" in json.dumps(state["space"]["data"])
+    assert "&lt;script&gt;" in json.dumps(sent.figure("space-world")["data"])
 
 
 # --- the command -------------------------------------------------------------------------------------

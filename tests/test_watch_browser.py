@@ -27,7 +27,7 @@ LINES = (GRIPPER / "recording.csv").read_text().splitlines(keepends=True)
 RIG = (GRIPPER / "rig.toml").read_text()
 SLOW = 90.0  # seconds until a busy machine without a GPU has drawn something
 DRAWN = "document.documentElement.dataset.drawn"
-COUNT = "document.querySelector('#counts dd')?.textContent"
+COUNT = "document.querySelector('.counts dd')?.textContent"
 
 
 @pytest.fixture(scope="module")
@@ -85,18 +85,19 @@ def test_it_follows_the_recording_and_comes_back_after_a_restart(chromium, folde
     with watching(folder, "--port", 0) as (_, port):
         tab = Looking(chromium, port)
         tab.has(4)
-        assert tab.text("#opening") == "Not usable, undetermined"
-        assert tab.page.is_visible("#no-falling")
+        assert tab.text("h1") == "Not usable, undetermined"
+        assert "It is drawn once the stations determine every beam" in tab.text("#next")
         with (folder / "recording.csv").open("a") as file:
             file.write("".join(LINES[5:20]))
             file.flush()
             tab.has(19)
-            assert tab.text("#opening") == "Usable"
-            assert tab.page.locator("#beams tbody tr").count() == 4
-            assert tab.page.locator("#next-stations tbody tr").count() == 3
-            assert tab.page.locator("#falling .points path").count() > 6
-            assert tab.page.get_attribute("#space", "data-drawn") == "yes"
-            assert tab.page.locator("#space canvas").count() == 1
+            assert tab.text("h1") == "Usable"
+            assert tab.page.locator("#table-beams tbody tr").count() == 4
+            assert tab.page.locator("#table-next tbody tr").count() == 3
+            assert tab.page.locator("#by-count .points path").count() > 6
+            tab.page.locator("#space-world").scroll_into_view_if_needed()
+            tab.until("document.getElementById('space-world').dataset.drawn === 'yes'")
+            assert tab.page.locator("#space-world canvas").count() == 1
             assert tab.text("#connection") == "live"
             assert "recording.csv" in tab.page.title()
             file.write(LINES[20])
@@ -105,7 +106,7 @@ def test_it_follows_the_recording_and_comes_back_after_a_restart(chromium, folde
         (folder / "recording.csv").write_text("".join(LINES[:20]) + "A,x\n")
         tab.until("!document.getElementById('error').hidden")
         assert "line 21: found 2 fields" in tab.text("#error")
-        assert tab.text("#opening") == "Usable"  # the last good one
+        assert tab.text("h1") == "Usable"  # the last good one
         assert tab.faults == []
     tab.until("document.getElementById('connection').dataset.now === 'lost'")
     (folder / "recording.csv").write_text("".join(LINES))
@@ -121,15 +122,15 @@ def test_it_follows_the_recording_and_comes_back_after_a_restart(chromium, folde
 
 
 def test_a_view_that_was_turned_stays_turned(chromium, folder):
-    eye = "document.getElementById('space')._fullLayout.scene.camera.eye.x"
+    eye = "document.getElementById('space-world')._fullLayout.scene.camera.eye.x"
     (folder / "recording.csv").write_text("".join(LINES[:20]))
     with watching(folder, "--port", 0) as (_, port):
         tab = Looking(chromium, port)
         tab.has(19)
-        box = tab.page.locator("#space").bounding_box()
-        before = tab.page.evaluate(eye)
         tab.page.locator("#space").scroll_into_view_if_needed()
-        box = tab.page.locator("#space").bounding_box()
+        tab.until("document.getElementById('space-world').dataset.drawn === 'yes'")
+        before = tab.page.evaluate(eye)
+        box = tab.page.locator("#space-world").bounding_box()
         tab.page.mouse.move(box["x"] + 300, box["y"] + 250)
         tab.page.mouse.down()
         tab.page.mouse.move(box["x"] + 420, box["y"] + 260, steps=6)
@@ -147,9 +148,11 @@ def test_names_are_text_and_nothing_of_them_runs(chromium, folder):
     with watching(folder, "--port", 0) as (_, port):
         tab = Looking(chromium, port)
         tab.has(44)
-        names = tab.page.locator("#beams tbody td:first-child").all_text_contents()
+        names = tab.page.locator("#table-beams tbody td:first-child").all_text_contents()
         assert names == list(HOSTILE_BEAMS)
-        legend = tab.page.locator("#space .legendtext").all_text_contents()
+        tab.page.locator("#space").scroll_into_view_if_needed()
+        tab.until("document.getElementById('space-world').dataset.drawn === 'yes'")
+        legend = tab.page.locator("#space-world .legendtext").all_text_contents()
         assert legend[0] == "beam <script>alert(1)</script>"
         assert tab.page.locator("main img").count() == 0
         assert tab.faults == []

@@ -35,7 +35,7 @@ def test_commands_of_the_page(line):
     client = Client(port)
     try:
         until(lambda: client.counted("stations") == 44)
-        assert client.state["verdict"]["opening"] == "Usable"
+        assert client.sent.opening == "Usable"
     finally:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)

@@ -12,8 +12,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli.plan_tables import _enough
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
-from handlaser_gtsam.results.noise_lines import noise_words
-from handlaser_gtsam.results.summary import _observability
+from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.noise import noise_words
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,8 @@ def test_a_motion_without_translations_is_no_fault_where_it_suffices():
 
 def test_a_large_condition_number_says_what_counts(calibration):
     found = replace(calibration.observability, condition=760.0)
-    words = _observability(replace(calibration, observability=found))
+    changed = replace(calibration, observability=found)
+    words = " ".join(Description(changed, changed.verdict).observability)
     assert "the standard deviations hold all the same" in words
 
 
@@ -82,5 +83,5 @@ def test_rounding_is_no_number_and_what_else_is_undetermined_is_named(handlaser,
     assert "beam 1: location, direction; and unknowns of beam 2, plane A; " in out
     out = " ".join(handlaser("calibrate", path, "--verbose")[1].split())
     assert "a reading 0 mm (rounding)" in out
-    assert "rms 0 mm (rounding)" in out
+    assert "rms residual: 0 mm (rounding)" in out
     assert "e-1" not in out

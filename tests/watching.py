@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from html import unescape
 
 from helpers import GRIPPER
 
@@ -84,8 +85,46 @@ def answer(port, path="/", method="GET", **headers):
     return found.status, told, text
 
 
+class Sent:
+    """What a page was sent: messages by topic, read as a browser would."""
+
+    def __init__(self, messages):
+        self._messages = messages
+
+    def json(self, topic):
+        return json.loads(self._messages.get(topic, "null"))
+
+    @property
+    def opening(self):
+        return (self.json("state") or {}).get("opening")
+
+    def html(self, section):
+        return (self.json(f"section:{section}") or {}).get("html", "")
+
+    def words(self, section):
+        """The text of a section."""
+        return " ".join(unescape(re.sub(r"<[^>]*>", " ", self.html(section))).split())
+
+    def counted(self, term):
+        """A number of the first section; -1 where it is not there yet."""
+        shown = re.search(rf"<dt>{term}</dt><dd>(\d+)</dd>", self.html("verdict"))
+        return -1 if shown is None else int(shown[1])
+
+    def rows(self, section, table):
+        """The cells of a table, row by row."""
+        own = self.html(section).partition(f'id="table-{table}"')[2].partition("</figure>")[0]
+        body = own.partition("<tbody>")[2]
+        return [
+            [unescape(cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row)]
+            for row in re.findall(r"<tr>(.*?)</tr>", body, re.DOTALL)
+        ]
+
+    def figure(self, name):
+        return (self.json(f"figure:{name}") or {}).get("figure")
+
+
 class Client:
-    """Looks on: keeps the newest event of every kind, and how many there were."""
+    """Looks on: keeps the newest event of every topic, and how many there were."""
 
     def __init__(self, port, buffer=None, begin=True):
         self.newest, self.count, self.open = {}, {}, True
@@ -119,8 +158,12 @@ class Client:
         return json.loads(self.newest.get("status", "{}"))
 
     def counted(self, term):
-        """A number of the state."""
-        return int(dict(self.state.get("counts", [])).get(term, -1))
+        """A number of what is shown."""
+        return self.sent.counted(term)
+
+    @property
+    def sent(self):
+        return Sent(dict(self.newest))
 
     def _read(self):
         with contextlib.suppress(OSError, ValueError, http.client.HTTPException):
@@ -138,6 +181,9 @@ class Client:
                 elif name == "data":
                     data.append(value.removeprefix(" "))
                 elif not name and kind:
-                    self.newest[kind] = "\n".join(data)
-                    self.count[kind] = self.count.get(kind, 0) + 1
+                    text = "\n".join(data)
+                    about = kind in ("section", "figure")
+                    topic = f"{kind}:{json.loads(text)['name']}" if about else kind
+                    self.newest[topic] = text
+                    self.count[topic] = self.count.get(topic, 0) + 1
                     kind, data = "", []

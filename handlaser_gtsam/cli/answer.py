@@ -1,5 +1,6 @@
 """What a verb answers: tables or JSON on stdout, warnings and what went wrong on stderr."""
 
+import os
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -46,9 +47,13 @@ class Answer:
 
 
 def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines no wider than the screen, and than `WIDTH`."""
+    """Print lines no wider than the screen, and than `WIDTH`; nothing once their reader has gone."""
     from ..results.lines import wrapped
     from .width import text_width
 
-    for line in lines:
-        print("\n".join(wrapped(line, None, text_width())))
+    try:
+        for line in lines:
+            print("\n".join(wrapped(line, None, text_width())))
+        sys.stdout.flush()
+    except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer
+from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer, print_wrapped
 from .log_options import Log
 from .options import AtRangeOption, Given, JsonOption, Model, QuietOption, RecordingArgument, metres
 from .progress_line import Working
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
+    from ..results.description.description import Description
     from ..results.verdict import Verdict
     from ..validation.cross_check import CrossCheck
     from .incremental import PlaneByPlane
@@ -106,7 +107,6 @@ class _Outcome:
     """A calibration, its JSON text, and what is said of it."""
 
     result: "Calibration"
-    recording: "Recording"
     text: str
     verdict: "Verdict"
     check: "CrossCheck | None"
@@ -164,20 +164,21 @@ def _calibrated(
         result, recording = fed.result, fed.recording
     else:
         result = pipeline.calibrate(recording, noise, options)
-    text = calibration_text(result, reading)
+    if result.recording is None:
+        result = replace(result, recording=recording)
+    judged = verdict(result, rig.limits, reading)
+    text = calibration_text(result, judged)
     if output.out is not None:
         write_text(output.out, text)
     check = None
     if manner.cross_check and result.status == "converged":
         check = checking.cross_check(result, recording)
-    judged = verdict(result, recording, rig.limits, reading)
     advice = None
     if output.report is not None or not (output.json_ or output.quiet):
         advice = _advice(result, recording, rig)
     if output.report is not None:
-        whole = replace(result, recording=recording) if result.recording is None else result
-        _report(output, whole, (path, *log.beside), rig_file, rig, advice)
-    return _Outcome(result, recording, text, judged, check, fed, advice, log.lines)
+        _report(output, result, (path, *log.beside), rig_file, rig, advice)
+    return _Outcome(result, text, judged, check, fed, advice, log.lines)
 
 
 def _advice(result: "Calibration", recording: "Recording", rig: "Rig") -> "Plan | None":
@@ -219,39 +220,33 @@ def _report(
 
 def _show(outcome: _Outcome, output: Output) -> None:
     from ..planning.advice import advice_lines
-    from ..results.lines import WIDTH, wrapped
+    from ..results.description.description import Description
+    from ..results.description.rendering import full_table
+    from ..results.description.screen import full_lines
+    from ..results.lines import wrapped
     from .incremental import comparison_line, update_table
-    from .tables import TableConsole, calibration_tables, fitting
     from .width import text_width
 
     fed, width = outcome.fed, text_width()
+    described = Description(outcome.result, outcome.verdict)
     before, after = _around(outcome, output, width)
-    console = TableConsole(
-        highlight=False, markup=False, width=None if sys.stdout.isatty() else width
-    )
     if output.verbose:
-        for part in calibration_tables(outcome.result, outcome.recording, outcome.verdict):
-            text = "\n".join(wrapped(part, None, width)) if isinstance(part, str) else part
-            console.print(text, soft_wrap=True)
         words = [] if outcome.advice is None else advice_lines(outcome.advice)
         advice = [line for text in words for line in wrapped(text, None, width)]
+        lines = full_lines(described, width)
     else:
-        lines, advice = _screen(outcome, len(before) + len(after), width)
-        for line in lines:
-            console.print(line, soft_wrap=True)
+        lines, advice = _screen(described, outcome.advice, len(before) + len(after), width)
     if fed is not None:
-        console.print(fitting(update_table(fed), WIDTH))
+        lines += full_table("plane by plane", update_table(fed), width)
         if fed.comparison is not None:
             before = [*wrapped(comparison_line(fed.comparison), None, width), *before]
-    for line in (*before, *advice, *after):
-        console.print(line, soft_wrap=True)
+    print_wrapped([*lines, *before, *advice, *after])
 
 
 def _around(outcome: _Outcome, output: Output, width: int) -> tuple[list[str], list[str]]:
     """Return the lines before and after the next best stations."""
     from ..results.lines import as_many, wrapped
     from ..text import printable
-    from .tables import cross_check_line
 
     before: list[str] = []
     if outcome.check is not None:
@@ -263,25 +258,33 @@ def _around(outcome: _Outcome, output: Output, width: int) -> tuple[list[str], l
     return before, [*after, *(f"wrote {printable(str(path))}" for path in written)]
 
 
-def _screen(outcome: _Outcome, around: int, width: int) -> tuple[list[str], list[str]]:
+def cross_check_line(check: "CrossCheck") -> str:
+    """Return the cross-check in one line."""
+    return (
+        f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
+        f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
+        f"({check.sigma_parameter})"
+    )
+
+
+def _screen(
+    described: "Description", advice: "Plan | None", around: int, width: int
+) -> tuple[list[str], list[str]]:
     """Return the default screen, and the next best stations that fit below it with lines `around`."""
     from ..planning.advice import advice_within
+    from ..results.description.screen import LINES, screen_lines
     from ..results.lines import as_many
-    from ..results.summary import LINES, screen_lines
 
-    shown, most = (outcome.result, outcome.recording, outcome.verdict), as_many(LINES, width)
-    if outcome.advice is None:
-        return screen_lines(*shown, closing=around, width=width), []
+    if advice is None:
+        return screen_lines(described, closing=around, width=width), []
     kept = as_many(LEAST_ADVICE, width)
-    lines = screen_lines(*shown, closing=around + kept, width=width)
-    room = max(most - around - len(lines), kept)
-    return lines, advice_within(outcome.advice, room, width)
+    lines = screen_lines(described, closing=around + kept, width=width)
+    room = max(as_many(LINES, width) - around - len(lines), kept)
+    return lines, advice_within(advice, room, width)
 
 
 def _warnings(outcome: _Outcome) -> Iterator[str]:
     """Yield what stderr says where no tables do."""
-    from .tables import cross_check_line
-
     if outcome.check is not None:
         yield cross_check_line(outcome.check)
     for warning in outcome.result.warnings:

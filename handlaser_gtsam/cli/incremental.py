@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
@@ -14,6 +12,7 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
+from ..results.description.tables import Cell, Column, Table, number, text
 from ..session import Comparison, Session, Update
 from ..session.drift import Moved
 from ..solvers.progress import tell
@@ -44,8 +43,8 @@ def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptio
     """Feed a recording to a session plane by plane, then compare it with the batch calibration."""
     session, updates = Session(noise, options), []
     planes = recording.plane_names
-    for number, name in enumerate(planes):
-        tell("planes", number, len(planes), f"plane {name}")
+    for index, name in enumerate(planes):
+        tell("planes", index, len(planes), f"plane {name}")
         updates.append((name, session.add(recording.plane(name))))
     fed = tuple(updates)
     tell("planes", len(planes), len(planes), "all at once")
@@ -77,27 +76,35 @@ def _warning(moved: Moved) -> CalibrationWarning:
 
 def update_table(fed: PlaneByPlane) -> Table:
     """Return what every plane taught, and how standard deviations fell; those of the result last."""
-    table = Table(box=SIMPLE_HEAD, title="plane by plane", title_justify="left")
-    table.add_column("plane")
-    for name in ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected"):
-        table.add_column(name, justify="right")
-    table.add_column("notes")
-    for name, update in fed.updates:
-        nats = f"{update.information:.2f}" if np.isfinite(update.information) else "-"
-        count = str(len(update.rejected)) if update.rejected else ""
-        table.add_row(name, nats, *_largest(update.sigma), count, _remark(name, update))
+    rows = [
+        _row(name, update.information, update.sigma, len(update.rejected), _remark(name, update))
+        for name, update in fed.updates
+    ]
     beams = fed.result.beams.values()
     if fed.comparison is not None and all(beam.sigma is not None for beam in beams):
         sigma = np.array([beam.sigma for beam in beams])
-        rejected = str(len(fed.result.fit.rejected) or "")
-        table.add_row("result", "", *_largest(sigma), rejected, fed.comparison.message)
-    return table
+        rejected = len(fed.result.fit.rejected)
+        rows.append(_row("result", None, sigma, rejected, fed.comparison.message))
+    titles = ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected")
+    columns = Column("plane", number=False), *map(Column, titles), Column("notes", number=False)
+    return Table("updates", "", columns, tuple(rows))
 
 
-def _largest(sigma: FloatArray | None) -> tuple[str, str]:
-    if sigma is None:
-        return "-", "-"
-    return f"{IN_MM * sigma[:, :3].max():.4f}", f"{np.degrees(sigma[:, 3:6].max()):.4f}"
+def _row(
+    name: str, information: float | None, sigma: FloatArray | None, rejected: int, remark: str
+) -> tuple[Cell, ...]:
+    location, direction = None, None
+    if sigma is not None:
+        location = IN_MM * float(sigma[:, :3].max())
+        direction = float(np.degrees(sigma[:, 3:6].max()))
+    return (
+        text(name),
+        number(information, 2),
+        number(location, 4),
+        number(direction, 4),
+        text(str(rejected) if rejected else ""),
+        text(remark),
+    )
 
 
 def comparison_line(comparison: Comparison) -> str:

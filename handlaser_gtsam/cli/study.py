@@ -107,20 +107,19 @@ def _bar(ends: ExitStack) -> Callable[[int, int], None] | None:
 
 
 def _show(found: "Study") -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from .tables import TableConsole, fitting
+    from ..results.description.rendering import text_table
+    from ..results.description.tables import Column, Table, text
     from .width import columns
 
-    table = Table(box=SIMPLE_HEAD)
-    for name, _ in COLUMNS:
-        text = name in ("scene", "treatment")
-        table.add_column(TITLES.get(name, name), justify="left" if text else "right")
-    for row in found.summary().iter_rows(named=True):
-        cells = [(row[name], form) for name, form in COLUMNS]
-        table.add_row(*("-" if value is None else form.format(value) for value, form in cells))
-    TableConsole(width=columns(), highlight=False, markup=False).print(fitting(table))
+    titles = tuple(
+        Column(TITLES.get(name, name), number=name not in ("scene", "treatment"))
+        for name, _ in COLUMNS
+    )
+    rows = tuple(
+        tuple(text("-" if row[name] is None else form.format(row[name])) for name, form in COLUMNS)
+        for row in found.summary().iter_rows(named=True)
+    )
+    print_wrapped(text_table(Table("study", "", titles, rows), columns()))
     print_wrapped(
         f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"
         for row in found.power().iter_rows(named=True)

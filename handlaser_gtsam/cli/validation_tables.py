@@ -4,16 +4,17 @@ import math
 from collections.abc import Iterator
 
 from ..quantities import IN_MM
+from ..results.description.description import Description
+from ..results.description.rendering import full_table
 from ..results.reports import Fit
 from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
-from .tables import systematic_lines
 
 
-def validation_lines(result: Validation, verdict: Verdict) -> Iterator[str]:
+def validation_lines(result: Validation, verdict: Verdict, width: int) -> Iterator[str]:
     """Yield the lines of a validation, the verdict first."""
     yield verdict.sentence
     fit = result.calibration.fit
@@ -31,7 +32,9 @@ def validation_lines(result: Validation, verdict: Verdict) -> Iterator[str]:
         yield "no station has three beams that span a plane: nothing to reconstruct"
     for one in verdict.exceeded:
         yield f"limit exceeded: {one}"
-    yield from systematic_lines(result.calibration)
+    described = Description(result.calibration, verdict)
+    if described.systematic is not None:
+        yield from full_table("systematic errors", described.systematic, width)
     for warning in result.calibration.warnings:
         yield f"WARNING: {warning}"
 

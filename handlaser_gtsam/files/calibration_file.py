@@ -212,6 +212,43 @@ class StartRecord(FileRecord):
     tried: Many[TriedRecord]
 
 
+class SpotErrorRecord(FileRecord):
+    """The radius that holds the least certain laser spot with 95 %, from the calibration alone."""
+
+    beam: str
+    reading_m: float
+    radius_m: float
+
+
+class HiddenRecord(FileRecord):
+    """The systematic error that may be there unnoticed and moves a laser spot most, by how much."""
+
+    code: str
+    size: float
+    unit: str
+    spot_shift_m: float
+
+
+class RemedyRecord(FileRecord):
+    """What would improve the calibration, with the number behind it."""
+
+    code: str
+    message: str
+    number: float | None
+
+
+class VerdictRecord(FileRecord):
+    """Whether the calibration can be used, and why."""
+
+    code: str
+    usable: bool
+    sentence: str
+    spot: SpotErrorRecord | None
+    may_hide: HiddenRecord | None
+    causes: Many[WarningRecord]
+    remedies: Many[RemedyRecord]
+
+
 class CalibrationFile(FileRecord):
     """What the JSON file of a calibration holds; see docs/files.md for its fields.
 
@@ -223,6 +260,7 @@ class CalibrationFile(FileRecord):
     version: Version
     status: Literal["converged", "unobservable", "not_converged"]
     message: str
+    verdict: VerdictRecord | None = None
     warnings: Many[WarningRecord]
     beams: Many[BeamRecord]
     beam_covariance: Many[Numbers] | None

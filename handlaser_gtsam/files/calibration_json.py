@@ -9,8 +9,11 @@ from ..data.parameters import Parameters
 from ..data.recording import LARGEST, Recording
 from ..observability.motion import MotionCheck
 from ..results.calibration import Calibration
+from ..results.limits import Limits
 from ..results.measuring import spot
 from ..results.reports import Beam, Fit, NoiseComponent, Plane
+from ..results.verdict import Verdict
+from ..results.verdict import verdict as verdict_on
 from . import calibration_file as schema
 from .json_text import Record, json_text, record
 from .writing import path_of, write_text
@@ -18,12 +21,16 @@ from .writing import path_of, write_text
 RANGE_ERRORS = ("k1", "k2_per_m")
 
 
-def calibration_text(calibration: Calibration, reading: float | None = None) -> str:
-    """Return the calibration as JSON text; laser spots at `reading` [m], or at the median.
+def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -> str:
+    """Return the calibration as JSON text, with a verdict and the laser spots at its working distance.
+
+    The verdict is that of the calibration itself where no other is given.
 
     Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
     `covariance` are null: the numbers beside them are one of many solutions.
     """
+    verdict = calibration.verdict if verdict is None else verdict
+    reading = verdict.reading
     joint, scales = calibration.covariance, calibration.range_error_scales
     start, seen = calibration.start, calibration.observability
     indices = None if seen.indices is None else record(seen.indices, schema.IndicesRecord)
@@ -32,6 +39,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
         schema.CalibrationFile,
         format="handlaser-calibration",
         version=1,
+        verdict=_verdict(verdict),
         warnings=[record(one, schema.WarningRecord) for one in calibration.warnings],
         beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         beam_covariance=None if joint is None else joint.matrix(planes=[]),
@@ -50,7 +58,7 @@ def calibration_text(calibration: Calibration, reading: float | None = None) -> 
                 one,
                 schema.SystematicRecord,
                 explained_by=one.explained_by or None,
-                spot_shift_m=one.spots(_reading(calibration, reading), unnoticed=True),
+                spot_shift_m=one.spots(reading, unnoticed=True),
             )
             for one in calibration.systematic
         ],
@@ -66,11 +74,20 @@ def write_calibration(
     path: Path | str,
     calibration: Calibration | schema.CalibrationFile,
     reading: float | None = None,
+    limits: Limits | None = None,
 ) -> None:
     """Write the calibration to a JSON file, whole or not at all.
 
-    The error of the laser spots is told at `reading` [m], or at the median; not at all for a graph that
-    does not tell its readings. What `read_calibration` returned is written as it was read.
+    Parameters
+    ----------
+    path : Path or str
+    calibration : Calibration or CalibrationFile
+        What `read_calibration` returned is written as it was read.
+    reading : float, optional
+        Working distance at which laser spots are judged [m]; the median where not given. A graph that
+        does not tell its readings has none.
+    limits : Limits, optional
+        What its user demands: the verdict says whether it holds.
 
     Raises
     ------
@@ -83,7 +100,7 @@ def write_calibration(
         require_kind("calibration", calibration, Calibration)
         if reading is not None:
             require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
-        text = calibration_text(calibration, reading)
+        text = calibration_text(calibration, verdict_on(calibration, limits, reading))
     write_text(path_of(path), text)
 
 
@@ -113,7 +130,7 @@ def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> Record:
     return {"name": name, "location_m": r, "direction": v, "range_error": k1_k2}
 
 
-def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> Record:
+def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
     k, sigma, excludes, intervals = beam.range_error_sigma, None, None, None
     if k is not None:
         sigma = {
@@ -139,17 +156,38 @@ def _beam(beam: Beam, calibration: Calibration, reading: float | None) -> Record
     }
 
 
-def _spot(calibration: Calibration, name: str, reading: float | None) -> Record | None:
-    d = _reading(calibration, reading)
-    if calibration.covariance is None or math.isnan(d):  # a graph that does not tell its readings
+def _spot(calibration: Calibration, name: str, reading: float) -> Record | None:
+    if calibration.covariance is None or math.isnan(reading):  # a graph does not tell its readings
         return None
-    found = spot(calibration, name, d)
+    found = spot(calibration, name, reading)
     sigmas = {"along_sigma_m": found.along, "across_sigma_m": found.across}
-    return record(found, schema.SpotRecord, reading_m=d, **sigmas)
+    return record(found, schema.SpotRecord, reading_m=reading, **sigmas)
 
 
-def _reading(calibration: Calibration, reading: float | None) -> float:
-    return calibration.fit.median_reading if reading is None else reading
+def _verdict(verdict: Verdict) -> Record:
+    spot_error, hidden = None, None
+    if verdict.spot_error is not None:
+        spot_error = {
+            "beam": verdict.spot_beam,
+            "reading_m": verdict.reading,
+            "radius_m": verdict.spot_error,
+        }
+    if verdict.hidden is not None:
+        hidden = {
+            "code": verdict.hidden.code,
+            "size": verdict.hidden.unnoticed,
+            "unit": verdict.hidden.unit,
+            "spot_shift_m": verdict.hidden_error,
+        }
+    best = verdict.best
+    return record(
+        verdict,
+        schema.VerdictRecord,
+        spot=spot_error,
+        may_hide=hidden,
+        causes=[record(cause, schema.WarningRecord) for cause in verdict.causes],
+        remedies=[{"code": best.code, "message": best.words, "number": best.number}],
+    )
 
 
 def _plane(plane: Plane) -> Record:

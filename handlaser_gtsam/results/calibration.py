@@ -12,11 +12,13 @@ from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
 from ..model.losses import Loss
 from ..model.weighting import whitening
 from .calibration_fields import CalibrationData
+from .description.description import Description
+from .description.notebook import notebook_html
+from .description.screen import screen_lines
 from .limits import Limits
-from .notebook import notebook_html
 from .reports import Beam, Plane
-from .summary import screen_lines
-from .verdict import verdict
+from .verdict import Verdict
+from .verdict import verdict as verdict_on
 
 if TYPE_CHECKING:  # both take long to import, and few need them
     import gtsam
@@ -144,12 +146,19 @@ class Calibration(CalibrationData):
         reading : float, optional
             Working distance at which laser spots are judged [m]; the median reading where not given.
         """
-        recording = self.recording
-        return "\n".join(screen_lines(self, recording, verdict(self, recording, limits, reading)))
+        return "\n".join(screen_lines(Description(self, verdict_on(self, limits, reading))))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether to use it, what it is good for, what may hide, and what would improve it most.
+
+        Without limits of a user, and at the median reading; `Rig` files and commands state others.
+        """
+        return verdict_on(self)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and a row a beam."""
-        return notebook_html(self)
+        return notebook_html(Description(self, self.verdict))
 
     def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
         """Return a table of the beams and one of the planes, a row each.

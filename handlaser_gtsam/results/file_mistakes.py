@@ -60,8 +60,8 @@ Undone = Callable[[Recording], Recording]
 def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
     """Say how else the file could be read so that it fits a hundredfold better; nothing if it cannot.
 
-    Where several ways fit alike, as y negated and both x and z do, all of them are said. Nothing is said
-    of a recording that is so small that another way may fit by chance.
+    Where several ways fit alike, as y negated and both x and z do, all of them are said. Nothing is
+    said of a recording that is so small that another way may fit by chance.
 
     Parameters
     ----------

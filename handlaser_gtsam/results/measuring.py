@@ -11,11 +11,10 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..checks import require_kind
-from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
 from ..model.joint import JointCovariance, plane_lift
-from .calibration import Calibration
+from .calibration_fields import CalibrationData
 from .reports import Beam
 from .spot_error import spot_at
 
@@ -74,7 +73,7 @@ class MeasuredPlane(Value):
     angle_sigma: float
 
 
-def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
+def spot(calibration: CalibrationData, beam: str, reading: float) -> Spot:
     """Return the spot of `beam` for a reading [m], with what the calibration leaves unsure.
 
     Raises
@@ -95,7 +94,7 @@ def spot(calibration: Calibration, beam: str, reading: float) -> Spot:
     return Spot(x, S, along, across, one.direction_sigma, noise)
 
 
-def measured_plane(calibration: Calibration, readings: Mapping[str, float]) -> MeasuredPlane:
+def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) -> MeasuredPlane:
     """Return the plane that `readings` [m] by beam name put before the hand, and its covariance.
 
     Raises
@@ -141,16 +140,17 @@ def plane_of(spots: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     return None if size[1] <= LEAST_SPREAD * size[0] else (axes[2], middle)
 
 
-def typical_plane(
-    calibration: Calibration, recording: Recording
-) -> tuple[str, MeasuredPlane] | None:
+def typical_plane(calibration: CalibrationData) -> tuple[str, MeasuredPlane] | None:
     """Return a station near the median reading with all that its beams say of their plane.
 
     None where no station has three used readings that span a plane.
     """
+    recording = calibration.recording
+    if calibration.covariance is None or recording is None:
+        return None
     d = np.where(np.isnan(calibration.fit.residuals), np.nan, recording.ranges)
     count = (~np.isnan(d)).sum(axis=1)
-    if calibration.covariance is None or count.max() < 3:
+    if count.max() < 3:
         return None
     full = np.flatnonzero(count == count.max())
     off = np.abs(np.nanmean(d[full], axis=1) - calibration.fit.median_reading)
@@ -163,9 +163,9 @@ def typical_plane(
     return recording.station_names[station], found
 
 
-def _known(calibration: Calibration, names: list[str]) -> tuple[list[Beam], JointCovariance]:
+def _known(calibration: CalibrationData, names: list[str]) -> tuple[list[Beam], JointCovariance]:
     """Return the named beams of a calibration, and its covariance."""
-    require_kind("calibration", calibration, Calibration)
+    require_kind("calibration", calibration, CalibrationData, "handlaser_gtsam.Calibration(...)")
     for name in names:
         if name not in calibration.beams:
             raise InputError(f"beam {name!r}", f"one of {', '.join(calibration.beams)}")
@@ -174,7 +174,7 @@ def _known(calibration: Calibration, names: list[str]) -> tuple[list[Beam], Join
     return [calibration.beams[name] for name in names], calibration.covariance
 
 
-def _range_sigma(calibration: Calibration, name: str) -> float:
+def _range_sigma(calibration: CalibrationData, name: str) -> float:
     """Return the standard deviation of a reading of a beam [m]."""
     if calibration.variances is None:
         return calibration.fit.range_sigma

@@ -36,7 +36,7 @@ from scipy.linalg import eigh
 from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
-from ..data.recording import LARGEST, Readings, Recording
+from ..data.recording import LARGEST, Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beams_lift
@@ -139,11 +139,11 @@ class VarianceShares:
 
 
 def variance_shares(
-    calibration: CalibrationData, beam: str, reading: float, recording: Recording | None = None
+    calibration: CalibrationData, beam: str, reading: float
 ) -> VarianceShares | None:
     """Return what the spot error of `beam` at `reading` [m] is made of; None without a covariance.
 
-    The share of the poses needs the recording of the calibration, in its order.
+    The share of the poses needs the recording of the calibration.
     """
     if calibration.covariance is None:
         return None
@@ -160,7 +160,7 @@ def variance_shares(
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along, square = J @ (unit * axes[:, -1]), axes[:, -1].reshape(-1, 8) ** 2
     return VarianceShares(
-        _pose_share(calibration, J, recording),
+        _pose_share(calibration, J),
         _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
         _part(float(values[-1] * (along @ along)) / whole),
         max(ROWS, key=lambda name: float(square[:, ROWS[name]].sum())),
@@ -171,8 +171,8 @@ def _part(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-def _pose_share(calibration: CalibrationData, J: FloatArray, recording: Recording | None) -> float:
-    variances = calibration.variances
+def _pose_share(calibration: CalibrationData, J: FloatArray) -> float:
+    recording, variances = calibration.recording, calibration.variances
     if variances is None or variances.pose is None or not variances.pose.any():
         return 0.0 if recording is not None else math.nan
     if recording is None:

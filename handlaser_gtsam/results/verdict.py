@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..data.recording import Recording
+from ..errors import CalibrationWarning
 from ..quantities import IN_MM
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
@@ -68,6 +68,8 @@ class Verdict:
         How many planes were left out and agree.
     contradicted_by : tuple of str
         The planes that were left out and do not.
+    causes : tuple of CalibrationWarning
+        Why it is not usable, or usable with care: each with a code and its numbers.
     """
 
     code: str
@@ -83,6 +85,7 @@ class Verdict:
     shares: VarianceShares | None = None
     confirmed_by: int = 0
     contradicted_by: tuple[str, ...] = ()
+    causes: tuple[CalibrationWarning, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -98,6 +101,11 @@ class Verdict:
         return f"{OPENING[self.code]}{confirmed}: {words}."
 
     @property
+    def worst_limits(self) -> tuple[LimitCheck, ...]:
+        """Of every quantity with a limit, the value nearest to it or furthest beyond."""
+        return worst_of_each(self.limits)
+
+    @property
     def exceeded(self) -> tuple[str, ...]:
         """Which limits are exceeded, in words."""
         return tuple(one.failure for one in self.limits if not one.held)
@@ -105,7 +113,6 @@ class Verdict:
 
 def verdict(
     calibration: CalibrationData,
-    recording: Recording | None = None,
     limits: Limits | None = None,
     reading: float | None = None,
 ) -> Verdict:
@@ -114,8 +121,6 @@ def verdict(
     Parameters
     ----------
     calibration : CalibrationData
-    recording : Recording, optional
-        The one behind it, in its order: tells how much robot errors contribute.
     limits : Limits, optional
         What its user demands.
     reading : float, optional
@@ -129,7 +134,7 @@ def verdict(
     checks = checked(calibration, limits or Limits())
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
-    shares = variance_shares(calibration, beam, reading, recording) if beam else None
+    shares = variance_shares(calibration, beam, reading) if beam else None
     hidden, beyond = _most_hidden(calibration, reading)
     doubtful = hidden if (beyond or 0.0) > max(radii.values(), default=np.inf) else None
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
@@ -141,8 +146,28 @@ def verdict(
     found = Verdict(
         *(code, (), best, reading, beam, radii.get(beam), harmful, hidden, beyond, checks, shares)
     )
-    causes = [_clause(one.message) for one in calibration.warnings if one.code == CAUSE]
-    return replace(found, findings=(*causes, *_findings(found, calibration)))
+    named = [warning for warning in calibration.warnings if warning.code == CAUSE]
+    words = (_clause(warning.message) for warning in named)
+    causes = (*named, *_causes(found, calibration))
+    return replace(found, findings=(*words, *_findings(found, calibration)), causes=causes)
+
+
+def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[CalibrationWarning]:
+    """Yield what keeps a solved calibration from being simply usable, beside mistakes of the file."""
+    for check in judged.limits:
+        if not check.held:
+            values: dict[str, float | str] = {
+                "quantity": check.quantity,
+                "subject": check.subject,
+                "value": check.value,
+                "limit": check.limit,
+            }
+            yield CalibrationWarning("outside-limits", check.failure, values)
+    error = judged.harmful
+    if error is not None:
+        values = {"subject": error.subject, "size": error.size, "p_value": error.p_value}
+        yield CalibrationWarning(error.code, error.message, values)
+    yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
 
 
 def _most_hidden(
@@ -226,7 +251,10 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
         says_why = any(one.message == calibration.message for one in calibration.warnings)
         code = "no-fit" if says_why else "not-converged"
         words = _clause(calibration.message).removeprefix("the readings do not fit: ")
-        return Verdict(code, (words,), best, reading)
+        causes = calibration.warnings
+        if not says_why:
+            causes = (CalibrationWarning(code, calibration.message), *causes)
+        return Verdict(code, (words,), best, reading, causes=causes)
     words = found.advice[0] if found.advice else "look into the recording"
     what = calibration.message
     if found.undetermined:
@@ -234,7 +262,8 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
         others = list(dict.fromkeys(one.partition(":")[0] for one in more))
         what = first + (f"; and unknowns of {some(others, 3)}" if others else "")
     best = Improvement("more-motion", words)
-    return Verdict("undetermined", (_clause(what), _clause(words)), best, reading)
+    causes = CalibrationWarning("undetermined", calibration.message), *calibration.warnings
+    return Verdict("undetermined", (_clause(what), _clause(words)), best, reading, causes=causes)
 
 
 def failures(checks: tuple[LimitCheck, ...]) -> str:

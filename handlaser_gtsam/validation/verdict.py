@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from ..data.recording import Recording
 from ..results.limits import Limits, rms_checked
 from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
@@ -13,15 +12,13 @@ SHOWN = 4
 """Planes that are named in one list."""
 
 
-def verdict_of_validation(
-    validation: Validation, recording: Recording | None = None, limits: Limits | None = None
-) -> Verdict:
+def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:
     """Return the verdict on a calibration that was validated by leaving planes out.
 
     Beside that on the calibration itself: the rms limit holds for planes that were left out, too, and
     none of them contradicts the beams found without it.
     """
-    found = verdict(validation.calibration, recording, limits)
+    found = verdict(validation.calibration, limits)
     left_out = {one.plane: one.result for one in validation.planes if one.result is not None}
     checks = tuple(
         check

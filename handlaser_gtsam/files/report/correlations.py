@@ -1,72 +1,11 @@
-"""Which unknowns of the beams go together: the matrix of correlations, and its figure."""
+"""The figure of which unknowns of the beams go together."""
 
-from dataclasses import dataclass
-
-import numpy as np
-
-from ...arrays import FloatArray
-from ...results.calibration_fields import LABELS
+from ...results.description.correlations import FLAGGED, Correlations
 from ..json_text import Record
 from .figure import Figure, axis, label, layout, numbers, tick_labels
-from .subject import Subject
 
-FLAGGED = 0.8
-"""Correlations above this are flagged."""
-MOST_BEAMS = 8
-"""Beams that are compared."""
 ROOM_FOR_BEAMS = 28
 """Letters of all beams beside the correlations on a phone."""
-
-
-@dataclass(frozen=True, slots=True)
-class Correlations:
-    """Correlations of the unknowns of beams.
-
-    Attributes
-    ----------
-    labels : tuple of (str, str)
-        Beam and coordinate of every row.
-    matrix : (n, n)
-    """
-
-    labels: tuple[tuple[str, str], ...]
-    matrix: FloatArray
-
-
-def correlations(
-    names: tuple[str, ...], directions: FloatArray, covariance: FloatArray
-) -> Correlations:
-    """Return the correlations of the first beams.
-
-    Of the three components of a direction, the largest follows from the others and is left out; so is
-    what is not estimated.
-
-    Parameters
-    ----------
-    names : B names
-    directions : (B, 3)
-    covariance : (8 B, 8 B)
-        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
-    """
-    names, S = names[:MOST_BEAMS], covariance[: 8 * MOST_BEAMS, : 8 * MOST_BEAMS]
-    variance = np.diagonal(S)
-    keep = variance > 0.0
-    for index, v in enumerate(directions[:MOST_BEAMS]):
-        keep[8 * index + 3 + int(np.abs(v).argmax())] = False
-    rows = np.flatnonzero(keep)
-    sigma = np.sqrt(variance[rows])
-    labels = tuple((names[row // 8], LABELS[row % 8]) for row in rows.tolist())
-    return Correlations(labels, S[np.ix_(rows, rows)] / np.outer(sigma, sigma))
-
-
-def correlations_of(subject: Subject) -> Correlations | None:
-    """Return the correlations of a calibration; None without a covariance."""
-    calibration = subject.calibration
-    joint = calibration.covariance
-    if joint is None or not subject.solved:
-        return None
-    names = joint.beam_names[:MOST_BEAMS]
-    return correlations(names, calibration.parameters().directions, joint.matrix(names, []))
 
 
 def correlation_figure(found: Correlations) -> Figure:

@@ -1,6 +1,7 @@
 """All figures of a subject, in the order of the report."""
 
-from .correlations import correlation_figure, correlations_of
+from ...results.description.correlations import correlations_of
+from .correlations import correlation_figure
 from .figure import Figure
 from .history_figure import stations_figure
 from .residual_figures import qq_figure, residual_figures
@@ -9,7 +10,7 @@ from .subject import Subject
 
 def flat_figures(subject: Subject) -> list[Figure]:
     """Return the flat figures that there are something to draw for."""
-    correlated = correlations_of(subject)
+    correlated = correlations_of(subject.calibration)
     found = [
         *residual_figures(subject),
         qq_figure(subject),

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,15 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from ..._version import __version__
 from ...quantities import IN_MM
-from ...results.lines import count
-from ...results.verdict import OPENING
-from ...text import printable, some
+from ...results.description.evidence import rejected_words
+from ...results.description.tables import Column, Facts, Table, concise, number, sentence, text
+from ...text import count, printable, some
 from .options import changed_on, sha256
 from .subject import Subject
-from .tables import Column, Table, concise, number, sentence, text
 
-MARKS = {"usable": "good", "usable-with-care": "care"}
-"""Colour of a verdict; all others are bad."""
 FRAMES = (
     "Mounts in the hand frame, which the recorded poses describe; planes and stations in the world "
     "frame, in which they are given. Lengths in mm, angles in deg, k1 without unit, k2 in 1/m."
@@ -29,39 +25,23 @@ SHOWN_NAMES = 12
 LIBRARIES = ("gtsam", "numpy", "scipy")
 
 
-@dataclass(frozen=True, slots=True)
-class Head:
-    """The verdict, and what was calibrated as names and words."""
-
-    title: str
-    opening: str
-    findings: tuple[str, ...]
-    mark: str
-    status: str
-    facts: tuple[tuple[str, str], ...]
-    warnings: tuple[str, ...]
-
-
-def head_of(subject: Subject) -> Head:
-    """Return the verdict and the head of a report."""
-    judged, calibration = subject.verdict, subject.calibration
-    findings = judged.findings
-    if not subject.solved:  # in full, where the screen has it in one line
-        findings = (calibration.message,)
-    warnings = [str(one) for one in calibration.warnings if one.message != calibration.message]
-    warnings += [
-        f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
-    ]
+def title_of(subject: Subject) -> str:
+    """Return what is reported on."""
     name = _name(subject.options.recording_file)
-    return Head(
-        f"Calibration of {name}" if name else "Calibration",
-        OPENING[judged.code],
-        tuple(map(sentence, findings)),
-        MARKS.get(judged.code, "bad"),
-        calibration.status.replace("_", " "),
-        tuple((term, words) for term, words in _facts(subject) if words),
-        tuple(map(sentence, warnings)),
+    return f"Calibration of {name}" if name else "Calibration"
+
+
+def warnings_of(subject: Subject) -> tuple[str, ...]:
+    """Return warnings of the calibration, and of the planes that were held out, as sentences."""
+    contradicting = (
+        f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
     )
+    return tuple(map(sentence, (*subject.described.warnings, *contradicting)))
+
+
+def head_facts(subject: Subject) -> Facts:
+    """Return what was calibrated."""
+    return tuple((term, words) for term, words in _facts(subject) if words)
 
 
 def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
@@ -79,20 +59,10 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         read = np.atleast_1d((~np.isnan(recording.ranges)).any(axis=1))
         merged = "" if read.all() else f" with readings, of {len(read)}"
         yield "stations", f"{read.sum()}{merged}"
-    yield "readings", f"{calibration.fit.readings} used, {_rejected(subject)}"
+    yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject.described)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)
     yield "frames and units", FRAMES
-
-
-def _rejected(subject: Subject) -> str:
-    rejected = subject.calibration.fit.rejected
-    reasons: dict[str, int] = {}
-    for one in rejected:
-        reasons[one.reason] = reasons.get(one.reason, 0) + 1
-    most = sorted(reasons, key=lambda reason: -reasons[reason])
-    listed = some([f"{reason}: {reasons[reason]}" for reason in most], 4)
-    return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
 
 
 def _date(subject: Subject) -> str:
@@ -136,35 +106,15 @@ def _sensor(subject: Subject) -> str:
     return ", ".join(parts)
 
 
-def next_words(subject: Subject) -> Iterator[str]:
-    """Yield what would improve the calibration, the best first."""
-    calibration = subject.calibration
-    words = subject.verdict.best.words
-    if not subject.solved:
-        yield from map(sentence, calibration.observability.advice)
-        if not calibration.observability.advice:
-            yield f"Do this first: {words}."
-        return
-    yield f"Best improvement: {words}."
-    yield from _correlations(subject)
+def promise(subject: Subject) -> str:
+    """Return what the next best stations promise; empty where none were chosen."""
     plan = subject.plan
-    if plan is not None:
-        yield (
-            f"After {count(len(plan), 'station')} more, at the poses below: "
-            f"{plan.forecast.words(len(plan))} (now {plan.forecast.words(0)})."
-        )
-
-
-def _correlations(subject: Subject) -> Iterator[str]:
-    """Yield what would tell strongly correlated unknowns apart, each advice once."""
-    found = subject.calibration.correlations
-    for advice in dict.fromkeys(one.advice for one in found):
-        first, *more = [one for one in found if one.advice == advice]
-        others = f", as are {count(len(more), 'more pair')}" if more else ""
-        yield (
-            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
-            f"(correlation {first.coefficient:.3f}){others}."
-        )
+    if plan is None or not subject.solved:
+        return ""
+    return (
+        f"After {count(len(plan), 'station')} more, at the poses below: "
+        f"{plan.forecast.words(len(plan))} (now {plan.forecast.words(0)})."
+    )
 
 
 def plan_table(subject: Subject) -> Table | None:
@@ -188,7 +138,7 @@ def plan_table(subject: Subject) -> Table | None:
     return Table("next", "Hand poses world_T_hand.", columns, rows)
 
 
-def made_facts(subject: Subject) -> tuple[tuple[str, str], ...]:
+def made_facts(subject: Subject) -> Facts:
     """Return how the calibration and this report were made."""
     calibration, options = subject.calibration, subject.options
     start = calibration.start

@@ -1,4 +1,5 @@
-(() => {
+// The page: sortable tables, figures, and what a server may renew of them.
+const page = (() => {
   const parsed = (id) => {
     const element = document.getElementById(id);
     return element ? JSON.parse(element.textContent) : null;
@@ -28,28 +29,49 @@
     });
     body.append(...rows.map((one) => one.row));
   };
-  for (const heading of document.querySelectorAll("table.sortable th")) {
-    heading.querySelector("button").addEventListener("click", () => sortBy(heading));
-  }
 
-  const save = document.getElementById("save");
-  if (save) {
-    save.addEventListener("click", () => {
-      const text = JSON.stringify(parsed("calibration"), null, 2) + "\n";
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-      link.download = "calibration.json";
-      link.click();
-    });
-  }
+  const saveResult = () => {
+    const text = JSON.stringify(parsed("calibration"), null, 2) + "\n";
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+    link.download = "calibration.json";
+    link.click();
+  };
+
+  // Of the two views in space one is shown.
+  let frame = "space-world";
+  const showFrame = () => {
+    const buttons = [...document.querySelectorAll(".switch button")];
+    if (!buttons.some((one) => one.dataset.show === frame)) return;
+    for (const one of buttons) one.setAttribute("aria-pressed", String(one.dataset.show === frame));
+    for (const space of document.querySelectorAll(".space")) {
+      const mine = space.dataset.space === frame;
+      space.classList.toggle("shown", mine);
+      space.classList.toggle("hidden", !mine);
+    }
+  };
+
+  document.addEventListener("click", (event) => {
+    const button = event.target.closest("button");
+    if (!button) return;
+    if (button.closest("table.sortable th")) sortBy(button.closest("th"));
+    if (button.id === "save") saveResult();
+    if (button.dataset.show) {
+      frame = button.dataset.show;
+      showFrame();
+    }
+  });
 
   // Figures: the page is read before the library runs. What is in view or near it is drawn first; the
   // other flat ones follow while the browser has nothing else to do, and those in space wait for a reader.
   const figures = parsed("figures") || {};
   const NARROW = 500;
-  const settings = { displayModeBar: false, responsive: true };
-  const started = new Set();
   const NEAR = "400px";
+  const settings = { displayModeBar: false, responsive: true };
+  const pending = new Set(Object.keys(figures));
+  const near = new Set();
+  const placeOf = (name) => document.querySelector(`.canvas[data-figure="${name}"]`);
+  const inSpace = (name) => placeOf(name).closest(".space") !== null;
 
   // A drawing keeps its proportions on paper, where it is narrower than on the screen.
   const scalable = (place) => {
@@ -67,25 +89,22 @@
     layout.height = 400;
     place.style.height = "400px";
   };
-  const draw = async (place) => {
-    const name = place.dataset.figure;
-    if (started.has(name) || !figures[name]) return;
-    started.add(name);
+  const draw = async (name) => {
+    const place = placeOf(name);
     const space = place.closest(".space");
-    if (space && !webgl()) {
-      place.dataset.drawn = "still"; // the still picture stays
-      return;
-    }
+    const first = place.dataset.drawn === undefined;
+    if (first && space && !webgl()) place.dataset.drawn = "still"; // the still picture stays
+    if (place.dataset.drawn === "still") return;
     const Plotly = await plotly();
     if (!Plotly) return;
+    const { data, layout } = figures[name];
+    layout.uirevision = "kept"; // who has turned or zoomed the view keeps it
     try {
       if (space) space.classList.add("live");
-      if (space && place.clientWidth < NARROW) shrink(place, figures[name].layout);
-      await Plotly.newPlot(place, figures[name].data, figures[name].layout, settings);
-      if (!space) {
-        scalable(place);
-        place.on("plotly_relayout", () => scalable(place));
-      }
+      if (space && place.clientWidth < NARROW) shrink(place, layout);
+      await Plotly.react(place, data, layout, settings);
+      if (!space) scalable(place);
+      if (!space && first) place.on("plotly_relayout", () => scalable(place));
       place.dataset.drawn = "yes";
     } catch (error) {
       if (!space) throw error;
@@ -93,19 +112,49 @@
       place.dataset.drawn = "still";
     }
   };
-  const seen = () => new Promise((resolve) => {
-    const drawing = (entries) => {
-      const near = entries.filter((one) => one.isIntersecting);
-      return Promise.all(near.map((one) => draw(one.target.querySelector(".canvas"))));
-    };
-    const observer = new IntersectionObserver(
-      (entries) => drawing(entries).then(resolve), // the first time of all figures
-      { rootMargin: NEAR },
-    );
-    const places = document.querySelectorAll(".plot, .space");
+
+  const next = (wanted) => [...pending].find((name) => placeOf(name) && wanted(name));
+  const paused = () => document.documentElement.dataset.page !== undefined && document.hidden;
+  let drawing = null;
+  const drawAll = async () => {
+    let name = null;
+    while (!paused()) {
+      name = next((one) => near.has(one));
+      if (name === undefined) {
+        if (!performance.getEntriesByName("view-drawn").length) {
+          performance.mark("view-drawn"); // all that a reader sees first
+        }
+        name = next((one) => !inSpace(one));
+        if (name === undefined) return;
+        await new Promise((resolve) => setTimeout(resolve));
+      }
+      if (!placeOf(name)) continue; // its section came anew meanwhile
+      pending.delete(name);
+      await draw(name);
+    }
+  };
+  const drawPending = () => {
+    drawing = drawing || drawAll().finally(() => { drawing = null; });
+    return drawing;
+  };
+
+  const looked = {};
+  const observed = new Promise((resolve) => { looked.once = resolve; });
+  const observer = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      const canvas = entry.target.querySelector(".canvas");
+      if (!canvas) continue;
+      near[entry.isIntersecting ? "add" : "delete"](canvas.dataset.figure);
+    }
+    looked.once();
+    if (document.documentElement.dataset.ready) drawPending();
+  }, { rootMargin: NEAR });
+  const observe = (root) => {
+    const places = root.querySelectorAll(".plot");
     for (const place of places) observer.observe(place);
-    if (!places.length) resolve();
-  });
+    if (!places.length) looked.once();
+  };
+
   // A browser that prints without a reader does so with the load event, which waits for images: while
   // figures are missing each image that has loaded asks for another one.
   const holdLoad = () => {
@@ -126,29 +175,39 @@
     document.documentElement.classList.add("drawing");
     const release = holdLoad();
     try {
-      await seen();
-      performance.mark("view-drawn"); // all that a reader sees first
-      for (const place of document.querySelectorAll(".plots .canvas")) {
-        await new Promise((resolve) => setTimeout(resolve));
-        await draw(place);
-      }
+      observe(document);
+      await observed;
+      await drawPending();
     } finally {
       release();
     }
     document.documentElement.dataset.ready = "yes";
   };
-
-  for (const button of document.querySelectorAll(".switch button")) {
-    button.addEventListener("click", () => {
-      for (const other of document.querySelectorAll(".switch button")) {
-        other.setAttribute("aria-pressed", String(other === button));
-      }
-      for (const space of document.querySelectorAll(".space")) {
-        const mine = space.dataset.space === button.dataset.show;
-        space.classList.toggle("shown", mine);
-        space.classList.toggle("hidden", !mine);
-      }
-    });
-  }
   start();
+
+  // A section that a server renews keeps its drawings: a view in space, too, that a reader has turned.
+  const renewSection = (name, html) => {
+    const section = document.getElementById(name);
+    const fresh = document.createElement("template");
+    fresh.innerHTML = html;
+    for (const place of fresh.content.querySelectorAll(".canvas[data-figure]")) {
+      const drawn = section.querySelector(`.canvas[data-figure="${place.dataset.figure}"]`);
+      if (!drawn || drawn.dataset.drawn !== "yes") continue;
+      const space = place.closest(".space");
+      if (space) space.classList.add("live");
+      place.replaceWith(drawn);
+    }
+    for (const one of section.querySelectorAll(".plot")) observer.unobserve(one);
+    section.replaceChildren(fresh.content);
+    showFrame();
+    observe(section);
+  };
+  const renewFigure = (name, figure) => {
+    figures[name] = figure;
+    pending.add(name);
+  };
+  const renewResult = (result) => {
+    document.getElementById("calibration").textContent = JSON.stringify(result);
+  };
+  return { renewSection, renewFigure, renewResult, drawPending };
 })();

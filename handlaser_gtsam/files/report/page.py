@@ -1,15 +1,17 @@
 """The page: one HTML file that loads nothing, with everything that it shows inside.
 
-The template escapes all text. Data for the script are JSON without `<`, `>` and `&`, so that nothing in
+It is a report, or a live page that a server sends the sections and figures that have changed. The
+template escapes all text. Data for the script are JSON without `<`, `>` and `&`, so that nothing in
 them can end the script element or be read as HTML. plotly.js, which draws the figures, is in the page
 compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes
 through any mail.
 """
 
 import base64
+import hashlib
 import json
 import zlib
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +19,7 @@ from ...checks import require_kind
 from ...results.calibration import Calibration
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
-from . import evidence, head, mounts, stations
+from . import head, held_out, stations
 from .figure import Figure
 from .figures import flat_figures
 from .geometry import in_hand, in_world
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 MOST_JSON = 400_000
-"""Characters of the calibration's JSON that a page holds; a larger one is left out."""
+"""Characters of the calibration's JSON that a page holds; a larger one is not in it."""
 HARMLESS = {
     "<": r"\u003c",
     ">": r"\u003e",
@@ -37,6 +39,21 @@ HARMLESS = {
     "\u2028": r"\u2028",
     "\u2029": r"\u2029",
 }
+SECTIONS = {
+    "verdict": "",
+    "next": "Next stations",
+    "mounts": "Mounts",
+    "limits": "Limits",
+    "space": "Geometry",
+    "fit": "Fit",
+    "observability": "Observability",
+    "systematic": "Systematic errors",
+    "held-out": "Hold-out",
+    "stations": "Stations",
+    "head": "What was calibrated",
+    "made": "How it was made",
+}
+"""The sections of the page in their order, each with its name in the list of links."""
 
 
 def write_report(
@@ -71,62 +88,153 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
     InputError
         As `write_report`.
     """
+    require_kind("options", options, ReportOptions)
+    content = content_of(subject_of(calibration, options))
+    return _page(
+        f"{content.opening} · {content.title}",
+        content.sections,
+        content.figures,
+        result=content.result,
+        script=_script("page.js"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a page shows of a calibration.
+
+    Attributes
+    ----------
+    title, opening : str
+    sections : mapping of str to str
+        HTML by the names of `SECTIONS`.
+    figures : mapping of str to Figure
+    result : str
+        The calibration as harmless JSON; empty where it is too large.
+    """
+
+    title: str
+    opening: str
+    sections: dict[str, str]
+    figures: dict[str, Figure]
+    result: str
+
+
+def content_of(subject: Subject) -> Content:
+    """Return what a page shows of a subject."""
+    spaces = [space for space in (in_world(subject), in_hand(subject)) if space is not None]
+    drawn = [scene_figure(space) for space in spaces] + flat_figures(subject)
+    result = calibration_text(subject.calibration, subject.described.verdict)
+    result = safe_json(json.loads(result)) if len(result) <= MOST_JSON else ""
+    figures = {figure.name: figure for figure in drawn}
+    title = head.title_of(subject)
+    module = (
+        _templates()
+        .get_template("sections.html.j2")
+        .make_module(
+            {
+                "subject": subject,
+                "shown": subject.described,
+                "status": subject.calibration.status,
+                "title": title,
+                "warnings": head.warnings_of(subject),
+                "head": head.head_facts(subject),
+                "promise": head.promise(subject),
+                "plan": head.plan_table(subject),
+                "made": head.made_facts(subject),
+                "held_out": held_out.held_out_table(subject),
+                "splits": held_out.splits_words(subject),
+                "stations": stations.stations_table(subject),
+                "stills": {f"space-{space.frame}": still_picture(space) for space in spaces},
+                "figures": figures,
+                "result": result,
+            }
+        )
+    )
+    sections = {name: getattr(module, f"section_{name.replace('-', '_')}")() for name in SECTIONS}
+    return Content(title, subject.described.opening, sections, figures, result)
+
+
+@dataclass(frozen=True, slots=True)
+class LivePage:
+    """The page of a server, the name of its version, and the policy that lets nothing else run."""
+
+    html: str
+    name: str
+    policy: str
+
+
+def live_page() -> LivePage:
+    """Return the same page without content, which a script gets from the server.
+
+    The scripts that may run are named by their hashes: the page's own, and plotly.js, which is in the
+    page compressed.
+    """
+    from plotly.offline import get_plotlyjs
+
+    script, empty = _script("page.js", "live.js"), dict.fromkeys(SECTIONS, "")
+
+    def page(name: str) -> str:
+        return _page("handlaser watch", empty, {}, script=script, live=name)
+
+    name = hashlib.sha256(page("-").encode()).hexdigest()[:16]
+    policy = "; ".join(
+        (
+            "default-src 'none'",
+            f"script-src {_hash(script)} {_hash(get_plotlyjs())}",
+            "style-src 'unsafe-inline'",  # plotly.js places everything by attributes
+            "img-src data: blob:",
+            "font-src data:",
+            "connect-src 'self'",
+            "base-uri 'none'",
+            "form-action 'none'",
+            "frame-ancestors 'none'",
+        )
+    )
+    return LivePage(page(name), name, policy)
+
+
+def _page(
+    title: str,
+    sections: dict[str, str],
+    figures: dict[str, Figure],
+    *,
+    script: str,
+    result: str = "",
+    live: str = "",
+) -> str:
+    """Return the whole page; `live` is the name of its version where a server sends its content."""
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
-    require_kind("options", options, ReportOptions)
-    subject = subject_of(calibration, options)
-    parts, drawn = _parts(subject)
     content = (
-        templates()
+        _templates()
         .get_template("page.html.j2")
         .render(
-            **parts,
-            figures={one.name: one for one in drawn},
-            data=safe_json({one.name: one.json() for one in drawn}),
-            result=_result(calibration, options.reading),
-            plotly=packed(get_plotlyjs()) if drawn else "",
+            title=title,
+            sections=sections,
+            labels=SECTIONS,
+            data=safe_json({name: figure.json() for name, figure in figures.items()}),
+            result=result,
+            plotly=packed(get_plotlyjs()) if figures or live else "",
             plotly_version=get_plotlyjs_version(),
+            script=script,
+            live=live,
         )
     )
     return content + "\n"
 
 
-def _parts(subject: Subject) -> tuple[dict[str, object], list[Figure]]:
-    """Return what the template shows, by name, and the figures."""
-    spaces = [one for one in (in_world(subject), in_hand(subject)) if one is not None]
-    drawn = [scene_figure(one) for one in spaces] + flat_figures(subject)
-    parts: dict[str, Callable[[Subject], object]] = {
-        "head": head.head_of,
-        "next_words": head.next_words,
-        "plan": head.plan_table,
-        "made": head.made_facts,
-        "mounts": mounts.mounts_table,
-        "spots": mounts.spots_table,
-        "planes": mounts.planes_table,
-        "limits": mounts.limits_table,
-        "fit": evidence.fit_facts,
-        "observability": evidence.observability_words,
-        "correlations": evidence.correlations_table,
-        "systematic": evidence.systematic_table,
-        "systematic_facts": evidence.systematic_facts,
-        "held_out": evidence.held_out_table,
-        "splits": evidence.splits_words,
-        "stations": stations.stations_table,
-        "rejected": stations.rejected_table,
-    }
-    found: dict[str, object] = {name: part(subject) for name, part in parts.items()}
-    found["subject"] = subject
-    found["stills"] = {f"space-{one.frame}": still_picture(one) for one in spaces}
-    return found, drawn
+def _script(*names: str) -> str:
+    environment = _templates()
+    return "".join(environment.get_template(name).render() for name in ("library.js", *names))
 
 
-def templates(*wings: str) -> "Environment":
-    """Return the templates of `files.report` and other wings: all text is escaped, no name missing."""
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+def _templates() -> "Environment":
+    """Return the templates: all text is escaped, and no name is missing."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    folders = [PackageLoader(f"handlaser_gtsam.files.{wing}", ".") for wing in ("report", *wings)]
     return Environment(
-        loader=ChoiceLoader(folders),
+        loader=PackageLoader("handlaser_gtsam.files.report", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -134,10 +242,8 @@ def templates(*wings: str) -> "Environment":
     )
 
 
-def _result(calibration: Calibration, reading: float | None) -> str:
-    """Return the calibration's JSON for the page; empty where it is too large."""
-    text = calibration_text(calibration, reading)
-    return safe_json(json.loads(text)) if len(text) <= MOST_JSON else ""
+def _hash(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def packed(text: str) -> str:

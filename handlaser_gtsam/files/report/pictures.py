@@ -14,9 +14,10 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
+from ...results.description.correlations import correlations
 from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
-from .correlations import correlation_figure, correlations
+from .correlations import correlation_figure
 from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
 from .figures import flat_figures
 from .geometry import Geometry, in_hand, in_world, of_hand

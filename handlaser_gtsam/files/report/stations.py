@@ -1,13 +1,21 @@
-"""Tables of a recording: a row a station, and a row a rejected reading."""
+"""The table of a recording: a row a station."""
 
 import numpy as np
 
 from ...arrays import IntArray
 from ...quantities import IN_MM
+from ...results.description.tables import (
+    NONE,
+    Cell,
+    Column,
+    Table,
+    digits_of,
+    name_cell,
+    number,
+)
 from .subject import ReadingRows, Subject
-from .tables import NONE, Cell, Column, Table, digits_of, more, name_cell, number, significant, text
 
-MOST_STATIONS, MOST_REJECTED = 400, 200
+MOST_STATIONS = 400
 """Rows that are listed: all, or the worst."""
 FAR = 3.0
 """Residuals above so many standard deviations are marked."""
@@ -79,32 +87,4 @@ def _station(
         name_cell(recording.beam_names[rows.beam[used[worst]]]),
         number(far, 1, "care" if far > FAR else ""),
         number(steepest, 1),
-    )
-
-
-def rejected_table(subject: Subject) -> Table | None:
-    """Return the readings that were left out, each with its reason; None where there are none."""
-    rejected = subject.calibration.fit.rejected
-    if not rejected:
-        return None
-    rows = tuple(
-        (
-            name_cell(one.station),
-            name_cell(one.beam),
-            text(one.reason),
-            significant(None if one.residual is None else one.residual * IN_MM),
-        )
-        for one in rejected[:MOST_REJECTED]
-    )
-    return Table(
-        "rejected",
-        "",
-        (
-            Column("station", number=False),
-            Column("beam", number=False),
-            Column("reason", number=False),
-            Column("residual mm"),
-        ),
-        rows,
-        more(len(rejected) - MOST_REJECTED, "reading"),
     )

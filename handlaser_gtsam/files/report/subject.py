@@ -14,8 +14,9 @@ from ...planning.advice import next_stations
 from ...planning.history import History, history
 from ...planning.route import Plan
 from ...results.calibration import Calibration
+from ...results.description.description import Description
 from ...results.significance import contradicted
-from ...results.verdict import Verdict, verdict
+from ...results.verdict import verdict
 from ...solvers.progress import tell
 from ...validation.held_out import HeldOut, held_out
 from .options import ReportOptions
@@ -29,7 +30,8 @@ class Subject:
     ----------
     calibration : Calibration
     options : ReportOptions
-    verdict : Verdict
+    described : Description
+        The facts, sentences and tables that every view shows, with the verdict.
     held_out : HeldOut
     history : History or None
     plan : Plan or None
@@ -40,7 +42,7 @@ class Subject:
 
     calibration: Calibration
     options: ReportOptions
-    verdict: Verdict
+    described: Description
     held_out: HeldOut
     history: History | None
     plan: Plan | None
@@ -49,12 +51,12 @@ class Subject:
     @property
     def solved(self) -> bool:
         """Whether there is a calibration: every number of beams and planes means something."""
-        return self.calibration.status == "converged"
+        return self.described.solved
 
     @property
     def reading(self) -> float:
         """The working distance [m]."""
-        return self.verdict.reading
+        return self.described.reading
 
     @property
     def contradicting(self) -> tuple[str, ...]:
@@ -107,7 +109,7 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
     """
     tell("report")
     recording, rig = calibration.recording, options.rig
-    judged = verdict(calibration, recording, rig.limits, options.reading)
+    judged = verdict(calibration, rig.limits, options.reading)
     solved = calibration.status == "converged"
     plan, past = options.plan, None
     if solved and plan is None:
@@ -116,7 +118,8 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
         past = history(calibration, judged.reading)
     held = held_out(calibration)
     rows = None if recording is None else _rows(calibration, recording)
-    return Subject(calibration, options, judged, held, past, plan, rows)
+    described = Description(calibration, judged)
+    return Subject(calibration, options, described, held, past, plan, rows)
 
 
 def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:

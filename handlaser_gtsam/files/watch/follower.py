@@ -10,11 +10,12 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing import connection, get_context
 from pathlib import Path
 
 from ...text import printable
+from .hub import STATUS
 from .watched import Fingerprint, Watched
 from .worker import Answer, work
 
@@ -28,7 +29,7 @@ time stamp.
 """
 SOON = 0.5
 """Seconds after which the page says that it is being calibrated."""
-Publish = Callable[[str, str], None]
+Publish = Callable[[Mapping[str, str]], None]
 
 
 class Worker:
@@ -54,13 +55,13 @@ class Worker:
 
 
 class Follower:
-    """Publishes `state` and `status`, each as JSON in one line, whenever they are others.
+    """Publishes messages, each one line by topic, and a `status`.
 
     Parameters
     ----------
     watched : Watched
     publish : callable
-        Takes the kind and the text.
+        Takes messages by topic.
     """
 
     def __init__(self, watched: Watched, publish: Publish) -> None:
@@ -135,8 +136,8 @@ class Follower:
         self._tell(answer, settled)
 
     def _tell(self, answer: Answer, settled: bool) -> None:
-        if answer.state:
-            self._publish("state", answer.state)
+        if answer.messages:
+            self._publish(answer.messages)
         self._beside = answer.beside
         now = time.monotonic()
         if not answer.error:
@@ -157,4 +158,5 @@ class Follower:
             "note": note,
             "changed_ms": changed,
         }
-        self._publish("status", json.dumps(content, separators=(",", ":"), ensure_ascii=False))
+        status = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
+        self._publish({STATUS: status})

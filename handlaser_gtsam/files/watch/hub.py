@@ -6,10 +6,13 @@ reading holds up nobody, and costs what one message takes.
 
 import asyncio
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 BEAT = 10.0
 """Seconds after which who has heard nothing hears that there is nothing."""
+STATE, STATUS = "state", "status"
+"""Topics: that all of a calibration was sent, and what is going on."""
 RETRY_MS = 1000
 """Milliseconds after which a browser that lost the connection tries again."""
 
@@ -23,7 +26,7 @@ class Message:
 
 
 class Hub:
-    """Holds the newest message of each kind. All methods are for the thread of the event loop."""
+    """Holds the newest message of each topic. All methods are for the thread of the event loop."""
 
     def __init__(self, page: str) -> None:
         self.clients = 0
@@ -36,24 +39,33 @@ class Hub:
         """What every client hears first: which page this server has, and when to try again."""
         return f"retry: {RETRY_MS}\nevent: hello\ndata: {self._page}\n\n".encode()
 
-    def publish(self, kind: str, text: str) -> None:
-        """Replace the newest message of a kind by a text of one line."""
-        mark = hashlib.sha256(text.encode()).hexdigest()[:16]
-        if kind in self._newest and self._newest[kind].mark == mark:
-            return
-        name = f"id: {mark}\n" if kind == "state" else ""
-        event = f"event: {kind}\n{name}data: {text}\n\n".encode()
-        self._newest[kind] = Message(mark, event)
+    def publish(self, messages: Mapping[str, str]) -> None:
+        """Replace the newest messages of some topics, at once, by texts of one line.
+
+        The event has the name of the topic up to a colon.
+        """
+        for topic, text in messages.items():
+            mark = hashlib.sha256(text.encode()).hexdigest()[:16]
+            name = f"id: {mark}\n" if topic == STATE else ""
+            event = f"event: {topic.partition(':')[0]}\n{name}data: {text}\n\n".encode()
+            self._newest[topic] = Message(mark, event)
         self._changed.set()
         self._changed = asyncio.Event()
+
+    def known_to(self, mark: str) -> dict[str, str]:
+        """Return what a client has heard that comes back with the mark of a state."""
+        state = self._newest.get(STATE)
+        if state is None or state.mark != mark:
+            return {}
+        return {topic: message.mark for topic, message in self._newest.items() if topic != STATUS}
 
     def unheard(self, heard: dict[str, str]) -> bytes:
         """Return what is new to a client, and note that it is not any more."""
         found = b""
-        for kind in sorted(self._newest):  # the state before its status
-            newest = self._newest[kind]
-            if heard.get(kind) != newest.mark:
-                heard[kind] = newest.mark
+        for topic in sorted(self._newest):  # figures, sections, the state, its status
+            newest = self._newest[topic]
+            if heard.get(topic) != newest.mark:
+                heard[topic] = newest.mark
                 found += newest.event
         return found
 

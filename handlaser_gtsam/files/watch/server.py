@@ -5,7 +5,7 @@ import errno
 import ipaddress
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -15,9 +15,9 @@ from starlette.types import Receive, Scope, Send
 from uvicorn import Config, Server
 
 from ...errors import InputError
+from ..report.page import live_page
 from .guard import Guard, is_loopback, names_of, spelt
 from .hub import Hub
-from .page import live_page
 from .patience import PatientProtocol
 
 PORT = 8642
@@ -141,8 +141,8 @@ class PageServer:
         """How many look on."""
         return self._hub.clients
 
-    def publish(self, kind: str, text: str) -> None:
-        """Show a text, one line, to all who look on; from any thread.
+    def publish(self, messages: Mapping[str, str]) -> None:
+        """Send messages by topic, each one line, to all who look on; from any thread.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class PageServer:
         """
         if not self._thread.is_alive():
             raise RuntimeError("the server of the page has ended")
-        self._soon(lambda: self._hub.publish(kind, text))
+        self._soon(lambda: self._hub.publish(messages))
 
     def _soon(self, what: Callable[[], None]) -> None:
         if self._loop is not None and not self._loop.is_closed():
@@ -185,7 +185,7 @@ class _Events(Response):
 
     def __init__(self, hub: Hub, last: str) -> None:
         super().__init__()
-        self._hub, self._heard = hub, {"state": last}
+        self._hub, self._heard = hub, hub.known_to(last)
         del self.headers["content-length"]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -4,7 +4,8 @@ import contextlib
 import os
 import signal
 import threading
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,10 +15,11 @@ from ...pipeline import calibrate
 from ...text import printable
 from ..logs.report import LogReport
 from ..report.options import ReportOptions
+from ..report.page import content_of
 from ..report.subject import subject_of
 from ..rig_toml import Rig, known_rig
+from .messages import messages_of
 from .snapshot import Snapshot, content, snapshot
-from .state import state_text
 from .watched import Watched
 
 GIVING_WAY = 5
@@ -30,8 +32,8 @@ class Answer:
 
     Attributes
     ----------
-    state : str
-        What is shown of a calibration, JSON; empty where nothing was calibrated, or nothing else than
+    messages : mapping of str to str
+        What is shown of a calibration; empty where nothing was calibrated, or nothing else than
         before.
     error : str
         Why there is no calibration of what stands in the files: one line, or empty.
@@ -43,7 +45,7 @@ class Answer:
         Files that count beside the recording and the rig file.
     """
 
-    state: str = ""
+    messages: Mapping[str, str] = field(default_factory=dict)
     error: str = ""
     note: str = ""
     waiting: bool = False
@@ -99,7 +101,7 @@ class Calibrator:
         if last != self._last:
             self._answer, self._last = self._calibrated(found, rests, rig), last
             return _noted(self._answer, found, settled)
-        return _noted(replace(self._answer, state=""), found, settled)
+        return _noted(replace(self._answer, messages={}), found, settled)
 
     def _calibrated(self, found: Snapshot, rests: tuple[bytes, ...], rig: Rig) -> Answer:
         heads = 0 if rig.log.header_given else 1
@@ -114,7 +116,7 @@ class Calibrator:
                 if not any(rest.strip() for rest in rests) or first.rows() <= heads:
                     raise
                 (report, rig), note = found.read(rig, whole), f"not used: {error}"
-            return Answer(self._state(report, rig), note=note)
+            return Answer(self._messages(report, rig), note=note)
         except HandlaserError as error:
             return Answer(error=printable(str(error)))
         except Exception as error:  # the page goes on with the next station
@@ -122,10 +124,11 @@ class Calibrator:
             fault = f"a fault of handlaser, please report it: {type(error).__name__}: {words}"
             return Answer(error=printable(fault))
 
-    def _state(self, report: LogReport, rig: Rig) -> str:
+    def _messages(self, report: LogReport, rig: Rig) -> Mapping[str, str]:
         options = replace(self._watched.options, sensor=rig.sensor)
         calibration = calibrate(report.recording, rig.noise, options)
-        return state_text(subject_of(calibration, ReportOptions(rig, self._watched.reading)))
+        subject = subject_of(calibration, ReportOptions(rig, self._watched.reading))
+        return messages_of(content_of(subject))
 
 
 def _noted(answer: Answer, found: Snapshot, settled: bool) -> Answer:

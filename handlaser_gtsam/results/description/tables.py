@@ -1,17 +1,18 @@
-"""Tables of a report: cells of text with the number behind them, by which they sort."""
+"""Tables and facts: text, and the number behind a cell, by which a page sorts."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ...results.lines import count, decimals
-from ...text import shortened
+from ...text import count, shortened
+from ..lines import UNDETERMINED, decimals
 
-UNKNOWN = "undetermined"
 NONE = "\N{EN DASH}"
 LONGEST = 60
 """Characters of a name in a table of many rows; that of the mounts has all."""
 MINUS = "\N{MINUS SIGN}"
+Facts = tuple[tuple[str, str], ...]
+"""Pairs of a name and words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
     return Cell(concise(value, digits), float(value), mark)
 
 
-def determined(value: float, sigma: float, digits: int, unknown: str = UNKNOWN) -> Cell:
+def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
     """Return a cell of so many decimals; what stands for it where its sigma is not finite."""
     return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
 

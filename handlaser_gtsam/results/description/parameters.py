@@ -1,20 +1,20 @@
-"""Tables of what was found: mounts, laser spots, planes, and all of it against the limits."""
+"""Tables of what was estimated: mounts, laser spots, planes, and all of it against the limits."""
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ...quantities import IN_DEG, IN_MM
-from ...results.calibration_fields import LABELS
-from ...results.measuring import spot
-from ...results.reports import Beam
-from ...results.spot_error import spot_radii
-from .subject import Subject
+from ..calibration_fields import LABELS
+from ..lines import UNDETERMINED, decimals
+from ..measuring import spot, typical_plane
+from ..reports import Beam
+from ..spot_error import spot_radii
 from .tables import (
     NONE,
-    UNKNOWN,
     Cell,
     Column,
     Table,
@@ -24,9 +24,13 @@ from .tables import (
     more,
     name_cell,
     number,
+    plain,
     significant,
     text,
 )
+
+if TYPE_CHECKING:
+    from .description import Description
 
 MOST_BEAMS, MOST_PLANES = 50, 200
 """Beams and planes that are listed; the JSON has all."""
@@ -39,12 +43,86 @@ PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
 """Coordinates that are shown with equally many decimals."""
 
 
-def mounts_table(subject: Subject) -> Table | None:
-    """Return value, standard deviation and 95 % interval of every parameter; None if none is known."""
-    beams = list(subject.calibration.beams.values())
+def beams_table(described: "Description") -> Table | None:
+    """Return one row a beam: where it sits and points, and how well that is known."""
+    beams = list(described.calibration.beams.values())
     if not any(_known(beam.sigma) for beam in beams):
         return None
-    rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(subject, beam)]
+    radii = spot_radii(described.calibration, described.reading) if described.solved else {}
+    spot_words = ""
+    if radii:
+        at = concise(described.reading * IN_MM, 4)
+        spot_words = f" 95 % of laser spots lie within the radius at a reading of {at} mm."
+    rows = tuple(_beam_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
+    notes = [more(len(beams) - MOST_BEAMS, "beam")]
+    if any(cell.mark == "care" for row in rows for cell in row):
+        notes.insert(0, "A dash stands for what the stations do not determine.")
+    return Table(
+        "beams",
+        "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
+        "the angle of the direction; in parentheses, that of the last digits of k1 and k2 [1/m]."
+        + spot_words,
+        (
+            Column("beam", number=False),
+            *(Column(f"{axis} mm") for axis in "xyz"),
+            Column("± mm"),
+            *(Column(f"v{axis}", wide=True) for axis in "xyz"),
+            Column("± deg"),
+            Column("k1", wide=True),
+            Column("k2", wide=True),
+            Column("spot mm"),
+        ),
+        rows,
+        " ".join(filter(None, notes)),
+    )
+
+
+def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
+    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
+    turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
+    place = digits_of((sigma[:3] * IN_MM).tolist(), 5)
+    towards = digits_of(sigma[3:6].tolist(), 7)
+    coordinates = [
+        determined(value * scale, known, digits, NONE)
+        for value, known, scale, digits in zip(
+            beam.coordinates[:6].tolist(),
+            sigma[:6].tolist(),
+            [IN_MM] * 3 + [1.0] * 3,
+            [place] * 3 + [towards] * 3,
+            strict=True,
+        )
+    ]
+    errors = [
+        _concise(value, known, most) if term < beam.terms else Cell("0", 0.0)
+        for term, (value, known, most) in enumerate(
+            zip(beam.range_error.tolist(), sigma[6:].tolist(), (4, 3), strict=True)
+        )
+    ]
+    return (
+        name_cell(beam.name),
+        *coordinates[:3],
+        significant(float(sigma[:3].max()) * IN_MM, 2),
+        *coordinates[3:],
+        significant(turn * IN_DEG, 2),
+        *errors,
+        significant(None if radius is None else radius * IN_MM, 2),
+    )
+
+
+def _concise(value: float, sigma: float, most: int) -> Cell:
+    """Return a value with the standard deviation of its last digits: "0.0207(56)"."""
+    if not math.isfinite(sigma):
+        return Cell(NONE, None, "care")
+    digits = decimals(sigma, most)
+    return Cell(f"{plain(value, digits)}({sigma * 10.0**digits:.0f})", value)
+
+
+def mounts_table(described: "Description") -> Table | None:
+    """Return value, standard deviation and 95 % interval of every parameter; None if none is known."""
+    beams = list(described.calibration.beams.values())
+    if not any(_known(beam.sigma) for beam in beams):
+        return None
+    rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(described, beam)]
     return Table(
         "mounts",
         "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
@@ -63,9 +141,9 @@ def mounts_table(subject: Subject) -> Table | None:
     )
 
 
-def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
+def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ...]]:
     """Yield the rows of one beam; no number where the recording determines none."""
-    calibration = subject.calibration
+    calibration = described.calibration
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     interval = calibration.intervals(beam.name)
     interval = np.full((8, 2), np.nan) if interval is None else interval
@@ -75,7 +153,7 @@ def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
             digits = digits_of((sigma[rows] * scale).tolist(), most)
             name, unit = text(LABELS[i]), text(UNITS[i])
             if not math.isfinite(sigma[i]):
-                blank = (Cell(UNKNOWN, None, "care"), *[Cell(NONE)] * 3)
+                blank = (Cell(UNDETERMINED, None, "care"), *[Cell(NONE)] * 3)
                 yield text(beam.name), name, *blank, unit
                 continue
             values = (beam.coordinates[i], sigma[i], *interval[i])
@@ -93,10 +171,10 @@ def _parameters(subject: Subject, beam: Beam) -> Iterator[tuple[Cell, ...]]:
             )
 
 
-def spots_table(subject: Subject) -> Table | None:
+def spots_table(described: "Description") -> Table | None:
     """Return how well the laser spot of every beam is known at the working distance."""
-    calibration, reading = subject.calibration, subject.reading
-    radii = spot_radii(calibration, reading) if subject.solved else {}
+    calibration, reading = described.calibration, described.reading
+    radii = spot_radii(calibration, reading) if described.solved else {}
     if not radii:
         return None
     rows = []
@@ -105,6 +183,16 @@ def spots_table(subject: Subject) -> Table | None:
         numbers = (radii[name], found.along, found.across, found.reading_sigma)
         cells = [significant(x * IN_MM, 2) for x in numbers]
         rows.append((name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)))
+    notes = [more(len(radii) - MOST_BEAMS, "beam")]
+    measured = typical_plane(calibration)
+    if measured is not None:
+        station, plane = measured
+        notes.insert(
+            0,
+            f"A plane measured by all beams at once, as at station {station}: "
+            f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
+            f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle.",
+        )
     return Table(
         "spots",
         f"At a reading of {concise(reading * IN_MM, 4)} mm, the working distance: the radius that "
@@ -119,13 +207,13 @@ def spots_table(subject: Subject) -> Table | None:
             Column("direction deg"),
         ),
         tuple(rows),
-        more(len(radii) - MOST_BEAMS, "beam"),
+        " ".join(filter(None, notes)),
     )
 
 
-def planes_table(subject: Subject) -> Table | None:
+def planes_table(described: "Description") -> Table | None:
     """Return where every plane was found; None where nothing is known."""
-    planes = list(subject.calibration.planes.values())
+    planes = list(described.calibration.planes.values())
     if not any(_known(plane.sigma) for plane in planes):
         return None
     rows = []
@@ -162,9 +250,9 @@ def _known(sigma: FloatArray | None) -> bool:
     return sigma is not None and bool(np.isfinite(sigma).any())
 
 
-def limits_table(subject: Subject) -> Table | None:
+def limits_table(described: "Description") -> Table | None:
     """Return every value beside its limit; None where no limit was given."""
-    checks = sorted(subject.verdict.limits, key=lambda one: -one.ratio)
+    checks = sorted(described.verdict.limits, key=lambda one: -one.ratio)
     if not checks:
         return None
     rows = []

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from ..quantities import IN_DEG, IN_MM
-from .calibration_fields import CalibrationData
-from .lines import small_mm, some
-from .reports import NoiseComponent
+from ...quantities import IN_DEG, IN_MM
+from ..calibration_fields import CalibrationData
+from ..lines import small_mm, some
+from ..reports import NoiseComponent
 
 SHOWN = 4
 """Names of beams that a line lists."""
@@ -20,25 +20,24 @@ KINDS = {
 }
 
 
-def noise_words(result: CalibrationData, *, brief: bool = False) -> str:
+def noise_words(result: CalibrationData) -> str:
     """Return the standard deviations behind the result: given, estimated, or carried by a prior.
 
-    In brief, those of several beams are summed up by the least and the largest.
+    Those of many beams are summed up by the least and the largest.
     """
     estimated = result.noise_estimate
-    ranges = [one for one in estimated if one.quantity == "range"]
-    parts = [_estimate(one) for one in ranges]
-    if brief and len(parts) > 1:
-        sigmas = [one.sigma * IN_MM for one in ranges]
-        how = (
-            f"estimated; {PRIOR} some" if any(one.prior_carries for one in ranges) else "estimated"
-        )
+    ranges = [component for component in estimated if component.quantity == "range"]
+    parts = [_estimate(component) for component in ranges]
+    if len(parts) > SHOWN:
+        sigmas = [component.sigma * IN_MM for component in ranges]
+        some_by_prior = any(component.prior_carries for component in ranges)
+        how = f"estimated; {PRIOR} some" if some_by_prior else "estimated"
         parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
-    parts += [_estimate(one) for one in estimated if one.quantity != "range"]
-    return f"noise, standard deviations: {', '.join([*parts, *_given_poses(result)])}"
+    parts += [_estimate(component) for component in estimated if component.quantity != "range"]
+    return ", ".join([*parts, *_given_poses(result)])
 
 
 def _estimate(one: NoiseComponent) -> str:
@@ -77,7 +76,7 @@ def zero_excluded(result: CalibrationData, beam: str) -> tuple[bool, bool]:
 def range_error_words(result: CalibrationData) -> str:
     """Return which range errors differ from zero, and their learned scales."""
     if not any(beam.terms for beam in result.beams.values()):
-        return "range errors: taken as zero"
+        return "taken as zero"
     excluded = {name: zero_excluded(result, name) for name in result.beams}
     listed = []
     for index, term in enumerate(("k1", "k2")):
@@ -91,7 +90,7 @@ def range_error_words(result: CalibrationData) -> str:
     form = "d + k1 d + k2 d^2"
     if learned is not None:
         form = f"learned scales k1 {learned.k1:.2g}, k2 {learned.k2_per_m:.2g}/m"
-    return f"range errors, {form}: {words}"
+    return f"{form}: {words}"
 
 
 def _beams(names: list[str], beams: int) -> str:

@@ -1,0 +1,29 @@
+"""What the page is sent of a calibration: its sections, figures and JSON, each a text of one line.
+
+Sections are HTML that the templates of the report have escaped; figures escape names as plotly.js wants
+it. What has not changed is the same text, and is sent to nobody again.
+"""
+
+import hashlib
+import json
+
+from ..report.page import Content
+
+
+def messages_of(content: Content) -> dict[str, str]:
+    """Return messages by topic: an event's name, and after a colon what it is about."""
+    found = {
+        f"figure:{name}": _line({"name": name, "figure": figure.json()})
+        for name, figure in content.figures.items()
+    }
+    found |= {
+        f"section:{name}": _line({"name": name, "html": html})
+        for name, html in content.sections.items()
+    }
+    found["result"] = content.result or "null"
+    digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
+    return found | {"state": _line({"opening": content.opening, "digest": digest})}
+
+
+def _line(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)

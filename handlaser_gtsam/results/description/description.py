@@ -1,0 +1,161 @@
+"""What there is to say of a calibration: terminal, notebook, report and live page render it.
+
+Facts are pairs of a name and words; tables hold text with the number behind it. What a calibration does
+not know is no table at all.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from ...text import count
+from ..calibration_fields import CalibrationData
+from ..verdict import OPENING, Verdict
+from . import evidence, parameters
+from .noise import noise_words, range_error_words
+from .tables import Facts, Table, sentence
+
+MARKS = {"usable": "good", "usable-with-care": "care"}
+"""Colour of a verdict; all others are bad."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """A calibration, the verdict on it, and what follows from the two.
+
+    Attributes
+    ----------
+    calibration : CalibrationData
+    verdict : Verdict
+    """
+
+    calibration: CalibrationData
+    verdict: Verdict
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a calibration: every number of beams and planes means something."""
+        return self.calibration.status == "converged"
+
+    @property
+    def reading(self) -> float:
+        """The working distance [m]."""
+        return self.verdict.reading
+
+    @property
+    def opening(self) -> str:
+        """The verdict in a few words."""
+        return OPENING[self.verdict.code]
+
+    @property
+    def mark(self) -> str:
+        """The colour of the verdict: `good`, `care` or `bad`."""
+        return MARKS.get(self.verdict.code, "bad")
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """The reasons of the verdict, as sentences."""
+        found = self.verdict.findings if self.solved else (self.calibration.message,)
+        return tuple(map(sentence, found))
+
+    @property
+    def counts(self) -> Facts:
+        """How much there is of everything."""
+        calibration = self.calibration
+        fit, recording = calibration.fit, calibration.recording
+        stations = () if recording is None else (("stations", str(len(recording.plane_labels))),)
+        return (
+            *stations,
+            ("planes", str(len(calibration.planes))),
+            ("beams", str(len(calibration.beams))),
+            ("readings", str(fit.readings + len(fit.rejected))),
+            ("rejected", str(len(fit.rejected))),
+        )
+
+    @property
+    def sizes(self) -> str:
+        """The same in one line: "44 stations, 4 planes, ..."."""
+        numbers = ((name, int(number)) for name, number in self.counts)
+        return ", ".join(
+            f"{number} rejected" if name == "rejected" else count(number, name.removesuffix("s"))
+            for name, number in numbers
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that the verdict does not repeat, as `calibration.warnings` orders them."""
+        calibration = self.calibration
+        return tuple(
+            str(warning)
+            for warning in calibration.warnings
+            if warning.message != calibration.message
+        )
+
+    @property
+    def range_errors(self) -> str:
+        """Which range errors differ from zero, and their learned scales."""
+        return range_error_words(self.calibration)
+
+    @property
+    def noise(self) -> str:
+        """The standard deviations behind the result."""
+        return noise_words(self.calibration)
+
+    @cached_property
+    def beams(self) -> Table | None:
+        """A row a beam: where it sits and points, and how well that is known."""
+        return parameters.beams_table(self)
+
+    @cached_property
+    def mounts(self) -> Table | None:
+        """Value, standard deviation and 95 % interval of every parameter of the beams."""
+        return parameters.mounts_table(self)
+
+    @cached_property
+    def spots(self) -> Table | None:
+        """How well the laser spot of every beam is known at the working distance."""
+        return parameters.spots_table(self)
+
+    @cached_property
+    def planes(self) -> Table | None:
+        """Where every plane was found."""
+        return parameters.planes_table(self)
+
+    @cached_property
+    def limits(self) -> Table | None:
+        """Every value beside its limit, the nearest first."""
+        return parameters.limits_table(self)
+
+    @property
+    def fit(self) -> Facts:
+        """How well the readings fit."""
+        return evidence.fit_facts(self)
+
+    @property
+    def observability(self) -> tuple[str, ...]:
+        """What the recording determines, in sentences."""
+        return tuple(evidence.observability_sentences(self))
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What would improve the calibration, in sentences, the best first."""
+        return tuple(evidence.advice_sentences(self))
+
+    @cached_property
+    def correlations(self) -> Table | None:
+        """Unknowns of the beams that the recording hardly tells apart."""
+        return evidence.correlations_table(self)
+
+    @cached_property
+    def systematic(self) -> Table | None:
+        """Every systematic error that was tested for."""
+        return evidence.systematic_table(self)
+
+    @property
+    def systematic_facts(self) -> Facts:
+        """Systematic errors that were found or cannot be told, with their remedies."""
+        return evidence.systematic_facts(self)
+
+    @cached_property
+    def rejected(self) -> Table | None:
+        """The readings that were rejected, each with its reason."""
+        return evidence.rejected_table(self)

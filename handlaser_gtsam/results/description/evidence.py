@@ -1,0 +1,261 @@
+"""Why to trust a calibration: fit, observability, systematic errors, rejected readings."""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...quantities import IN_MM
+from ...text import count, some
+from ..improvement import WELL_CONDITIONED
+from ..lines import small_mm
+from ..systematic import SystematicError
+from ..wording import size_in_words
+from .correlations import FLAGGED, MOST_BEAMS, correlations_of
+from .noise import noise_words, range_error_words
+from .tables import (
+    NONE,
+    Cell,
+    Column,
+    Facts,
+    Table,
+    concise,
+    more,
+    name_cell,
+    number,
+    sentence,
+    significant,
+    text,
+)
+
+if TYPE_CHECKING:
+    from .description import Description
+
+SMALL = 0.005
+"""Parts of a variance below this are not worth a word."""
+MOST_PAIRS = 12
+"""Correlations that are listed: more say the same of further beams."""
+MOST_REJECTED = 200
+"""Rejected readings that are listed; the JSON has all."""
+
+
+def fit_facts(described: "Description") -> Facts:
+    """Return how well the readings fit."""
+    calibration = described.calibration
+    fit = calibration.fit
+    station, beam = fit.max_residual_at
+    facts = [
+        ("rms residual", small_mm(fit.rms, 3)),
+        ("largest residual", f"{small_mm(fit.max_residual, 3)} (station {station}, beam {beam})"),
+    ]
+    if described.solved:
+        far, (station, beam) = fit.max_standardized_residual, fit.max_standardized_residual_at
+        words = f"{concise(far, 2)} standard deviations (station {station}, beam {beam})"
+        facts.append(("largest for its sigma", words))
+    facts.append(("degrees of freedom", str(fit.dof)))
+    if fit.range_sigma_given or calibration.noise_estimate:
+        facts.append(("sigma0", f"{concise(fit.sigma0)} (expected 1)"))
+        if fit.dof > 0:
+            facts.append(("chi² / dof", f"{concise(fit.chi2, 4)} / {fit.dof}"))
+    facts.append(("readings", f"{fit.readings} used, {rejected_words(described)}"))
+    facts.append(("noise", noise_words(calibration)))
+    if described.solved:
+        facts.append(("range errors", range_error_words(calibration)))
+    facts.append(("hand poses", fit.poses))
+    if fit.loss != "gaussian":
+        facts.append(("loss", fit.loss))
+    return tuple(facts)
+
+
+def rejected_words(described: "Description") -> str:
+    """Return how many readings were rejected, and the most frequent reasons."""
+    rejected = described.calibration.fit.rejected
+    numbers: dict[str, int] = {}
+    for reading in rejected:
+        numbers[reading.reason] = numbers.get(reading.reason, 0) + 1
+    most = sorted(numbers, key=lambda reason: -numbers[reason])
+    listed = some([f"{reason}: {numbers[reason]}" for reason in most], 4)
+    return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
+
+
+def observability_sentences(described: "Description") -> Iterator[str]:
+    """Yield what the recording determines."""
+    observed = described.calibration.observability
+    if observed.condition is None or not described.solved:
+        yield f"{observed.rank} of {observed.unknowns} unknowns are determined."
+        if observed.undetermined:
+            yield f"Undetermined: {'; '.join(observed.undetermined)}."
+        if observed.advice:
+            yield f"To determine it: {'; '.join(observed.advice)}."
+        return
+    yield f"All {observed.unknowns} unknowns are determined."
+    meets = "which it meets."
+    if observed.condition >= WELL_CONDITIONED:
+        meets = (
+            "which it does not meet; the standard deviations hold all the same, and more varied motion "
+            "lowers both."
+        )
+    yield (
+        f"The condition number is {concise(observed.condition)}; the usual demand is below "
+        f"{WELL_CONDITIONED:.0f}, {meets}"
+    )
+    if observed.weakest:
+        yield f"The least certain is {observed.weakest}."
+    yield from _shares(described)
+    if observed.indices is not None:
+        names = ("O1", "O2", "O3", "O4")
+        listed = (f"{name} {concise(getattr(observed.indices, name), 2)}" for name in names)
+        yield f"Observability indices, larger is better: {', '.join(listed)}."
+
+
+def _shares(described: "Description") -> Iterator[str]:
+    """Yield what the variance of the least certain laser spot is made of."""
+    shares = described.verdict.shares
+    if shares is None:
+        return
+    weakest = f"lie along the least certain direction, mostly {shares.weakest_quantity}"
+    parts = [
+        f"{100.0 * share:.0f} % {words}"
+        for share, words in (
+            (shares.poses, "come from errors of the robot"),
+            (shares.range_error, "from not knowing the range errors"),
+            (shares.weakest, weakest),
+        )
+        if math.isfinite(share) and share >= SMALL
+    ]
+    overlap = "; these overlap" if len(parts) > 1 else ""
+    if parts:
+        beam = described.verdict.spot_beam
+        yield f"Of the variance of the worst laser spot (beam {beam}), {', '.join(parts)}{overlap}."
+
+
+def advice_sentences(described: "Description") -> Iterator[str]:
+    """Yield what would improve the calibration, the best first."""
+    calibration, best = described.calibration, described.verdict.best.words
+    if not described.solved:
+        yield from map(sentence, calibration.observability.advice)
+        if not calibration.observability.advice:
+            yield f"Do this first: {best}."
+        return
+    yield f"Best improvement: {best}."
+    for advice in dict.fromkeys(pair.advice for pair in calibration.correlations):
+        first, *further = [pair for pair in calibration.correlations if pair.advice == advice]
+        others = f", as are {count(len(further), 'more pair')}" if further else ""
+        yield (
+            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
+            f"(correlation {first.coefficient:.3f}){others}."
+        )
+
+
+def correlations_table(described: "Description") -> Table | None:
+    """Return the pairs of unknowns that are correlated above `FLAGGED`; None without a covariance."""
+    matrix = correlations_of(described.calibration)
+    if matrix is None:
+        return None
+    labels, C = matrix.labels, matrix.matrix
+    first, second = np.triu_indices(len(labels), 1)
+    size = np.abs(C[first, second])
+    strong = np.flatnonzero(size > FLAGGED)
+    strong = strong[np.argsort(-size[strong], kind="stable")]
+    pairs = zip(first[strong[:MOST_PAIRS]], second[strong[:MOST_PAIRS]], strict=True)
+    rows = [
+        (
+            text(f"beam {labels[i][0]} {labels[i][1]}"),
+            text(f"beam {labels[j][0]} {labels[j][1]}"),
+            number(float(C[i, j]), 3, "care"),
+        )
+        for i, j in pairs
+    ]
+    note = [f"{count(len(strong), 'pair')} above {FLAGGED}."]
+    if len(strong) > MOST_PAIRS:
+        note.append(f"The {MOST_PAIRS} strongest are listed.")
+    if len(described.calibration.beams) > MOST_BEAMS:
+        note.append(f"Only the first {MOST_BEAMS} beams are compared here.")
+    columns = (Column("unknown", number=False), Column("and", number=False), Column("correlation"))
+    return Table("correlations", "", columns, tuple(rows), " ".join(note))
+
+
+def systematic_table(described: "Description") -> Table | None:
+    """Return every systematic error that was tested, the clearest first; None where none was."""
+    tested = described.calibration.systematic
+    if not tested or not described.solved:
+        return None
+    return Table(
+        "systematic",
+        "Found where p is below 0.01 after Holm's correction. What is not found may still be as large "
+        "as the size given; the last column says how far it would then move a laser spot.",
+        (
+            Column("error", number=False),
+            Column("result", number=False),
+            Column("p"),
+            Column("unnoticed below", number=False),
+            Column("spot moves mm"),
+        ),
+        tuple(_systematic(error, described.reading) for error in tested),
+    )
+
+
+def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
+    state = Cell("not found", 0.0, "good")
+    if error.found:
+        state = Cell("found", 2.0, "bad")
+        if error.explained_by:
+            state = Cell("explained", 2.0, "care")
+    if error.confounded:
+        state = Cell("cannot be told", 1.0)
+    name = text(error.code)
+    if error.confounded and not math.isfinite(error.plausible):
+        return name, state, *[Cell(NONE)] * 3
+    size = error.size if error.found else error.unnoticed
+    below = Cell(size_in_words(size, error.unit), size) if math.isfinite(size) else Cell(NONE)
+    shift = moved(error, reading, unnoticed=not error.found)
+    return name, state, significant(error.p_value, 2), below, significant(shift * IN_MM, 2)
+
+
+def _name(error: SystematicError) -> str:
+    return f"{error.code}, {error.subject}" if error.subject else error.code
+
+
+def moved(error: SystematicError, reading: float, *, unnoticed: bool) -> float:
+    """Return how far a systematic error moves the laser spot that it moves most [m]; NaN if unknown."""
+    shift = error.spots(reading, unnoticed=unnoticed)
+    return float(np.nan_to_num(shift).max()) if shift.size else math.nan
+
+
+def systematic_facts(described: "Description") -> Facts:
+    """Return what was found, or cannot be told, by its name in words with the remedy."""
+    tested = described.calibration.systematic if described.solved else ()
+    return tuple(
+        (_name(error), sentence(f"{error.message}; {error.remedy}"))
+        for error in tested
+        if error.confounded or (error.found and not error.explained_by)
+    )
+
+
+def rejected_table(described: "Description") -> Table | None:
+    """Return the readings that were rejected, each with its reason; None where there are none."""
+    rejected = described.calibration.fit.rejected
+    if not rejected:
+        return None
+    rows = tuple(
+        (
+            name_cell(reading.station),
+            name_cell(reading.beam),
+            text(reading.reason),
+            significant(None if reading.residual is None else reading.residual * IN_MM),
+        )
+        for reading in rejected[:MOST_REJECTED]
+    )
+    return Table(
+        "rejected",
+        "",
+        (
+            Column("station", number=False),
+            Column("beam", number=False),
+            Column("reason", number=False),
+            Column("residual mm"),
+        ),
+        rows,
+        more(len(rejected) - MOST_REJECTED, "reading"),
+    )

@@ -1,0 +1,145 @@
+"""What a person sees of a calibration: the verdict first, on one screen of 30 lines of 100 columns.
+
+And in full, where every table is asked for.
+"""
+
+from ...quantities import IN_MM
+from ...text import count, some
+from ..lines import WIDTH, as_many, wrapped
+from ..systematic import SystematicError
+from ..wording import size_in_words
+from .description import Description
+from .evidence import moved
+from .rendering import PLAIN, full_table, text_lines, text_table
+from .tables import Facts
+
+LINES = 30
+"""Lines of the whole answer, which then stands on one screen."""
+SHOWN_BEAMS = 8
+"""Beams that are shown: half a screen where the table stands in two parts."""
+SHOWN_REJECTED = 3
+"""Rejected readings that the screen names."""
+SHOWN_ERRORS = 4
+"""Kinds of systematic errors that are named in one list."""
+BRIEF = ("rms residual", "largest residual", "sigma0", "degrees of freedom")
+"""Facts of the fit that stand on the screen."""
+
+
+def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH) -> list[str]:
+    """Return the default screen; `closing` lines of the 30 are kept for what follows it.
+
+    A screen of less than 100 columns has more lines: as many letters.
+    """
+    calibration, verdict = described.calibration, described.verdict
+    lines = wrapped(verdict.sentence, None, width)
+
+    def add(name: str, words: str, most: int = 2) -> None:
+        lines.extend(wrapped(f"{name}: {words}".translate(PLAIN), as_many(most, width), width))
+
+    lines += wrapped(_head(described), as_many(1, width), width)
+    if described.beams is not None:
+        lines += text_table(described.beams, width, SHOWN_BEAMS)
+    if any(beam.sigma is not None for beam in calibration.beams.values()):
+        add("range errors", described.range_errors)
+        add("noise", described.noise)
+    fit = dict(described.fit)
+    add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))
+    add("observability", " ".join(described.observability[:3]), 3)
+    if verdict.exceeded:
+        add("limits exceeded", "; ".join(verdict.exceeded))
+    elif verdict.limits:
+        add("limits held", ", ".join(check.comparison for check in verdict.worst_limits))
+    if described.solved:
+        add("systematic errors", _systematic(calibration.systematic, described.reading), 3)
+    if calibration.fit.rejected:
+        names = [f"station {it.station} beam {it.beam}" for it in calibration.fit.rejected]
+        add(
+            "rejected", f"{count(len(names), 'reading')}: {some(names, SHOWN_REJECTED)} (--verbose)"
+        )
+    return lines + _warnings(described, as_many(LINES, width) - closing - len(lines), width)
+
+
+def full_lines(described: Description, width: int = WIDTH) -> list[str]:
+    """Return everything that there is to say, in reading order."""
+    calibration = described.calibration
+    opening = [described.verdict.sentence, _head(described)]
+    if not described.solved:
+        opening.append(f"NOT A CALIBRATION ({calibration.status}): {calibration.message}")
+    lines = text_lines(opening, width)
+    tables = {
+        "mounts": described.mounts,
+        "laser spots": described.spots,
+        "planes": described.planes,
+        "limits": described.limits,
+    }
+    for title, table in tables.items():
+        lines += [] if table is None else full_table(title, table, width)
+    lines += _fact_lines(described.fit, width)
+    lines += text_lines([f"observability: {' '.join(described.observability)}"], width)
+    if described.correlations is not None and described.correlations.rows:
+        lines += full_table("correlations", described.correlations, width)
+    if described.systematic is not None:
+        lines += full_table("systematic errors", described.systematic, width)
+        lines += _fact_lines(described.systematic_facts, width)
+    if described.rejected is not None:
+        lines += full_table("rejected readings", described.rejected, width)
+    return lines + text_lines([f"WARNING: {words}" for words in described.warnings], width)
+
+
+def _fact_lines(facts: Facts, width: int) -> list[str]:
+    return text_lines([f"{name}: {words}" for name, words in facts], width)
+
+
+def _head(described: Description) -> str:
+    calibration = described.calibration
+    words = f"{described.sizes}; start: {calibration.start.method}"
+    recording = calibration.recording
+    if recording is not None and recording.ignored_columns:
+        words += f"; columns not used: {', '.join(recording.ignored_columns)}"
+    return words
+
+
+def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
+    """Say which systematic errors were found, or the largest that could be there all the same."""
+    if not tested:
+        return "not tested"
+    found = sorted((error for error in tested if error.found), key=lambda error: error.p_value)
+    if found:
+        clear = [
+            f"{error.code} of {size_in_words(error.size, error.unit)} (p = {error.p_value:.1g}), "
+            f"moving a spot by {moved(error, reading, unnoticed=False) * IN_MM:.2g} mm"
+            for error in found
+            if not error.explained_by
+        ]
+        explained = [error.code for error in found if error.explained_by]
+        return "; ".join(clear) + (f" (which explains {_codes(explained)})" if explained else "")
+    tested_for = [error for error in tested if not error.confounded]
+    hidden = [error.code for error in tested if error.confounded]
+    words = f"none of {count(len(tested_for), 'kind')} found"
+    words += f" (cannot be told: {_codes(hidden)})" if hidden else ""
+    if not tested_for:
+        return words
+    worst = max(tested_for, key=lambda error: moved(error, reading, unnoticed=True))
+    return (
+        f"{words}; the worst that would go unnoticed: {worst.code} below "
+        f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
+        f"{moved(worst, reading, unnoticed=True) * IN_MM:.2g} mm"
+    )
+
+
+def _codes(codes: list[str]) -> str:
+    return some(codes, len(codes) if len(codes) <= SHOWN_ERRORS else SHOWN_ERRORS - 1)
+
+
+def _warnings(described: Description, room: int, width: int) -> list[str]:
+    """Return as many warnings as there is room for, whole; the first one is cut if need be."""
+    warnings = [f"WARNING: {words}" for words in described.warnings]
+    lines: list[str] = []
+    for number, warning in enumerate(warnings):
+        rest = len(warnings) - number - 1
+        left = room - len(lines) - (1 if rest else 0)
+        own = wrapped(warning, None, width)
+        if len(own) > left and number > 0:
+            return [*lines, f"and {count(rest + 1, 'more warning')}: --verbose"]
+        lines += own if len(own) <= left else wrapped(warning, max(left, 1), width)
+    return lines
