@@ -118,7 +118,8 @@ def test_the_load_event_waits_for_every_flat_figure(chromium, reports):
     page = chromium.new_page()
     page.add_init_script(
         "addEventListener('load', () => { window.atLoad = "
-        "[...document.querySelectorAll('.plot:not(.space) .canvas[data-drawn=yes]')].map((one) => one.id); });"
+        "[...document.querySelectorAll('.plot:not(.space) .canvas[data-drawn=yes]')]"
+        ".map((one) => one.id); });"
     )
     page.goto((reports / "good.html").as_uri(), wait_until="load")
     page.wait_for_selector("html[data-ready=yes]", timeout=SLOW)
@@ -130,7 +131,8 @@ def test_the_load_event_waits_for_every_flat_figure(chromium, reports):
 def test_every_flat_figure_draws_its_points(seen):
     expected = FLAT if seen.name != "open" else ("by-range", "by-station", "by-plane")
     drawn = seen.evaluate(
-        "[...document.querySelectorAll('.plot:not(.space) .canvas')].map(one => [one.id, one.dataset.drawn])"
+        "[...document.querySelectorAll('.plot:not(.space) .canvas')]"
+        ".map(one => [one.id, one.dataset.drawn])"
     )
     assert sorted(drawn) == sorted([name, "yes"] for name in expected)
     for name in expected:
