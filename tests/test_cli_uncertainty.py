@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -73,8 +74,11 @@ def test_the_result_says_what_the_tables_say(handlaser):
     assert "A plane measured by all beams at once, as at station" in out
     assert "hand poses: marginalised" in out
     assert "beam 1 k1 beam 1 k2 -0.9" in out  # correlated
-    low, high = beam["interval_95"]["k1"]
-    assert ("zero is excluded (95 %) for k1 of all beams" in out) == (not low < 0.0 < high)
+    words = re.search(r"zero is excluded \(95 %\) for (.*?) hand poses:", out)[1]
+    named = [beam["range_error_excludes_zero"]["k1"] for beam in found["beams"]]
+    k1 = re.search(r"k1 of (all beams|beams? ([\d, ]+))", words)
+    listed = [name in k1[0] for name in "1234"] if k1 and k1[2] else [k1 is not None] * 4
+    assert listed == named
 
 
 def test_estimated_noise_is_printed_with_its_error(handlaser):
