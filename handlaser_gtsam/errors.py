@@ -168,7 +168,7 @@ class CalibrationWarning:
     Attributes
     ----------
     code : str
-        What kind of sign, in lower case with hyphens; the kinds are listed in docs/files.md.
+        What kind of sign, in lower case with hyphens; the kinds are listed in docs/messages.md.
     message : str
         What was found, and what to look at.
     values : mapping of str to int, float or str

@@ -101,3 +101,20 @@ def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path):
         costs = [row["cost"] for row in rows if row["planes"] == planes]
         assert max(costs) - min(costs) <= 1e-6 * min(costs)
     assert all(row["seconds"] > 0.0 and row["iterations"] > 0 for row in rows)
+
+
+def test_every_code_has_its_row():
+    """Of verdicts, systematic errors, and warnings, whose codes stand in calls all over the package."""
+    from handlaser_gtsam.results.verdict import OPENING
+    from handlaser_gtsam.results.wording import WORDING
+
+    page = (ROOT / "docs" / "messages.md").read_text()
+    first = " ".join(re.findall(r"^\| (.*?) \|", page, re.MULTILINE))
+    listed = set(re.findall(r"`([a-z-]+)`", first))
+    assert {*OPENING, *WORDING} <= listed
+    codes = set()
+    for path in (ROOT / "handlaser_gtsam").rglob("*.py"):
+        for call in re.findall(r"CalibrationWarning\(\s*\"([a-z-]+)\"", path.read_text()):
+            codes.add(call)
+    assert len(codes) > 10
+    assert codes <= listed, codes - listed
