@@ -178,11 +178,10 @@ def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> Boo
 
 def safe_for_all(cell: Cell, stations: Stations, mounts: Sequence[Parameters]) -> Stations:
     """Return the stations in the workspace that are safe at all mounts, a few of them tried first."""
-    stations = picked(stations, np.flatnonzero(inside(cell.workspace, stations)))
+    stations = stations[inside(cell.workspace, stations)]
     for some in mounts:
-        safe = safe_stations(some, stations, cell.sensor).all(axis=0)
-        stations = picked(stations, np.flatnonzero(safe))
-    return picked(stations, np.flatnonzero(within_arm(cell, stations)))
+        stations = stations[safe_stations(some, stations, cell.sensor).all(axis=0)]
+    return stations[within_arm(cell, stations)]
 
 
 def best_beside(

@@ -20,10 +20,10 @@ def refined(task: Task, stations: Stations, rng: np.random.Generator) -> Station
     belief, workspace, count = task.belief, task.workspace, len(stations.plane)
     for size in ROUNDS:
         near = _neighbours(task, stations, size, rng)
-        near = picked(near, np.flatnonzero(inside(workspace, near)))
+        near = near[inside(workspace, near)]
         try:
-            near = picked(near, np.flatnonzero(safe(outlook(belief, near), task.sensor)))
-            near = picked(near, np.flatnonzero(within_reach(belief, workspace, near)))
+            near = near[safe(outlook(belief, near), task.sensor)]
+            near = near[within_reach(belief, workspace, near)]
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])

@@ -151,14 +151,14 @@ def candidates(
         wanted = _round(count, drawn, found_so_far)
         tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
         drawn += wanted
-        tried = picked(tried, np.flatnonzero(inside(workspace, tried)))
+        tried = tried[inside(workspace, tried)]
         if not tried.plane.size:
             continue
-        tried = picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor)))
+        tried = tried[safe(outlook(belief, tried), sensor)]
         if workspace.robot is not None:
             tried = picked(tried, np.arange(min(len(tried.plane), count)))
             tried_by_arm += len(tried.plane)
-        kept.append(picked(tried, np.flatnonzero(within_reach(belief, workspace, tried))))
+        kept.append(tried[within_reach(belief, workspace, tried)])
         found_so_far += len(kept[-1].plane)
     found = joined(kept) if kept else None
     if found is None or len(found.plane) < LEAST_CANDIDATES:
