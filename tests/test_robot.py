@@ -18,7 +18,7 @@ from benchmarks.planned_cell import ERR, SENSOR
 from handlaser_gtsam.planning import route
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.drive import driven
-from handlaser_gtsam.planning.workspace import inside, plates_of
+from handlaser_gtsam.planning.workspace import inside
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
 
@@ -179,7 +179,7 @@ def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
     index = np.zeros(len(at), dtype=np.intp)
     assert inside(here, Stations(at.world_R_hand, at.world_t_hand, index)).all()
     belief = belief_of(calibrated)
-    check_drive(robot, at, dict(zip(belief.plane_names, plates_of(belief), strict=True)))
+    check_drive(robot, at, dict(zip(belief.plane_names, belief.plates(), strict=True)))
 
 
 @needs_pinocchio

@@ -2,7 +2,7 @@
 
 Where the straight way between two stations would touch the plate, the hand withdraws from it, moves,
 and comes back; where that does not help either, it passes the joints at which the arm stood before.
-Between planes it always withdraws, and no plate is in the way: a person puts it anew where the hand
+Between planes it always withdraws, and no plate is in the way: a person puts it up again where the hand
 then stands, withdrawn from where the plate will be.
 """
 
@@ -18,12 +18,12 @@ from .plate import Plate
 from .robot import Robot
 from .workspace import Workspace, inside, joined
 
-BACK = (0.05, 0.1, 0.02)
+WITHDRAWN_BY = (0.05, 0.1, 0.02)
 """How far the hand withdraws from the plate [m], in the order in which it is tried: most hands clear
 the plate with 50 mm, farther or nearer is for narrow cells."""
-TRIED = 4
+TRIED_SOLUTIONS = 4
 """Solutions of a pose that are tried on the way: an arm of six joints has up to eight."""
-PATIENCE = 100
+MOST_WAYS = 100
 """Ways between two stations that are tried, before another detour: a second or two."""
 
 
@@ -112,7 +112,7 @@ class _Driver:
             R, t = way.world_R_hand, way.world_t_hand
             joints = self.robot.joints(R, t, self.plates[plane])
             return None if np.isnan(joints).any() else list(joints)
-        self.left = PATIENCE
+        self.left = MOST_WAYS
         return self._from(q, plane if before is None else int(before.plane[0]), way, 0)
 
     def _from(
@@ -128,7 +128,7 @@ class _Driver:
         plate = self.plates[plane]
         solutions = self.robot.solutions(way.world_R_hand[index], way.world_t_hand[index], plate, q)
         for tried, joints in enumerate(solutions):
-            if tried == TRIED or self.left <= 0:
+            if tried == TRIED_SOLUTIONS or self.left <= 0:
                 break
             self.left -= 1
             if self.robot.free_way(q, joints, plate if plane == before else None, self.box):
@@ -142,6 +142,6 @@ class _Driver:
         n = self.plates[int(station.plane[0])].normal
         moved = [
             Stations(station.world_R_hand, station.world_t_hand - far * n, station.plane)
-            for far in BACK
+            for far in WITHDRAWN_BY
         ]
         return [away for away in moved if inside(self.workspace, away).all()]

@@ -1,5 +1,6 @@
 """The arm of a plan: which poses it reaches beside a plate, and which ways between them are free."""
 
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -24,10 +25,10 @@ MANY_STARTS = 12
 """The same for one pose on the way of the arm, which is not missed for want of a ninth start."""
 LEEWAY = 0.1
 """Between stations the hand stays in their box to within this [m]: it does not move on a line."""
-STEP = np.deg2rad(1.0)
+WAY_STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]: at the
 end of an arm of 1 m they are 17 mm."""
-SAME = 1e-4
+SAME_JOINTS = 1e-4
 """Joints that differ by less are one solution [rad], [m]: both are at the pose to far less."""
 LARGEST_CLEARANCE = 0.5
 """No arm keeps farther from itself [m]: a larger number is in another unit."""
@@ -129,13 +130,14 @@ class Robot(Value):
 
         Of joints that differ by full turns they are those nearest to where the arm stands.
 
-        Parameters and errors are those of `reachable`.
+        See `reachable` for parameters and errors.
         """
         R, t = number_array("R", R), number_array("t", t)
         if R.shape != (len(R), 3, 3) or t.shape != (len(R), 3):
             raise InputError(f"poses of shapes {R.shape} and {t.shape}", "(M, 3, 3) and (M, 3)")
         check_poses(R, t, numbered(len(t)))
-        arm, rng = self._scene().arm, np.random.default_rng(0)
+        scene, rng = self._scene(), np.random.default_rng(0)
+        arm, front = scene.arm, _front(plate)
         stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
         joints = np.full((len(t), len(arm.low)), np.nan)
         for attempt in range(STARTS + 2):
@@ -152,7 +154,7 @@ class Robot(Value):
                 start = rng.uniform(arm.low, arm.high, (len(left), len(arm.low)))
             for pose, begin in zip(left, start, strict=True):
                 q = arm.inverse(R[pose], t[pose], begin)
-                if q is not None and self.free(q, plate)[0]:
+                if q is not None and not scene.touches(q, front):
                     joints[pose] = arm.nearest(q, stands)
         return joints
 
@@ -166,19 +168,18 @@ class Robot(Value):
         arm = self._scene().arm
         drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (MANY_STARTS, len(near)))
         seen: list[FloatArray] = []
-        for starts in ([near], drawn):
-            found = [arm.inverse(R, t, start) for start in starts]
-            turned = [arm.nearest(q, near) for q in found if q is not None]
+        for starts in (near[None], drawn):
+            solved = [arm.inverse(R, t, start) for start in starts]
+            turned = [arm.nearest(q, near) for q in solved if q is not None]
             for joints in sorted(turned, key=lambda q: float(np.abs(q - near).max())):
-                if all(np.abs(joints - other).max() > SAME for other in seen):
+                if all(np.abs(joints - other).max() > SAME_JOINTS for other in seen):
                     seen.append(joints)
                     if self.free(joints, plate)[0]:
                         yield joints
 
     def free(self, joints: FloatArray, plate: Plate | None = None) -> BoolArray:
         """Tell at which joints (N, J) the arm touches neither itself, the plate nor the table."""
-        scene = self._scene()
-        front = None if plate is None else (plate.point, plate.normal)
+        scene, front = self._scene(), _front(plate)
         return np.array([not scene.touches(q, front) for q in np.atleast_2d(joints)], dtype=bool)
 
     def free_way(
@@ -188,19 +189,20 @@ class Robot(Value):
         plate: Plate | None = None,
         box: tuple[FloatArray, FloatArray] | None = None,
     ) -> bool:
-        """Tell whether the straight way between joints (J,) is free, in steps of `STEP`.
+        """Tell whether the straight way between joints (J,) is free, in steps of `WAY_STEP`.
 
         Nothing touches, and where both ends are in a `box`, low and high (3,) [m] in the world, the
         hand stays there to within `LEEWAY`.
         """
-        parts = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
+        parts = max(int(np.ceil(np.abs(end - start).max() / WAY_STEP)), 1)
         way = start + np.linspace(0.0, 1.0, parts + 1)[:, None] * (end - start)
         if box is not None:
             t = self.poses(way)[1]
             beyond = np.maximum(box[0] - t, t - box[1]).max(axis=1)
             if max(beyond[0], beyond[-1]) <= 0.0 and beyond.max() > LEEWAY:
                 return False
-        return all(self.free(q, plate)[0] for q in way)
+        scene, front = self._scene(), _front(plate)
+        return not any(scene.touches(q, front) for q in way)
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return world_R_hand (N, 3, 3) and world_t_hand (N, 3) [m] of joints (N, J)."""
@@ -211,32 +213,20 @@ class Robot(Value):
     def _scene(self) -> Scene:
         """Return the arm among bodies; loaded again when the file has changed."""
         path = Path(self.urdf)
-        return _loaded(
-            self.urdf,
-            path.stat().st_mtime_ns if path.is_file() else 0,
-            self.frame,
-            (*self.base_R.ravel().tolist(), *self.base_t.tolist()),
-            tuple(self.start.tolist()),
-            self.clearance,
-            (self.plate_across, self.plate_thickness),
-            self.table,
-        )
+        return _loaded(pickle.dumps(self), path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+def _front(plate: Plate | None) -> tuple[FloatArray, FloatArray] | None:
+    return None if plate is None else (plate.point, plate.normal)
 
 
 @lru_cache(ARMS_LOADED)
-def _loaded(
-    urdf: str,
-    changed: int,  # noqa: ARG001  a file that was written again is another arm
-    frame: str,
-    base: tuple[float, ...],
-    start: tuple[float, ...],
-    clearance: float,
-    plate: tuple[float, float],
-    table: float | None,
-) -> Scene:
-    base_R, base_t = np.reshape(base[:9], (3, 3)), np.array(base[9:])
-    arm = Arm(urdf, frame, base_R, base_t)
-    if start:
-        arm.require_joints("start joints", np.array(start))
-    below = None if table is None else np.array([*base_t[:2], table])
-    return Scene(arm, clearance, plate, below, np.array(start) if start else None)
+def _loaded(pickled: bytes, changed: int) -> Scene:  # noqa: ARG001  a changed file is another arm
+    """Return the scene of a robot, which is pickled because arrays are no keys of a cache."""
+    robot: Robot = pickle.loads(pickled)
+    arm = Arm(robot.urdf, robot.frame, robot.base_R, robot.base_t)
+    start = robot.start if len(robot.start) else None
+    if start is not None:
+        arm.require_joints("start joints", start)
+    table = None if robot.table is None else np.array([*robot.base_t[:2], robot.table])
+    return Scene(arm, robot.clearance, (robot.plate_across, robot.plate_thickness), table, start)

@@ -1,6 +1,6 @@
 """What an arm would touch: itself, a plate that stands somewhere else before every pose, and a table.
 
-Bodies and collisions are those of pinocchio and its library coal.
+pinocchio and its library coal have the bodies and find the collisions.
 """
 
 from importlib import import_module
@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...errors import InputError
 from .arm import Arm, unreadable
 
-DRAWN = 200
+TRIED_JOINTS = 200
 """Random joints at which pairs of bodies are tried that always touch: 5 % of them are ten."""
-ALWAYS = 0.95
+TOUCHING_PART = 0.95
 """Bodies that touch at so large a part of them belong together: no motion parts them."""
 TABLE_SIZE = (10.0, 10.0, 1.0)
 """Of the block that stands for the table [m]: no arm reaches around it."""
@@ -76,8 +75,8 @@ class Scene:
         self._plate = bodies.geometryObjects[bodies.addGeometryObject(disc)]
         bodies.addAllCollisionPairs()
         self._require(clearance)
-        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (DRAWN, len(arm.low)))
-        joined = np.mean([self._touching(q) for q in drawn], axis=0) >= ALWAYS
+        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (TRIED_JOINTS, len(arm.low)))
+        joined = np.mean([self._touching(q) for q in drawn], axis=0) >= TOUCHING_PART
         joined |= [self._neighbours(pair.first, pair.second) for pair in bodies.collisionPairs]
         if start is not None:
             joined |= self._touching(start)
