@@ -81,6 +81,26 @@ def test_arms_of_others_reach_their_own_poses(name):
 
 
 @needs_pinocchio
+def test_the_hand_is_that_of_the_whole_arm_on_a_turned_base(tmp_path):
+    """By pinocchio, of the arm with its finger and without a base, which is applied by hand."""
+    import pinocchio
+
+    path, turn = small_arm(tmp_path), Rotation.from_euler("xyz", [0.5, -0.3, 1.0]).as_matrix()
+    robot = hl.Robot(path, "hand", turn, [0.1, 0.2, 0.3])
+    model = pinocchio.buildModelFromUrdf(path)
+    data = model.createData()
+    for q in drawn(robot, 5):
+        named = dict(zip(robot.joint_names, q, strict=True))
+        whole = [named.get(name, 0.0) for name in list(model.names)[1:]]
+        whole = pinocchio.integrate(model, pinocchio.neutral(model), np.array(whole))
+        pinocchio.framesForwardKinematics(model, data, whole)
+        hand = data.oMf[model.getFrameId("hand")]
+        (R,), (t,) = robot.poses(q)
+        assert np.allclose(R, turn @ hand.rotation, atol=1e-12)  # rounding
+        assert np.allclose(t, turn @ hand.translation + [0.1, 0.2, 0.3], atol=1e-12)
+
+
+@needs_pinocchio
 def test_the_jacobian_is_that_of_differences(small):
     arm, step = small._scene().arm, 1e-6
     for q in drawn(small, 5):

@@ -22,7 +22,7 @@ from .belief import Belief
 from .bounds import Bounds
 from .goal import Goal
 from .information import recorded_rows, station_rows, updated
-from .moves import COMPARED_MOUNTS, FIRST_MOUNTS, MOUNTS, blind, safe_stations
+from .moves import COMPARED_MOUNTS, FIRST_MOUNTS, MOUNTS, assumed, safe_stations
 from .plate import MOST_PLACEMENTS
 from .route import Plan, planned
 from .task import Task
@@ -86,7 +86,7 @@ def blind_motion(
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLACEMENTS)
     rng = np.random.default_rng(0) if rng is None else rng
-    known = blind(bounds, sensor, workspace, noise)
+    known = assumed(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
     first = known.translations(mounts)
     turns = known.turns(rng)
@@ -144,7 +144,7 @@ def completing_motion(
         found = f"bounds of {beams} beams for {len(recording.beam_names)} in the recording"
         raise InputError(found, "the bounds of all beams, in the order of the columns")
     workspace = workspace_of(recording) if workspace is None else workspace
-    known = blind(bounds, sensor, workspace, noise)
+    known = assumed(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
     drawn = [bounds.draw(rng) for _ in range(COMPARED_MOUNTS)]
     beliefs = [known.belief(at).before(plates, only=True) for at in drawn]

@@ -194,7 +194,7 @@ class Blind:
         return best, max(math.sqrt(value(C, weight, "E")) for C in after)
 
 
-def blind(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:
+def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:
     """Return what is known before any calibration; noise that is not stated is as its prior says.
 
     Raises
