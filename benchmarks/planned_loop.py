@@ -9,8 +9,9 @@ import numpy as np
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.route import Task, planned
-from handlaser_gtsam.planning.workspace import candidates, joined, picked
+from handlaser_gtsam.planning.route import planned
+from handlaser_gtsam.planning.task import Task
+from handlaser_gtsam.planning.workspace import candidates, joined
 from handlaser_gtsam.validation.simulate import Errors
 
 ERRORS = Errors(1e-5, 2e-5, math.radians(0.01), (0, 1, 2))
@@ -83,4 +84,4 @@ def random_plan(
     every = len(pool.plane)
     chosen = rng.choice(every, count, replace=False)
     task = Task(belief, workspace, SENSOR, GOAL)
-    return planned(task, picked(pool, chosen), plates=plates)[0]
+    return planned(task, pool[chosen], plates=plates)[0]

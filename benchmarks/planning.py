@@ -36,8 +36,8 @@ from benchmarks.planned_loop import Loop, loop, random_plan
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
-from handlaser_gtsam.planning.information import told
-from handlaser_gtsam.planning.route import goal_rows
+from handlaser_gtsam.planning.information import station_rows
+from handlaser_gtsam.planning.task import goal_rows
 from handlaser_gtsam.planning.workspace import candidates, joined
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate
@@ -234,7 +234,7 @@ def speed_line() -> str:
     belief = belief_of(hl.calibrate(recording, here.noise, OPTIONS))
     parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
-    rows = np.stack([told(one, joined(parts)) for one in drawn])
+    rows = np.stack([station_rows(one, joined(parts)) for one in drawn])
     weight = goal_rows(belief, hl.Goal(), 0.015)
     seconds = []
     for _ in range(5):

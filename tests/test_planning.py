@@ -15,12 +15,12 @@ from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
-from handlaser_gtsam.planning.belief import BEAM, belief_of, transported
+from handlaser_gtsam.planning.belief import BEAM_SIZE, belief_of, transported
+from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, value
-from handlaser_gtsam.planning.completing import completing_motion
-from handlaser_gtsam.planning.information import outlook, told, updated
-from handlaser_gtsam.planning.order import divided, shortest, way
-from handlaser_gtsam.planning.route import goal_rows, spot_rows
+from handlaser_gtsam.planning.information import outlook, station_rows, updated
+from handlaser_gtsam.planning.order import divided, shortest
+from handlaser_gtsam.planning.task import goal_rows, spot_rows
 from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
 from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.mounts import Mounts
@@ -102,9 +102,7 @@ def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
     chosen = Stations(pool.world_R_hand[::24], pool.world_t_hand[::24], pool.plane[::24])
     used = np.flatnonzero(np.diagonal(belief.covariance) > 0.0)
     assert len(used) == len(belief.covariance) - belief.beams  # k2 is not modelled
-    C = belief.covariance
-    for rows in told(belief, chosen):
-        C = updated(C, rows)
+    C = updated(belief.covariance, station_rows(belief, chosen))
     at = np.ix_(used, used)
     scale = np.sqrt(np.diagonal(belief.covariance)[used])
     prior = np.linalg.inv(belief.covariance[at] / np.outer(scale, scale))
@@ -117,13 +115,15 @@ def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
 def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
     joint = recorded[2].covariance
     for i, name in enumerate(joint.beam_names):
-        own = belief.covariance[BEAM * i : BEAM * i + 3, BEAM * i : BEAM * i + 3]
+        own = belief.covariance[
+            BEAM_SIZE * i : BEAM_SIZE * i + 3, BEAM_SIZE * i : BEAM_SIZE * i + 3
+        ]
         assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
     mounts = belief_of(Mounts.of(recorded[2]))
-    count = belief.of_beams
+    count = belief.first_error
     # Other tangent bases: what does not depend on them is equal.
     for i in range(belief.beams):
-        at = BEAM * i + np.arange(3, 5)
+        at = BEAM_SIZE * i + np.arange(3, 5)
         both = [np.linalg.eigvalsh(x.covariance[np.ix_(at, at)]) for x in (belief, mounts)]
         assert np.allclose(*both, rtol=1e-9)
     assert mounts.covariance.shape == (count, count)
@@ -157,9 +157,7 @@ def tiny(seed, candidates=7, unknowns=4):
 
 
 def after(rows, C, indices):
-    for index in indices:
-        C = updated(C, rows[0, index])
-    return C
+    return updated(C, rows[0, list(indices)])
 
 
 @pytest.mark.parametrize("criterion", ["A", "D", "E"])
@@ -201,7 +199,7 @@ def test_updates_up_and_down_agree_with_the_final_covariance():
 
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.Goal(), np.random.default_rng(0)
-    rows = told(belief, pool)
+    rows = station_rows(belief, pool)
     weight = goal_rows(belief, goal, 0.015)
     chosen = choose(rows[None], belief.covariance, weight, 8)
     drawn = [
@@ -342,6 +340,13 @@ def test_a_home_that_looks_away_is_named(recorded):
 
 
 # --- the way -----------------------------------------------------------------------------------------
+
+
+def way(stations, order, length):
+    """The length of a way, a turn by one radian counted as a move by a length."""
+    t, R = stations.world_t_hand[order], Rotation.from_matrix(stations.world_R_hand[order])
+    turns = (R[:-1].inv() * R[1:]).magnitude()
+    return np.linalg.norm(np.diff(t, axis=0), axis=1).sum() + length * turns.sum()
 
 
 def test_the_way_is_the_shortest_of_tiny_problems(pool):

@@ -10,7 +10,7 @@ import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
 from handlaser_gtsam.model.plausible import KINDS
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.information import told_by, with_errors
+from handlaser_gtsam.planning.information import recorded_rows, with_errors
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.spot_error import spot_at
 from handlaser_gtsam.results.verdict import verdict
@@ -269,8 +269,8 @@ def test_a_belief_with_errors_is_that_of_the_joint_information():
     found = calibrated(cell)
     belief = belief_of(found)
     joint = with_errors(belief, found.recording, {"incidence": 1e-3, "carry-over": 0.02})
-    rows = told_by(joint, found.recording).reshape(-1, len(joint.covariance))
-    own = belief.of_beams + np.arange(2)
+    rows = recorded_rows(joint, found.recording).reshape(-1, len(joint.covariance))
+    own = belief.first_error + np.arange(2)
     x = np.delete(np.arange(len(joint.covariance)), own)
     information = np.diag(np.zeros(len(joint.covariance)))
     information[np.ix_(x, x)] = np.linalg.inv(belief.covariance)

@@ -18,7 +18,7 @@ from benchmarks.planned_cell import ERR, SENSOR
 from handlaser_gtsam.planning import route
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.drive import driven
-from handlaser_gtsam.planning.workspace import inside, picked, plates_of
+from handlaser_gtsam.planning.workspace import inside
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
 
@@ -58,7 +58,7 @@ def test_the_joints_found_are_at_the_pose_and_within_the_limits(small):
     found = small.joints(R, t)
     good = ~np.isnan(found).any(axis=1)
     assert good.mean() >= 0.95  # every pose is reachable; a few are missed from all starts
-    again_R, again_t = small.poses(found[good])  # by pinocchio, the joints by NumPy
+    again_R, again_t = small.poses(found[good])
     assert np.abs(again_t - t[good]).max() < 1e-6
     assert np.abs(again_R - R[good]).max() < 1e-6
     low, high = small.limits
@@ -81,19 +81,36 @@ def test_arms_of_others_reach_their_own_poses(name):
 
 
 @needs_pinocchio
+def test_the_hand_is_that_of_the_whole_arm_on_a_turned_base(tmp_path):
+    """By pinocchio, of the arm with its finger and without a base, which is applied by hand."""
+    import pinocchio
+
+    path, turn = small_arm(tmp_path), Rotation.from_euler("xyz", [0.5, -0.3, 1.0]).as_matrix()
+    robot = hl.Robot(path, "hand", turn, [0.1, 0.2, 0.3])
+    model = pinocchio.buildModelFromUrdf(path)
+    data = model.createData()
+    for q in drawn(robot, 5):
+        named = dict(zip(robot.joint_names, q, strict=True))
+        whole = [named.get(name, 0.0) for name in list(model.names)[1:]]
+        whole = pinocchio.integrate(model, pinocchio.neutral(model), np.array(whole))
+        pinocchio.framesForwardKinematics(model, data, whole)
+        hand = data.oMf[model.getFrameId("hand")]
+        (R,), (t,) = robot.poses(q)
+        assert np.allclose(R, turn @ hand.rotation, atol=1e-12)  # rounding
+        assert np.allclose(t, turn @ hand.translation + [0.1, 0.2, 0.3], atol=1e-12)
+
+
+@needs_pinocchio
 def test_the_jacobian_is_that_of_differences(small):
-    chain = small._arm(None).chain
-    q = drawn(small, 5)
-    R, _, J = chain.forward(q)
-    step = 1e-6
-    for i in range(q.shape[1]):
-        e = step * np.eye(q.shape[1])[i]
-        (high_R, high_t, _), (low_R, low_t, _) = chain.forward(q + e), chain.forward(q - e)
-        turn = Rotation.from_matrix(high_R @ np.swapaxes(low_R, 1, 2)).as_rotvec()
-        # Central differences at 1e-6 err by rounding, 1e-10.
-        assert np.allclose(J[:, :3, i], (high_t - low_t) / (2.0 * step), atol=1e-8)
-        assert np.allclose(J[:, 3:, i], turn / (2.0 * step), atol=1e-8)
-    assert R.shape == (5, 3, 3)
+    arm, step = small._scene().arm, 1e-6
+    for q in drawn(small, 5):
+        J = arm.hand(q)[2]
+        for i, e in enumerate(step * np.eye(len(q))):
+            (high_R, high_t, _), (low_R, low_t, _) = arm.hand(q + e), arm.hand(q - e)
+            turn = Rotation.from_matrix(high_R @ low_R.T).as_rotvec()
+            # Central differences at 1e-6 err by rounding, 1e-10.
+            assert np.allclose(J[:3, i], (high_t - low_t) / (2.0 * step), atol=1e-8)
+            assert np.allclose(J[3:, i], turn / (2.0 * step), atol=1e-8)
 
 
 @needs_pinocchio
@@ -182,7 +199,7 @@ def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
     index = np.zeros(len(at), dtype=np.intp)
     assert inside(here, Stations(at.world_R_hand, at.world_t_hand, index)).all()
     belief = belief_of(calibrated)
-    check_drive(robot, at, dict(zip(belief.plane_names, plates_of(belief), strict=True)))
+    check_drive(robot, at, dict(zip(belief.plane_names, belief.plates(), strict=True)))
 
 
 @needs_pinocchio
@@ -287,7 +304,7 @@ def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
     def one_sided(robot, stations, workspace, plates):
         asked.append(stations)
         good = np.flatnonzero(stations.world_t_hand[:, 0] < 0.6)
-        way, origin, joints = driven(robot, picked(stations, good), workspace, plates)
+        way, origin, joints = driven(robot, stations[good], workspace, plates)
         return way, np.where(origin < 0, -1, good[origin]), joints
 
     monkeypatch.setattr(route, "driven", one_sided)

@@ -18,27 +18,31 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.plate import Plate
     from ..planning.route import Plan
+    from ..results.calibration import Calibration
+    from ..results.mounts import Mounts
 
-FEW, MANY = 20, 100
-"""Stations where no number is given: without a goal, and at most until it is reached."""
+UNASKED = 20
+"""Stations where no number is given and no goal: an hour's work."""
+MOST_TO_GOAL = 100
+"""Stations where no number is given, at most, until the goal is reached."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is planned, and where it goes."""
+class PlanOptions:
+    """What is planned, and where it is written."""
 
     calibration: Annotated[
         Path | None,
         typer.Option(
             help="Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the "
-            "planes is their place only: stations before them count as before planes put anew."
+            "planes is their place only: stations before them count as before planes that were moved."
         ),
     ] = None
     planes: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Put the plate anew so many times, in orientations that are part of the plan; "
+            help="Times to move the plate, to orientations that are part of the plan; "
             "default: before the planes as they stand.",
         ),
     ] = None
@@ -65,7 +69,7 @@ def plan(
     given: Given,
     log: Log,
     model: Model,
-    wanted: Wanted,
+    wanted: PlanOptions,
     recording: Annotated[
         Path | None,
         typer.Argument(
@@ -82,116 +86,90 @@ def plan(
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan.
     """
-    from ..files.writing import require_outputs
+    from ..files.plan_json import plan_text
+    from ..files.stations_csv import write_stations
+    from ..files.writing import require_outputs, write_text
+    from ..planning.picture import forecast_svg
+    from ..text import printable
+    from .plan_tables import plan_lines, scene_lines
 
     with Working():
         rig = given.read(log)
         outputs = {"--out": wanted.out, "--picture": wanted.picture}
         require_outputs(outputs, (recording, wanted.calibration, given.rig, *rig.log.files))
-        found = _planned(recording, rig, model, wanted)
-        answer = _answer(found, rig, wanted)
+        planned = _planned(recording, rig, model, wanted)
+        lines = list(plan_lines(planned, rig.goal))
+        if rig.workspace is not None and rig.workspace.robot is not None:
+            lines += scene_lines(rig.workspace.robot)
+        if wanted.out is not None:
+            write_stations(wanted.out, planned.stations)
+        if wanted.picture is not None:
+            write_text(wanted.picture, forecast_svg(planned.forecast, rig.goal))
+        written = [path for path in outputs.values() if path is not None]
+        lines += [f"wrote {printable(str(path))}" for path in written]
+        answer = Answer(plan_text(planned), partial(print_wrapped, lines))
     answer.give(json=json_, quiet=quiet)
 
 
-def _planned(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "Plan":
-    from ..errors import InputError
-
-    if recording is not None and wanted.calibration is not None:
-        raise InputError("RECORDING and --calibration", "one of the two")
-    if recording is None and wanted.calibration is None:
-        return _blind(rig, wanted)
-    return _next(recording, rig, model, wanted)
-
-
-def _blind(rig: "Rig", wanted: Wanted) -> "Plan":
-    """Return a first motion."""
+def _planned(recording: Path | None, rig: "Rig", model: Model, wanted: PlanOptions) -> "Plan":
+    """Return a first motion, or the next stations of a recording or a result."""
     import numpy as np
 
-    from ..errors import InputError
-    from ..planning.blind import blind_motion
-
-    if rig.bounds is None or rig.workspace is None:
-        raise InputError(
-            "neither RECORDING nor --calibration",
-            "one of the two, or the tables [blind] and [workspace] of the rig file",
-        )
-    planes = wanted.planes or 1
-    return blind_motion(
-        rig.bounds,
-        rig.sensor,
-        rig.workspace,
-        rig.noise,
-        None if wanted.stations is None else wanted.stations // planes,
-        planes=planes,
-        goal=rig.goal,
-        rng=np.random.default_rng(wanted.seed),
-    )
-
-
-def _next(recording: Path | None, rig: "Rig", model: Model, wanted: Wanted) -> "Plan":
-    """Return the next stations."""
-    import numpy as np
-
-    from ..errors import SolverError
-    from ..files.calibration_reading import read_mounts
+    from ..errors import InputError, SolverError
     from ..files.rig_reading import read_with
     from ..pipeline import calibrate
     from ..planning import plan as planning
+    from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
 
-    require_range(rig.sensor)
-    count = wanted.stations or (MANY if rig.goal.stated else FEW)
-    placement = None
-    if wanted.planes is not None:
-        placement = replace(rig.placement, count=wanted.planes)
     rng = np.random.default_rng(wanted.seed)
-    given = count, rig.sensor, rig.workspace, rig.goal
+    if recording is not None and wanted.calibration is not None:
+        raise InputError("RECORDING and --calibration", "one of the two")
+    if recording is None and wanted.calibration is None:
+        if rig.bounds is None or rig.workspace is None:
+            raise InputError(
+                "neither RECORDING nor --calibration",
+                "one of the two, or the tables [blind] and [workspace] of the rig file",
+            )
+        planes = wanted.planes or 1
+        count = None if wanted.stations is None else wanted.stations // planes
+        return blind_motion(
+            *(rig.bounds, rig.sensor, rig.workspace, rig.noise, count),
+            planes=planes,
+            goal=rig.goal,
+            rng=rng,
+        )
+    require_range(rig.sensor)
+    calibration: Calibration | Mounts
     if wanted.calibration is not None:
-        mounts, plates = read_mounts(wanted.calibration), _plates(wanted.calibration, rig)
-        return planning.plan(mounts, *given, plates=plates, placement=placement, rng=rng)
-    report, rig = read_with(rig, recording or Path())
-    found = calibrate(report.recording, rig.noise, model.options(rig))
-    if found.status != "converged":
-        raise SolverError(found.message)
-    return planning.plan(found, *given, placement=placement, rng=rng)
+        calibration, plates = _result(wanted.calibration, rig)
+    else:
+        report, rig = read_with(rig, recording or Path())
+        calibration, plates = calibrate(report.recording, rig.noise, model.options(rig)), None
+        if calibration.status != "converged":
+            raise SolverError(calibration.message)
+    placement = None if wanted.planes is None else replace(rig.placement, count=wanted.planes)
+    count = wanted.stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
+    return planning.plan(
+        *(calibration, count, rig.sensor, rig.workspace, rig.goal),
+        plates=plates,
+        placement=placement,
+        rng=rng,
+    )
 
 
-def _plates(path: Path, rig: "Rig") -> "Mapping[str, Plate]":
-    """Return the planes of a result as plates, with what it leaves uncertain of them."""
+def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
+    """Return the mounts of a result, and its planes as plates that are known as well as it says."""
     from ..errors import InputError
-    from ..files.calibration_reading import read_calibration
+    from ..files.calibration_reading import read_calibration, read_mounts
     from ..planning.plate import plate_of
 
+    mounts = read_mounts(path)
     if rig.workspace is None:
         raise InputError("a result without a workspace", "the table [workspace] of the rig file")
-    middle = 0.5 * (rig.workspace.low + rig.workspace.high)
-    return {
-        one.name: plate_of(
-            one.normal,
-            one.offset_m,
-            middle,
-            None if one.sigma is None else (one.sigma.offset_m, one.sigma.normal_rad),
-        )
-        for one in read_calibration(path).planes
-    }
-
-
-def _answer(found: "Plan", rig: "Rig", wanted: Wanted) -> Answer:
-    """Write the files, and return what is said."""
-    from ..files.plan_json import plan_text
-    from ..files.stations_csv import write_stations
-    from ..files.writing import write_text
-    from ..planning.picture import forecast_svg
-    from ..text import printable
-    from .plan_tables import plan_lines, scene_lines
-
-    lines = list(plan_lines(found, rig.goal))
-    if rig.workspace is not None and rig.workspace.robot is not None:
-        lines += scene_lines(rig.workspace.robot)
-    if wanted.out is not None:
-        write_stations(wanted.out, found.stations)
-        lines.append(f"wrote {printable(str(wanted.out))}")
-    if wanted.picture is not None:
-        write_text(wanted.picture, forecast_svg(found.forecast, rig.goal))
-        lines.append(f"wrote {printable(str(wanted.picture))}")
-    return Answer(plan_text(found), partial(print_wrapped, lines))
+    middle, plates = 0.5 * (rig.workspace.low + rig.workspace.high), {}
+    for plane in read_calibration(path).planes:
+        sigma = plane.sigma
+        known = (None, None) if sigma is None else (sigma.offset_m, sigma.normal_rad)
+        plates[plane.name] = plate_of(plane.normal, plane.offset_m, middle, known)
+    return mounts, plates

@@ -10,10 +10,10 @@ from ..planning.route import VIA, Plan
 from ..quantities import IN_DEG, IN_MM
 from ..results.lines import count
 
-ROWS = 10
-"""Rows of the forecast."""
-MOST = 999.0
-"""Larger standard deviations are shown as unknown."""
+FORECAST_ROWS = 10
+"""Rows of the forecast, evenly over the stations: they fit on a screen beside the rest."""
+UNKNOWN_ABOVE = 999.0
+"""Larger standard deviations are shown as unknown [mm], [deg]: nothing has determined them."""
 
 
 def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
@@ -29,7 +29,7 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
         yield f"{count(passed, 'station')} named {VIA} between them: nothing need be read there"
     if plan.skipped:
         yield (
-            f"{count(plan.skipped, 'further station')} left out: the arm found no way there without a "
+            f"{count(plan.skipped, 'further station')} skipped: the arm found no way there without a "
             "collision"
         )
     for name, plate in plan.plates.items():
@@ -70,12 +70,12 @@ def _forecast(plan: Plan) -> Iterator[str]:
     forecast = plan.forecast
     distance = forecast.working_distance * IN_MM
     yield (
-        "largest standard deviation of any beam after so many stations, and the radius that holds its "
-        f"spot at {distance:.3g} mm with 95 %:"
+        "largest standard deviation of any beam after a number of stations, and the radius that holds "
+        f"its spot at {distance:.3g} mm with 95 %:"
     )
     yield "stations  location mm  direction deg  spot mm"
     last = len(forecast)
-    shown = {round(last * index / (ROWS - 1)) for index in range(ROWS)}
+    shown = {round(last * index / (FORECAST_ROWS - 1)) for index in range(FORECAST_ROWS)}
     for number in sorted(shown | {last}):
         yield (
             f"{number:8}  {_cell(forecast.location_sigma[number] * IN_MM):>11}  "
@@ -85,7 +85,7 @@ def _forecast(plan: Plan) -> Iterator[str]:
 
 
 def _cell(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) and value < MOST else "unknown"
+    return f"{value:.3g}" if math.isfinite(value) and value < UNKNOWN_ABOVE else "unknown"
 
 
 def _enough(plan: Plan, goal: Goal) -> Iterator[str]:

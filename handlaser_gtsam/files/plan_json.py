@@ -1,50 +1,46 @@
 """A plan as JSON: stations, what is expected there, and what will be known after them."""
 
+from collections.abc import Iterable, Mapping
+
 from scipy.spatial.transform import Rotation
 
 from ..planning.route import Plan
-from .json_text import Record, json_text
+from .json_text import Record, json_text, record
 
 
 def plan_text(plan: Plan) -> str:
     """Return a plan as JSON text; stations that only divide the way are among the others."""
-    stations = plan.stations
-    quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
-    forecast = plan.forecast
-    rows: list[Record] = [
-        {
-            "station": stations.station_names[j],
-            "plane": stations.plane_labels[j],
-            "position_m": stations.world_t_hand[j],
-            "quaternion_xyzw": quaternions[j],
-            "ranges_m": plan.ranges[j],
-            "range_sigmas_m": plan.range_sigmas[j],
-            **({} if stations.joints is None else {"joints": stations.joints[j]}),
-        }
-        for j in range(len(stations))
+    stations, forecast = plan.stations, plan.forecast
+    columns: dict[str, Iterable[object]] = {
+        "station": stations.station_names,
+        "plane": stations.plane_labels,
+        "position_m": stations.world_t_hand,
+        "quaternion_xyzw": Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True),
+        "ranges_m": plan.ranges,
+        "range_sigmas_m": plan.range_sigmas,
+    }
+    if stations.joints is not None:
+        columns["joints"] = stations.joints
+    known: dict[str, Iterable[object]] = {
+        "stations": range(len(forecast) + 1),
+        "location_sigma_m": forecast.location_sigma,
+        "direction_sigma_rad": forecast.direction_sigma,
+        "spot_m": forecast.spot,
+    }
+    plates = [
+        record(plate, "plane point_m normal", plane=name) for name, plate in plan.plates.items()
     ]
-    known: list[Record] = [
-        {
-            "stations": number,
-            "location_sigma_m": forecast.location_sigma[number],
-            "direction_sigma_rad": forecast.direction_sigma[number],
-            "spot_m": forecast.spot[number],
-        }
-        for number in range(len(forecast) + 1)
-    ]
-    plates: list[Record] = [
-        {"plane": name, "point_m": plate.point, "normal": plate.normal}
-        for name, plate in plan.plates.items()
-    ]
-    return json_text(
-        "plan",
-        {
-            "stations": rows,
-            "forecast": known,
-            "working_distance_m": forecast.working_distance,
-            "reached": plan.reached,
-            "plates": plates,
-            "safe": plan.safe,
-            **({"joint_names": list(stations.joint_names)} if stations.joint_names else {}),
-        },
-    )
+    content: Record = {
+        "stations": _rows(columns),
+        "forecast": _rows(known),
+        "working_distance_m": forecast.working_distance,
+        **record(plan, "reached plates safe", plates=plates),
+    }
+    if stations.joint_names:
+        content["joint_names"] = list(stations.joint_names)
+    return json_text("plan", content)
+
+
+def _rows(columns: Mapping[str, Iterable[object]]) -> list[Record]:
+    """Return a record for every row of some columns."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

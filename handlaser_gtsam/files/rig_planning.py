@@ -10,7 +10,7 @@
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
              working_distance_mm, tells = ["incidence", "cubic", "carry-over"]: systematic errors that
              stations are to tell
-[placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be put anew
+[placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
 """
 
 import math
@@ -33,20 +33,20 @@ from ..quantities import DEG, MM
 from .checked_text import FileRecord, in_table
 from .recording_csv import QUATERNION_TOLERANCE
 
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Rows = Annotated[list[Vector], Field(min_length=1)]
+
 
 class WorkspaceTable(FileRecord):
     """Where the hand may go."""
 
-    box_mm: list[list[float]]
+    box_mm: Annotated[list[Vector], Field(min_length=2, max_length=2)]
     home_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
     largest_turn_deg: float = 30.0
     largest_step_mm: float | None = None
 
     def to_si(self) -> Workspace:
         """Return the workspace."""
-        if len(self.box_mm) != 2 or any(len(corner) != 3 for corner in self.box_mm):
-            expected = "[[x, y, z], [x, y, z]], least and largest"
-            raise InputError(f"workspace.box_mm of {len(self.box_mm)} rows", expected)
         low, high = np.array(self.box_mm) * MM
         step = math.inf if self.largest_step_mm is None else self.largest_step_mm * MM
         home = _rotation("workspace.home_quaternion", self.home_quaternion)
@@ -59,7 +59,7 @@ class RobotTable(FileRecord):
 
     urdf: str
     frame: str
-    base_mm: list[float] = Field(default=[0.0, 0.0, 0.0])
+    base_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     base_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
     start_joints: list[float] = Field(default=[])
     clearance_mm: float = 5.0
@@ -74,7 +74,7 @@ class RobotTable(FileRecord):
                 str(folder / self.urdf),
                 self.frame,
                 _rotation("robot.base_quaternion", self.base_quaternion),
-                _numbers("robot.base_mm", self.base_mm) * MM,
+                np.array(self.base_mm) * MM,
                 np.array(self.start_joints, dtype=np.float64),
                 self.clearance_mm * MM,
                 self.plate_across_mm * MM,
@@ -86,10 +86,10 @@ class RobotTable(FileRecord):
 class BlindTable(FileRecord):
     """What is known of mounts and plate before any reading."""
 
-    location_mm: list[list[float]]
-    direction: list[list[float]]
-    plate_point_mm: list[float]
-    plate_normal: list[float]
+    location_mm: Rows
+    direction: Rows
+    plate_point_mm: Vector
+    plate_normal: Vector
     location_within_mm: float = 5.0
     cone_deg: float = 10.0
     plate_within_mm: float = 2.0
@@ -97,26 +97,22 @@ class BlindTable(FileRecord):
 
     def to_si(self) -> Bounds:
         """Return the bounds."""
+        if len(self.location_mm) != len(self.direction):
+            rows = f"{len(self.location_mm)} rows and blind.direction of {len(self.direction)}"
+            raise InputError(f"blind.location_mm of {rows}", "one of each for every beam")
         with in_table("blind", self):
             try:
                 plate = Plate(
-                    _numbers("blind.plate_point_mm", self.plate_point_mm) * MM,
-                    _numbers("blind.plate_normal", self.plate_normal),
+                    np.array(self.plate_point_mm) * MM,
+                    np.array(self.plate_normal),
                     self.plate_within_mm * MM,
                     self.plate_tilt_deg * DEG,
                 )
             except ArgumentError as error:
                 raise error.called(f"plate_{error.argument}") from error
-            locations = _rows("blind.location_mm", self.location_mm) * MM
-            axes = _rows("blind.direction", self.direction)
-            if len(locations) != len(axes):
-                found = (
-                    f"blind.location_mm of {len(locations)} rows and blind.direction of {len(axes)}"
-                )
-                raise InputError(found, "one of each for every beam")
             return Bounds(
-                locations,
-                axes,
+                np.array(self.location_mm) * MM,
+                np.array(self.direction),
                 plate,
                 self.location_within_mm * MM,
                 self.cone_deg * DEG,
@@ -138,15 +134,13 @@ class GoalTable(FileRecord):
         lengths = (self.location_sigma_mm, self.spot_mm, self.working_distance_mm)
         location, spot, distance = (None if x is None else x * MM for x in lengths)
         angle = self.direction_sigma_deg
+        direction = None if angle is None else angle * DEG
         with in_table("goal", self):
-            return Goal(
-                *(self.criterion, location, None if angle is None else angle * DEG),
-                *(spot, distance, self.tells),
-            )
+            return Goal(self.criterion, location, direction, spot, distance, self.tells)
 
 
 class PlacementTable(FileRecord):
-    """How the plate can be put anew."""
+    """How the plate can be moved."""
 
     largest_tilt_deg: float = 25.0
     within_mm: float = 2.0
@@ -154,9 +148,9 @@ class PlacementTable(FileRecord):
 
     def to_si(self) -> Placement:
         """Return one placement."""
-        angles = self.largest_tilt_deg * DEG, self.tilt_deg * DEG
+        tilt = self.tilt_deg * DEG
         with in_table("placement", self):
-            return Placement(1, angles[0], self.within_mm * MM, angles[1])
+            return Placement(1, self.largest_tilt_deg * DEG, self.within_mm * MM, tilt)
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:
@@ -164,15 +158,3 @@ def _rotation(name: str, quaternion: list[float]) -> FloatArray:
     if q.shape != (4,) or not abs(float(np.linalg.norm(q)) - 1.0) <= QUATERNION_TOLERANCE:
         raise InputError(f"{name} {quaternion}", "qx, qy, qz, qw of length 1")
     return Rotation.from_quat(q).as_matrix()
-
-
-def _numbers(name: str, values: list[float]) -> FloatArray:
-    found: FloatArray = _rows(name, [values])[0]
-    return found
-
-
-def _rows(name: str, rows: list[list[float]]) -> FloatArray:
-    if not rows or any(len(row) != 3 for row in rows):
-        raise InputError(f"{name} of {len(rows)} rows", "three numbers for every beam or point")
-    found: FloatArray = np.array(rows, dtype=np.float64)
-    return found

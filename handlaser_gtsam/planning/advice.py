@@ -10,20 +10,21 @@ from ..model.sensor import Sensor
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.lines import wrapped
+from .blind import completing_motion
 from .bounds import Bounds
-from .completing import completing_motion
 from .goal import Goal
-from .information import judged, told
-from .replacing import planned_with_spare
-from .route import Plan, Task
-from .workspace import Workspace, picked, reachable, workspace_of
+from .information import station_rows
+from .plan import planned_with_spare, without
+from .route import Plan
+from .task import planning_task
+from .workspace import Workspace, reachable
 
-FEW = 3
-"""Stations that are named."""
-TRIED = 240
-"""Candidates of all planes together."""
-MOST_BEAMS = 16
-"""With more, a plan takes longer than a word of advice may."""
+ADVISED = 3
+"""Stations that are named: more are a plan."""
+SMALL_POOL = 240
+"""Candidates of all planes together: a fifth of the candidates of a plan, so that nobody waits."""
+ADVISED_BEAMS = 16
+"""With more beams, a plan takes longer than a word of advice may."""
 
 
 def next_stations(
@@ -36,20 +37,17 @@ def next_stations(
 
     Chosen greedily from few candidates at the estimate itself: `plan` does better, and takes longer.
     """
-    recording = calibration.recording
-    if calibration.status != "converged" or recording is None or not sensor.range_stated:
+    if calibration.status != "converged" or calibration.recording is None:
         return None
-    if len(calibration.beams) > MOST_BEAMS:
+    if not sensor.range_stated or len(calibration.beams) > ADVISED_BEAMS:
         return None
-    goal, rng = Goal() if goal is None else goal, np.random.default_rng(0)
-    workspace = workspace_of(recording) if workspace is None else workspace
     try:
-        belief = judged(calibration, goal, sensor)
-        task = Task(belief, workspace, sensor, goal, recording.station_names)
-        pool = reachable(belief, workspace, sensor, TRIED // len(belief.plane_names), rng)
-        chosen = task.chosen(told(belief, pool)[None], FEW).candidates
-        spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
-        return planned_with_spare(task, picked(pool, chosen), spare)
+        task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
+        share = SMALL_POOL // len(task.belief.plane_names)
+        rng = np.random.default_rng(0)
+        pool = reachable(task.belief, task.workspace, sensor, share, rng)
+        chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED).candidates
+        return planned_with_spare(task, pool[chosen], without(pool, chosen), {})
     except HandlaserError:
         return None
 
@@ -62,8 +60,8 @@ def missing_stations(
     noise: Noise | None = None,
     goal: Goal | None = None,
 ) -> Plan | None:
-    """Return a plan of what a recording that leaves something open lacks; None without a basis."""
-    if bounds is None or len(bounds.locations) > MOST_BEAMS:
+    """Return a plan of the stations that an undetermined recording lacks; None without a basis."""
+    if bounds is None or len(bounds.locations) > ADVISED_BEAMS:
         return None
     try:
         return completing_motion(bounds, sensor, recording, workspace, noise, goal)

@@ -56,10 +56,17 @@ class Bounds(Value):
         require_number("location_within", self.location_within, 0.0, LARGEST, unit="m")
         require_number("cone", self.cone, 0.0, STEEPEST_TILT, unit="rad")
 
+    def middle(self) -> Parameters:
+        """Return the beams and the plate in the middle of the bounds, without range errors."""
+        n = self.plate.normal
+        offset = -np.array([n @ self.plate.point])
+        nothing = np.zeros((len(self.locations), 2))
+        return Parameters(self.locations, self.directions, nothing, n[None], offset)
+
     def draw(self, rng: np.random.Generator, count: int = 1) -> Parameters:
         """Return beams and plates within the bounds, without range errors.
 
-        The beams of one draw after those of the other, (count B), and one plane each, (count).
+        Draws follow one another: (count B) beams, and (count) planes.
         """
         beams, plate = count * len(self.locations), self.plate
         box = rng.uniform(-1.0, 1.0, (beams, 3)) * self.location_within

@@ -19,14 +19,14 @@ from ..arrays import FloatArray, IntArray
 
 Criterion = Literal["A", "D", "E", "spot"]
 CRITERIA: tuple[Criterion, ...] = ("A", "D", "E", "spot")
-ENOUGH = 1e-3
-"""An exchange that lowers the criterion by less than this part is not worth it."""
-PASSES = 3
+LEAST_GAIN = 1e-3
+"""A round of exchanges that lowers the criterion by less than this part is the last."""
+MOST_EXCHANGES = 3
 """Rounds of exchanges over all chosen stations: the first brings nearly all of the gain."""
 SHORTLIST = 60
-"""Candidates that are compared at the draws of the belief, too."""
+"""Candidates that are compared at the draws of the belief, too: draws hardly bring up one beyond."""
 SHARPNESS = 8
-"""The gradient of the largest eigenvalue is that of the p-norm of all, which is smooth."""
+"""p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +81,22 @@ def choose(
     search = _Search(rows, covariance, weight, criterion)
     for step in range(min(count, rows.shape[1])):
         search.take(search.best() if start is None else int(start[step]))
-    for _ in range(PASSES if exchange else 0):
+    for _ in range(MOST_EXCHANGES if exchange else 0):
         before = search.value()
         for place in range(len(search.chosen)):
             search.drop(place)
             search.take(search.best(), place)
-        if search.value() > before - ENOUGH * abs(before):
+        if search.value() > before - LEAST_GAIN * abs(before):
             break
-    return _ordered(rows, covariance, weight, search)
+    # Their order is that in which greedy choice takes the same stations.
+    taken = np.array(search.chosen, dtype=np.intp)
+    first = covariance if covariance.ndim == 2 else covariance[0]
+    again = _Search(rows[:1, taken], first, weight, criterion)
+    values = [again.value()]
+    for _ in taken:
+        again.take(again.best())
+        values.append(again.value())
+    return Chosen(taken[again.chosen], np.array(values), again.C[0])
 
 
 class _Search:
@@ -138,7 +146,7 @@ class _Search:
         if self.criterion == "D":
             G = T @ np.swapaxes(T, -1, -2)
             return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - G)[1])
-        return _squares(S, T)
+        return np.asarray((T * (np.linalg.inv(S) @ T)).sum(axis=(-2, -1)))  # tr(T' inv(S) T)
 
     def take(self, candidate: int, place: int | None = None) -> None:
         """Add a candidate, at its place in the order."""
@@ -160,34 +168,6 @@ class _Search:
         self.S -= left @ np.swapaxes(M.reshape(self.S.shape), 1, 2)
         C = self.C - np.swapaxes(V, 1, 2) @ step
         self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
-
-
-def _squares(S: FloatArray, T: FloatArray) -> FloatArray:
-    """Return tr(T' inv(S) T) (...) for S (..., B, B) and T (..., B, W), by a Cholesky root of S."""
-    L = np.linalg.cholesky(S)
-    solved: list[FloatArray] = []
-    total = np.zeros(S.shape[:-2])
-    for i in range(S.shape[-1]):
-        row = T[..., i, :]
-        for j, other in enumerate(solved):
-            row = row - L[..., i, j, None] * other
-        solved.append(row / L[..., i, i, None])
-        total += np.einsum("...w,...w->...", solved[-1], solved[-1])
-    return total
-
-
-def _ordered(
-    rows: FloatArray, covariance: FloatArray, weight: FloatArray, search: _Search
-) -> Chosen:
-    """Return a choice in the order in which greedy choice takes the same stations."""
-    taken = np.array(search.chosen, dtype=np.intp)
-    first = covariance if covariance.ndim == 2 else covariance[0]
-    again = _Search(rows[:1, taken], first, weight, search.criterion)
-    values = [again.value()]
-    for _ in taken:
-        again.take(again.best())
-        values.append(again.value())
-    return Chosen(taken[again.chosen], np.array(values), again.C[0])
 
 
 def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> float:

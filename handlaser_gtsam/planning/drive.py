@@ -2,12 +2,11 @@
 
 Where the straight way between two stations would touch the plate, the hand withdraws from it, moves,
 and comes back; where that does not help either, it passes the joints at which the arm stood before.
-Between planes it always withdraws, and no plate is in the way: a person puts it anew where the hand
+Between planes it always withdraws, and no plate is in the way: a person puts it up again where the hand
 then stands, withdrawn from where the plate will be.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,34 +16,15 @@ from ..validation.simulate import Stations
 from .order import divided
 from .plate import Plate
 from .robot import Robot
-from .workspace import Workspace, inside, joined, picked
+from .workspace import Workspace, inside, joined
 
-BACK = (0.05, 0.1, 0.02)
-"""How far the hand withdraws from the plate [m], in the order in which it is tried."""
-TRIED = 4
-"""Solutions of a pose that are tried on the way."""
-PATIENCE = 100
-"""Ways between two stations that are tried, before another detour."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Drive:
-    """Who drives, where it may, and the plate of every plane."""
-
-    robot: Robot
-    workspace: Workspace
-    plates: Sequence[Plate]
-
-    @property
-    def box(self) -> tuple[FloatArray, FloatArray] | None:
-        """That the hand keeps to on its way where nothing else says how far down it may go."""
-        where = self.workspace
-        return (where.low, where.high) if self.robot.table is None else None
-
-
-@dataclass(slots=True)
-class _Patience:
-    left: int = PATIENCE
+WITHDRAWN_BY = (0.05, 0.1, 0.02)
+"""How far the hand withdraws from the plate [m], in the order in which it is tried: most hands clear
+the plate with 50 mm, farther or nearer is for narrow cells."""
+TRIED_SOLUTIONS = 4
+"""Solutions of a pose that are tried on the way: an arm of six joints has up to eight."""
+MOST_WAYS = 100
+"""Ways between two stations that are tried, before another detour: a second or two."""
 
 
 def driven(
@@ -59,8 +39,8 @@ def driven(
     -------
     Stations
     origin : (M,)
-        Index of each among those given, -1 where it was put between. Those to which no way was found
-        are left out.
+        Index of each among the given ones, -1 where it was put between. Stations to which no way was
+        found are missing.
     joints : (M, J)
         [rad], [m].
 
@@ -69,111 +49,99 @@ def driven(
     InputError
         No way to any of the stations was found.
     """
-    drive = _Drive(robot, workspace, plates)
+    driver = _Driver(robot, workspace, plates)
     parts: list[Stations] = []
     joints: list[FloatArray] = []
     origin: list[int] = []
-    here: Stations | None = None
-    q = robot.start if len(robot.start) else None
-    for index in range(len(stations.plane)):
-        there = picked(stations, np.array([index]))
-        leg = _leg(drive, here, q, there)
-        if leg is None:
-            continue
-        passed, along = leg
-        parts.append(passed)
-        joints.append(along)
-        origin += [-1] * (len(along) - 1) + [index]
-        here, q = there, along[-1]
+    before: Stations | None = None
+    for index in range(len(stations)):
+        station = stations[np.array([index])]
+        for way in driver.ways(before, station):
+            along = driver.joints_along(way, before, joints[-1] if joints else robot.start)
+            if along is not None:
+                parts.append(way)
+                joints += along
+                origin += [-1] * (len(way) - 1) + [index]
+                before = station
+                break
     if not parts:
         raise InputError(
             "no way of the arm without a collision to any station",
             "more room around the plate, a smaller clearance or other start joints",
         )
-    return joined(parts), np.array(origin, dtype=np.intp), np.concatenate(joints)
+    return joined(parts), np.array(origin, dtype=np.intp), np.array(joints)
 
 
-def _leg(
-    drive: _Drive, here: Stations | None, q: FloatArray | None, there: Stations
-) -> tuple[Stations, FloatArray] | None:
-    """Return what is passed on the way to a station, itself included, and the joints."""
-    if q is None or here is None:
-        return _begin(drive, q, there)
-    for passed in _detours(drive, here, there):
-        along = _along(drive, q, passed, 0, int(here.plane[0]), _Patience())
-        if along is not None:
-            return passed, np.array(along)
-    return None
+class _Driver:
+    """An arm in its workspace, before the plate of every plane."""
 
+    def __init__(self, robot: Robot, workspace: Workspace, plates: Sequence[Plate]) -> None:
+        self.robot, self.workspace, self.plates = robot, workspace, plates
+        # Where no table says how far down the hand may go, it keeps to the box of its stations.
+        self.box = None if robot.table is not None else (workspace.low, workspace.high)
+        self.left = 0
 
-def _begin(
-    drive: _Drive, q: FloatArray | None, there: Stations
-) -> tuple[Stations, FloatArray] | None:
-    """Return the way to the first station: from where the arm stands, if that is known."""
-    plane = int(there.plane[0])
-    if q is None:
-        R, t = there.world_R_hand, there.world_t_hand
-        joints = drive.robot.joints(R, t, drive.plates[plane])
-        return None if np.isnan(joints).any() else (there, joints)
-    for passed in (there, *(joined([back, there]) for back in _back(drive, there))):
-        along = _along(drive, q, passed, 0, plane, _Patience())
-        if along is not None:
-            return passed, np.array(along)
-    return None
+    def ways(self, before: Stations | None, station: Stations) -> Iterator[Stations]:
+        """Yield what the hand can pass on its way to a station, which is the last."""
+        back = self._withdrawn(station)
+        if before is None:
+            yield station
+            if len(self.robot.start):
+                yield from (joined([away, station]) for away in back)
+            return
+        routes = [[before, station]] if before.plane[0] == station.plane[0] else []
+        both = list(zip(self._withdrawn(before), back, strict=False))
+        routes += [[before, one, other, station] for one, other in both]
+        if len(self.robot.start):
+            R, t = self.robot.poses(self.robot.start)
+            home = Stations(R, t, station.plane)
+            routes += [[before, one, home, other, station] for one, other in both]
+        for route in routes:
+            passed, _ = divided(joined(route), self.workspace.largest_step)
+            yield passed[np.arange(1, len(passed))]
 
+    def joints_along(
+        self, way: Stations, before: Stations | None, q: FloatArray
+    ) -> list[FloatArray] | None:
+        """Return the joints of all stations of a way that begins at joints q; None where none is free.
 
-def _detours(drive: _Drive, here: Stations, there: Stations) -> Iterator[Stations]:
-    """Yield what can be passed on the way to a station, itself included."""
-    step = drive.workspace.largest_step
-    ways = [[here, there]] if here.plane[0] == there.plane[0] else []
-    home = _home(drive, int(there.plane[0]))
-    for middle in ([], home) if home else ([],):
-        ways += [
-            [here, one, *middle, other, there]
-            for one, other in zip(_back(drive, here), _back(drive, there), strict=False)
+        Where no q is known, only the joints of the station itself matter.
+        """
+        plane = int(way.plane[0])
+        if not len(q):
+            R, t = way.world_R_hand, way.world_t_hand
+            joints = self.robot.joints(R, t, self.plates[plane])
+            return None if np.isnan(joints).any() else list(joints)
+        self.left = MOST_WAYS
+        return self._from(q, plane if before is None else int(before.plane[0]), way, 0)
+
+    def _from(
+        self, q: FloatArray, before: int, way: Stations, index: int
+    ) -> list[FloatArray] | None:
+        """Return joints of a way from a station on, coming from joints q before plane `before`.
+
+        No plate stands on the way to another plane.
+        """
+        if index == len(way):
+            return []
+        plane = int(way.plane[index])
+        plate = self.plates[plane]
+        solutions = self.robot.solutions(way.world_R_hand[index], way.world_t_hand[index], plate, q)
+        for tried, joints in enumerate(solutions):
+            if tried == TRIED_SOLUTIONS or self.left <= 0:
+                break
+            self.left -= 1
+            if self.robot.free_way(q, joints, plate if plane == before else None, self.box):
+                rest = self._from(joints, plane, way, index + 1)
+                if rest is not None:
+                    return [joints, *rest]
+        return None
+
+    def _withdrawn(self, station: Stations) -> list[Stations]:
+        """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
+        n = self.plates[int(station.plane[0])].normal
+        moved = [
+            Stations(station.world_R_hand, station.world_t_hand - far * n, station.plane)
+            for far in WITHDRAWN_BY
         ]
-    for way in ways:
-        passed, _ = divided(joined(way), step)
-        yield picked(passed, np.arange(1, len(passed.plane)))
-
-
-def _back(drive: _Drive, station: Stations) -> list[Stations]:
-    """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
-    n = drive.plates[int(station.plane[0])].normal
-    found = [
-        Stations(station.world_R_hand, station.world_t_hand - far * n, station.plane)
-        for far in BACK
-    ]
-    return [one for one in found if inside(drive.workspace, one).all()]
-
-
-def _home(drive: _Drive, plane: int) -> list[Stations]:
-    """Return where the arm stood before, if that is known."""
-    if not len(drive.robot.start):
-        return []
-    R, t = drive.robot.poses(drive.robot.start)
-    return [Stations(R, t, np.array([plane], dtype=np.intp))]
-
-
-def _along(
-    drive: _Drive, q: FloatArray, way: Stations, at: int, before: int, patience: _Patience
-) -> list[FloatArray] | None:
-    """Return joints of the stations of a way from `at` on, each reached from those before.
-
-    `before` is the plane of the joints q: no plate stands on the way to another one.
-    """
-    if at == len(way.plane):
-        return []
-    robot, plane = drive.robot, int(way.plane[at])
-    own = drive.plates[plane]
-    between = own if plane == before else None
-    R, t = way.world_R_hand[at], way.world_t_hand[at]
-    for tried, joints in enumerate(robot.solutions(R, t, own, q)):
-        if tried == TRIED or patience.left <= 0:
-            break
-        patience.left -= 1
-        if robot.free_way(q, joints, between, drive.box):
-            rest = _along(drive, joints, way, at + 1, plane, patience)
-            if rest is not None:
-                return [joints, *rest]
-    return None
+        return [away for away in moved if inside(self.workspace, away).all()]

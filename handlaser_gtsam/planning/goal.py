@@ -17,8 +17,11 @@ from ..results.alternatives import OF_READINGS
 from ..results.limits import Limits
 from .choice import CRITERIA, Criterion
 
-LOCATION_UNIT, DIRECTION_UNIT = 1e-4, math.radians(0.1)
-"""What counts as much where no goal is stated [m], [rad]: a tenth of a millimetre and of a degree."""
+LOCATION_UNIT = 1e-4
+"""A location that is known to this counts as much as a direction known to `DIRECTION_UNIT`, where no
+goal is stated [m]: a tenth of a millimetre."""
+DIRECTION_UNIT = math.radians(0.1)
+"""[rad]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +32,8 @@ class Goal:
     ----------
     criterion : str
         "A": the sum of the variances of locations and directions in units of the goal; "D": the
-        volume of their confidence region; "E": the direction known worst; "spot": the laser spots at
-        the working distance.
+        volume of their confidence region; "E": the direction that is known least; "spot": the laser
+        spots at the working distance.
     location_sigma, direction_sigma : float, optional
         Standard deviations of every beam that are to be reached: of a coordinate of the location
         [m], and of the direction along any tangent [rad].
@@ -39,8 +42,8 @@ class Goal:
     working_distance : float, optional
         A reading [m]; the middle of the sensor's range where not given.
     tells : tuple of str
-        Systematic errors that the stations are to tell: `incidence`, `cubic`, `carry-over`. What they
-        may be counts in all that is to be reached.
+        Systematic errors that the stations are to determine: `incidence`, `cubic`, `carry-over`. Their
+        plausible size counts in all that is to be reached.
 
     Raises
     ------
@@ -72,9 +75,9 @@ class Goal:
         return any(x is not None for x in (self.location_sigma, self.direction_sigma, self.spot))
 
     def plausible(self, sensor: Sensor, largest: float) -> dict[str, float]:
-        """Return the plausible sizes of the errors that are to be told.
+        """Return the plausible sizes of the errors that the stations are to determine.
 
-        Given the `largest` reading [m]; that of a cubic error is told at a reading of one metre.
+        They depend on the `largest` reading [m]; the size of a cubic error is that at one metre.
 
         Raises
         ------
@@ -84,9 +87,9 @@ class Goal:
         known = sensor.plausible_sizes(largest)
         for code in self.tells:
             if not known.get(code, 0.0) > 0.0:
-                found = f"a goal that tells {code}, of which no plausible size is stated"
                 raise InputError(
-                    found, "kind in [sensor] of the rig file, or a size in [plausible]"
+                    f"a goal that tells {code}, of which no plausible size is stated",
+                    "kind in [sensor] of the rig file, or a size in [plausible]",
                 )
         known["cubic"] = known.get("cubic", 0.0) / largest**3
         return {code: known[code] for code in dict.fromkeys(self.tells)}
@@ -113,9 +116,9 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Forecast(Value):
-    """What will be known after so many further stations, of the beam that is known worst.
+    """What will be known after each further station: the largest of all beams.
 
-    The stations count in the order in which they matter, not in that of the way.
+    The stations count in the order in which they matter, which is not the order of the way.
 
     Attributes
     ----------
@@ -141,7 +144,7 @@ class Forecast(Value):
     def reaches(self, goal: Goal) -> int | None:
         """Return the least number of stations that reaches a goal; None where all do not.
 
-        Raises nothing where the goal states nothing: zero stations reach it.
+        Zero stations reach a goal that states nothing.
         """
         good = np.ones(len(self.location_sigma), dtype=bool)
         for values, most in (
@@ -153,18 +156,8 @@ class Forecast(Value):
                 good &= values <= most
         return int(good.argmax()) if good.any() else None
 
-    def part(self, stations: int) -> "Forecast":
-        """Return the forecast of the first stations."""
-        until = stations + 1
-        return Forecast(
-            self.location_sigma[:until],
-            self.direction_sigma[:until],
-            self.spot[:until],
-            self.working_distance,
-        )
-
     def words(self, stations: int) -> str:
-        """Return what is known after so many stations, in words."""
+        """Return what is known after a number of stations, in words."""
         return (
             f"location {self.location_sigma[stations] * IN_MM:.2g} mm, "
             f"direction {self.direction_sigma[stations] * IN_DEG:.2g} deg, "

@@ -1,10 +1,10 @@
-"""How the uncertainty fell with the stations of a recording: the way to where a calibration is.
+"""How the uncertainty fell with the stations of a recording, up to what the calibration states.
 
-What some stations know is computed at the most probable scales of noise and range errors. The
-calibration integrates over them, takes what the range errors of its beams have in common into account,
-and counts noise that goes together in time; so the standard deviations of all stations at those scales
-are not its own (up to a tenth off, in either direction). By what factor they differ at the end, beam by
-beam, they are multiplied all along: the way ends where the calibration is.
+The first stations are judged at the most probable scales of noise and range errors. The calibration
+integrates over these scales, takes what the range errors of its beams have in common into account, and
+counts noise that is correlated in time; so its standard deviations differ from those of all stations at
+these scales by up to a tenth. All are multiplied by that factor, beam by beam, so that the last are the
+calibration's.
 """
 
 from dataclasses import dataclass
@@ -20,20 +20,20 @@ from ..results.spot_error import freedom, radius, spot_at
 from ..validation.parts import Whole
 from .goal import Forecast
 
-MOST = 24
-"""Numbers of stations at which it is computed."""
+HISTORY_POINTS = 24
+"""Numbers of stations at which it is computed: a curve through them is smooth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class History(Value):
-    """What was known after so many stations, in the order of the recording.
+    """What was known after the first stations, in the order of the recording.
 
     Attributes
     ----------
     stations : (K,)
         How many, ascending; the last is all of them.
     known : Forecast
-        Of the beam that is known worst, (K,) each; NaN where something is undetermined still.
+        The largest of all beams, (K,) each; NaN where something is still undetermined.
     """
 
     stations: IntArray
@@ -41,7 +41,7 @@ class History(Value):
 
 
 def history(calibration: Calibration, reading: float) -> History | None:
-    """Return what the first stations would have told, at the noise found from all of them.
+    """Return what was known after the first stations, at the noise estimated from all of them.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ def history(calibration: Calibration, reading: float) -> History | None:
     History or None
         None where `parts.Whole.of` refuses the calibration, or it has no covariance.
     """
+    joint = calibration.covariance
     try:
         whole = Whole.of(calibration)
     except SolverError:
         return None
-    joint = calibration.covariance
     if joint is None:
         return None
     used = np.flatnonzero(~np.isnan(whole.recording.ranges).all(axis=1))
-    counts = np.unique(np.linspace(1, len(used), MOST).round().astype(np.intp))
-    found = np.full((len(counts), len(calibration.beams), 3), np.nan)
-    for rows, count in zip(found, counts.tolist(), strict=True):
+    counts = np.unique(np.linspace(1, len(used), HISTORY_POINTS).round().astype(np.intp))
+    sigmas = np.full((len(counts), len(calibration.beams), 3), np.nan)
+    for rows, count in zip(sigmas, counts.tolist(), strict=True):
         first = np.zeros(len(whole.recording.plane_labels), dtype=bool)
         first[used[:count]] = True
         try:
@@ -73,18 +73,18 @@ def history(calibration: Calibration, reading: float) -> History | None:
             continue
         if len(part.recording.beam_names) == len(calibration.beams):
             rows[:] = _known(calibration, part.joint, reading)
-    own, last = _known(calibration, joint, reading), found[-1].copy()
-    found *= np.divide(own, last, out=np.ones_like(last), where=last > 0.0)
-    location, direction, spots = found.max(axis=1).T
+    last = sigmas[-1].copy()
+    stated = _known(calibration, joint, reading)
+    sigmas *= np.divide(stated, last, out=np.ones_like(last), where=last > 0.0)
+    location, direction, spots = sigmas.max(axis=1).T
     return History(counts, Forecast(location, direction, spots, reading))
 
 
 def _known(calibration: Calibration, joint: JointCovariance, reading: float) -> FloatArray:
     """Return the largest sigma of a location [m], of a direction [rad], and the spot [m], (B, 3)."""
-    dof, found = freedom(calibration), []
+    dof, rows = freedom(calibration), []
     for name, S in zip(joint.beam_names, joint.all_beams(), strict=True):
         _, J, _ = spot_at(calibration, calibration.beams[name], reading)
-        turn = np.linalg.eigvalsh(S[3:6, 3:6])[-1]
-        found.append((np.sqrt(S.diagonal()[:3].max()), np.sqrt(turn), radius(J @ S @ J.T, dof)))
-    known: FloatArray = np.array(found)
-    return known
+        variances = S.diagonal()[:3].max(), np.linalg.eigvalsh(S[3:6, 3:6])[-1]
+        rows.append((*np.sqrt(variances), radius(J @ S @ J.T, dof)))
+    return np.array(rows, dtype=np.float64)

@@ -1,4 +1,4 @@
-r"""What a station would tell, before it is measured.
+r"""What a station would say of beams and planes, before it is measured.
 
 The residuals of one station before plane p are A x, with x the deviation of the unknowns and A (B, U)
 whitened by the covariance of the station's readings (see `model.weighting`); only the columns of the
@@ -15,17 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
-from ..errors import InputError
-from ..model.sensor import Sensor
-from ..model.weighting import Variances, own_variances, whitening
+from ..model.weighting import reading_sigmas, whitening
 from ..results.alternatives import OF_READINGS, errors_of_readings
-from ..results.calibration import Calibration
-from ..results.mounts import Mounts
 from ..validation.simulate import Stations, read_back
-from .belief import BEAM, PLANE, Belief, belief_of
-from .goal import Goal
+from .belief import BEAM_SIZE, PLANE_SIZE, Belief
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,15 +29,12 @@ class Outlook:
 
     Attributes
     ----------
-    plane : (M,)
-        Index of the plane of each station.
     reading, cosine : (M, B)
         Predicted readings [m] and cosines of the incidence.
     reading_sigma, cosine_sigma : (M, B)
         What the spread of the belief leaves uncertain of them; noise and robot errors included.
     """
 
-    plane: IntArray
     reading: FloatArray
     cosine: FloatArray
     reading_sigma: FloatArray
@@ -59,27 +51,28 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     InputError
         Range errors that leave no reading for a range.
     """
-    shape = len(stations.plane), belief.beams
     readings, x = _predicted(belief, stations)
-    at = model.linearize(x, readings.distance, with_pose=True)
-    variance = own_variances(belief.mean, readings, belief.variances)
-    turn = 0.0
-    if belief.variances.pose is not None:
-        S = belief.variances.pose[0]
-        variance = variance + ((at.pose @ S) * at.pose).sum(axis=1)
-        turn = float(np.linalg.eigvalsh(S[:3, :3])[-1])
-    spread = _spread(belief, stations, _derivatives(belief, readings, at))
-    doubt = _spread(belief, stations, _cosine_derivatives(belief, readings, x)) + turn
+    rows = _derivatives(belief, readings, x)
+    n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
+    steeper = np.zeros_like(rows)  # derivatives of the cosines
+    steeper[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
+    steeper[:, BEAM_SIZE : BEAM_SIZE + 2] = np.einsum(
+        "ni,nij->nj", v_world, belief.plane_bases[readings.plane]
+    )
+    variances, turn = belief.variances.for_stations(len(stations)), 0.0
+    if variances.pose is not None:
+        turn = float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
+    noise = reading_sigmas(belief.mean, readings, variances)
+    shape = len(stations), belief.beams
     return Outlook(
-        stations.plane,
         readings.distance.reshape(shape),
-        (-1.0 / at.offset).reshape(shape),
-        np.sqrt(spread + variance.reshape(shape)),
-        np.sqrt(doubt),
+        model.cosines(x).reshape(shape),
+        np.sqrt(_spread(belief, stations, rows) + noise.reshape(shape) ** 2),
+        np.sqrt(_spread(belief, stations, steeper) + turn),
     )
 
 
-def told(belief: Belief, stations: Stations) -> FloatArray:
+def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     """Return the whitened derivatives A (M, B, U) of what stations would read, by all unknowns.
 
     Raises
@@ -87,48 +80,27 @@ def told(belief: Belief, stations: Stations) -> FloatArray:
     GrazingBeamError, InputError
         As `outlook` does.
     """
-    count, beams = len(stations.plane), belief.beams
+    count, beams = len(stations), belief.beams
     readings, x = _predicted(belief, stations)
-    J = _derivatives(belief, readings, model.linearize(x, readings.distance))
-    J = J.reshape(count, beams, BEAM + PLANE)
-    how = whitening(belief.mean, readings, _of_stations(belief.variances, count))
+    J = _derivatives(belief, readings, x).reshape(count, beams, BEAM_SIZE + PLANE_SIZE)
+    how = whitening(belief.mean, readings, belief.variances.for_stations(count))
     root = how.by_station(readings.station, readings.beam, beams).root / how.sigma
     rows = np.zeros((count, beams, len(belief.covariance)))
-    of_beams = root[..., None] * J[:, None, :, :BEAM]
-    rows[..., : belief.of_beams] = of_beams.reshape(count, beams, belief.of_beams)
+    by_beams = root[..., None] * J[:, None, :, :BEAM_SIZE]
+    rows[..., : belief.first_error] = by_beams.reshape(count, beams, -1)
     if belief.errors:
         errors = errors_of_readings(belief.mean, readings, x, np.arange(beams))
         wanted = [OF_READINGS.index(code) for code in belief.errors]
-        of_errors = errors[:, wanted].reshape(count, beams, -1)
-        rows[..., belief.of_beams : belief.before_planes] = root @ of_errors
-    first = belief.before_planes + PLANE * stations.plane
-    columns = (first[:, None] + np.arange(PLANE))[:, None]
-    rows[np.arange(count)[:, None, None], np.arange(beams)[:, None], columns] = root @ J[..., BEAM:]
+        by_errors = errors[:, wanted].reshape(count, beams, -1)
+        rows[..., belief.first_error : belief.first_plane] = root @ by_errors
+    by_plane = root @ J[..., BEAM_SIZE:]
+    for plane in range(len(belief.plane_names)):
+        first, here = belief.first_plane + PLANE_SIZE * plane, stations.plane == plane
+        rows[here, :, first : first + PLANE_SIZE] = by_plane[here]
     return rows
 
 
-def judged(calibration: Calibration | Mounts, goal: Goal, sensor: Sensor) -> Belief:
-    """Return what a calibration knows, and of the errors that a goal is to tell.
-
-    Raises
-    ------
-    InputError
-        No covariance; or errors of which no plausible size is known, or no recording that shows them.
-    """
-    belief = belief_of(calibration)
-    if not goal.tells:
-        return belief
-    recording = calibration.recording if isinstance(calibration, Calibration) else None
-    if recording is None or not isinstance(calibration, Calibration):
-        raise InputError(
-            "a goal that tells systematic errors without the recording behind the calibration",
-            "a calibration from its recording",
-        )
-    used = calibration.used_in(recording)
-    return with_errors(belief, used, goal.plausible(sensor, float(np.nanmax(used.ranges))))
-
-
-def told_by(belief: Belief, recording: Recording) -> FloatArray:
+def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
     """Return the rows (M, B, U) of the readings of a recording before the planes of a belief.
 
     Of stations where all beams can read at the mean.
@@ -136,13 +108,12 @@ def told_by(belief: Belief, recording: Recording) -> FloatArray:
     number = {name: p for p, name in enumerate(belief.plane_names)}
     plane = np.array([number.get(label, -1) for label in recording.plane_labels])
     n_hand = np.einsum("mji,mj->mi", recording.world_R_hand, belief.mean.normals[plane])
-    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1)
-    at = np.flatnonzero(facing & (plane >= 0))
-    stations = Stations(recording.world_R_hand[at], recording.world_t_hand[at], plane[at])
-    if not at.size:
+    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1) & (plane >= 0)
+    if not facing.any():
         return np.zeros((0, belief.beams, len(belief.covariance)))
-    read = ~np.isnan(recording.ranges[at])
-    return np.where(read[..., None], told(belief, stations), 0.0)
+    stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
+    read = ~np.isnan(recording.ranges[facing])
+    return np.where(read[..., None], station_rows(belief, stations), 0.0)
 
 
 def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, float]) -> Belief:
@@ -151,7 +122,7 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
     Parameters
     ----------
     belief : Belief
-        Of a calibration that left them out.
+        Of a calibration without these errors.
     recording : Recording
         Behind that calibration.
     plausible : mapping
@@ -164,12 +135,12 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
 
         cov(a) = V,   cov(x, a) = -C J'A V,   cov(x) = C + C J'A V A'J C.
     """
-    count, first, C = len(plausible), belief.of_beams, belief.covariance
+    count, first, C = len(plausible), belief.first_error, belief.covariance
     wide = np.insert(np.insert(C, [first] * count, 0.0, axis=0), [first] * count, 0.0, axis=1)
     joint = replace(belief, covariance=wide, spread=wide, errors=tuple(plausible))
-    rows = told_by(joint, recording).reshape(-1, len(wide))
-    own = first + np.arange(count)
-    A, J = rows[:, own], np.delete(rows, own, axis=1)
+    rows = recorded_rows(joint, recording).reshape(-1, len(wide))
+    columns = first + np.arange(count)
+    A, J = rows[:, columns], np.delete(rows, columns, axis=1)
     response = C @ (J.T @ A)
     values, axes = np.linalg.eigh(A.T @ A - (J.T @ A).T @ response)  # rounding apart, not negative
     shown = (axes * np.maximum(values, 0.0)) @ axes.T
@@ -180,22 +151,19 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
 
 
 def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the covariance (U, U) after a station with whitened rows (B, U)."""
-    V = rows @ covariance
-    return np.asarray(covariance - V.T @ np.linalg.solve(np.eye(len(rows)) + V @ rows.T, V))
-
-
-def after(covariance: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the covariance (U, U) after stations with whitened rows (M, B, U), one by one."""
-    for one in rows:
-        covariance = updated(covariance, one)
+    for station in rows:
+        V = station @ covariance
+        S = np.eye(len(V)) + V @ station.T
+        covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
     return covariance
 
 
-def _readings(stations: Stations, beams: int, planes: int) -> Readings:
-    count = len(stations.plane)
+def _predicted(belief: Belief, stations: Stations) -> tuple[Readings, model.Scene]:
+    """Return what stations would read at the mean, and the arguments of the measurement equation."""
+    count, beams = len(stations), belief.beams
     station = np.repeat(np.arange(count), beams)
-    return Readings(
+    readings = Readings(
         station,
         np.tile(np.arange(beams), count),
         stations.plane[station],
@@ -203,50 +171,29 @@ def _readings(stations: Stations, beams: int, planes: int) -> Readings:
         stations.world_R_hand[station],
         stations.world_t_hand[station],
         beams,
-        planes,
+        len(belief.origins),
     )
-
-
-def _of_stations(variances: Variances, count: int) -> Variances:
-    if variances.pose is None:
-        return variances
-    return replace(variances, pose=np.broadcast_to(variances.pose[:1], (count, 6, 6)))
-
-
-def _predicted(belief: Belief, stations: Stations) -> tuple[Readings, model.Scene]:
-    """Return what stations would read at the mean, and the arguments of the measurement equation."""
-    readings = _readings(stations, belief.beams, len(belief.origins))
     x = model.scene(belief.mean, readings)
     return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x
 
 
-def _derivatives(belief: Belief, readings: Readings, at: model.Linearization) -> FloatArray:
-    """Return derivatives (N, 10) of the residuals by each reading's own beam and plane."""
-    beam, plane = readings.beam, readings.plane
-    bases = belief.beam_bases[beam], belief.plane_bases[plane]
+def _derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:
+    """Return derivatives (N, 10) of the residuals by the unknowns of each reading's beam and plane."""
+    at, plane = model.linearize(x, readings.distance), readings.plane
+    bases = belief.beam_bases[readings.beam], belief.plane_bases[plane]
     return model.tangent_columns(at, *bases, belief.origins[plane], 2)[:-1].T.copy()
 
 
-def _cosine_derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:
-    """Return derivatives (N, 10) of the cosines of incidence by each reading's beam and plane."""
-    v_world = np.einsum("nij,nj->ni", x.R, x.v)
-    n_hand = np.einsum("nji,nj->ni", x.R, x.n)
-    rows = np.zeros((len(readings), BEAM + PLANE))
-    rows[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
-    rows[:, BEAM : BEAM + 2] = np.einsum("ni,nij->nj", v_world, belief.plane_bases[readings.plane])
-    return rows
-
-
 def _spread(belief: Belief, stations: Stations, rows: FloatArray) -> FloatArray:
-    """Return variances (M, B) of rows (N, 10) times each reading's own beam and plane."""
-    rows = rows.reshape(-1, belief.beams, BEAM + PLANE).swapaxes(0, 1)
-    found = np.empty(rows.shape[:2])
-    beam = BEAM * np.arange(belief.beams)[:, None] + np.arange(BEAM)
+    """Return variances (M, B) of rows (N, 10) times the unknowns of each reading's beam and plane."""
+    rows = rows.reshape(-1, belief.beams, BEAM_SIZE + PLANE_SIZE)
+    variance = np.empty(rows.shape[:2])
+    beam = np.arange(belief.first_error).reshape(belief.beams, BEAM_SIZE)
     for plane in np.unique(stations.plane):
-        own = belief.before_planes + PLANE * plane + np.arange(PLANE)
-        index = np.hstack((beam, np.tile(own, (belief.beams, 1))))
-        here = stations.plane == plane
-        part = rows[:, here]
+        columns = belief.first_plane + PLANE_SIZE * plane + np.arange(PLANE_SIZE)
+        index = np.hstack((beam, np.tile(columns, (belief.beams, 1))))
         S = belief.spread[index[:, :, None], index[:, None]]
-        found[:, here] = ((part @ S) * part).sum(axis=2)
-    return np.maximum(found.T, 0.0)
+        here = stations.plane == plane
+        part = rows[here].swapaxes(0, 1)
+        variance[here] = ((part @ S) * part).sum(axis=2).T
+    return np.maximum(variance, 0.0)

@@ -1,7 +1,5 @@
 """Order stations so that the way between them is short."""
 
-import math
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -16,21 +14,19 @@ def shortest(stations: Stations, length: float) -> IntArray:
     ----------
     stations : Stations
     length : float
-        A turn by one radian counts as a move by so much [m].
+        A turn by one radian counts as a move by this length [m].
     """
     order: list[int] = []
     for plane in np.unique(stations.plane):
         rows = np.flatnonzero(stations.plane == plane)
-        cost = _distances(stations, rows, length)
-        start = 0 if not order else int(_from(stations, order[-1], rows, length).argmin())
-        order += rows[_uncrossed(_nearest(cost, start), cost)].tolist()
+        start = int(_costs(stations, order[-1], rows, length).argmin()) if order else 0
+        cost = np.stack([_costs(stations, int(row), rows, length) for row in rows])
+        path, left = [start], set(range(len(rows))) - {start}
+        while left:
+            path.append(min(left, key=lambda j: (cost[path[-1], j], j)))
+            left.remove(path[-1])
+        order += rows[_uncrossed(path, cost)].tolist()
     return np.array(order, dtype=np.intp)
-
-
-def way(stations: Stations, order: IntArray, length: float) -> float:
-    """Return the length of the way [m], turns included."""
-    cost = _distances(stations, order, length)
-    return float(np.diagonal(cost, 1).sum())
 
 
 def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray]:
@@ -40,46 +36,30 @@ def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray
     -------
     Stations
     origin : (M,)
-        Index of each among those given, -1 where it was put between.
+        Index of each among the given ones, -1 where it was put between.
     """
-    R, t, planes, origin = [], [], [], []
-    for index in range(len(stations.plane)):
-        here, turn = stations.world_t_hand[index], stations.world_R_hand[index]
-        if index:
-            step = here - stations.world_t_hand[index - 1]
-            before = stations.world_R_hand[index - 1]
-            vector = Rotation.from_matrix(before.T @ turn).as_rotvec()
-            parts = math.ceil(float(np.linalg.norm(step)) / largest_step - 1e-9)
-            for share in np.arange(1, parts) / max(parts, 1):
-                R.append(before @ Rotation.from_rotvec(share * vector).as_matrix())
-                t.append(here - (1.0 - share) * step)
-                planes.append(stations.plane[index])
-                origin.append(-1)
-        R.append(turn)
-        t.append(here)
-        planes.append(stations.plane[index])
-        origin.append(index)
-    way = Stations(np.array(R), np.array(t), np.array(planes, dtype=np.intp))
-    return way, np.array(origin, dtype=np.intp)
+    R, t = stations.world_R_hand, stations.world_t_hand
+    steps = np.diff(t, axis=0, prepend=t[:1])
+    parts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / largest_step - 1e-9), 1).astype(int)
+    after = np.repeat(np.arange(len(parts)), parts)  # the station at which each step ends
+    share = np.concatenate([np.arange(1, count + 1) / count for count in parts])
+    before = np.maximum(after - 1, 0)
+    turn = Rotation.from_matrix(np.swapaxes(R[before], 1, 2) @ R[after]).as_rotvec()
+    turned = R[before] @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
+    there = share == 1.0
+    way = Stations(
+        np.where(there[:, None, None], R[after], turned),
+        t[after] - (1.0 - share)[:, None] * steps[after],
+        stations.plane[after],
+    )
+    return way, np.where(there, after, -1)
 
 
-def _distances(stations: Stations, rows: IntArray, length: float) -> FloatArray:
-    return np.stack([_from(stations, int(i), rows, length) for i in rows])
-
-
-def _from(stations: Stations, one: int, rows: IntArray, length: float) -> FloatArray:
+def _costs(stations: Stations, start: int, rows: IntArray, length: float) -> FloatArray:
+    """Return the lengths of the ways from one station to others (N,) [m], turns included."""
     t, R = stations.world_t_hand, stations.world_R_hand
-    turn = Rotation.from_matrix(R[one].T @ R[rows]).magnitude()
-    return np.asarray(np.linalg.norm(t[rows] - t[one], axis=1) + length * turn)
-
-
-def _nearest(cost: FloatArray, start: int) -> list[int]:
-    """Go to the nearest station that was not visited."""
-    path, left = [start], set(range(len(cost))) - {start}
-    while left:
-        path.append(min(left, key=lambda j: (cost[path[-1], j], j)))
-        left.remove(path[-1])
-    return path
+    turn = Rotation.from_matrix(R[start].T @ R[rows]).magnitude()
+    return np.asarray(np.linalg.norm(t[rows] - t[start], axis=1) + length * turn)
 
 
 def _uncrossed(path: list[int], cost: FloatArray) -> IntArray:
@@ -91,10 +71,9 @@ def _uncrossed(path: list[int], cost: FloatArray) -> IntArray:
         better = False
         for i in range(1, count - 1):
             j = np.arange(i + 1, count)
-            before = cost[order[i - 1], order[i]] + np.append(
-                cost[order[j[:-1]], order[j[:-1] + 1]], 0.0
-            )
-            after = cost[order[i - 1], order[j]] + np.append(cost[order[i], order[j[:-1] + 1]], 0.0)
+            ends = order[j[:-1] + 1]
+            before = cost[order[i - 1], order[i]] + np.append(cost[order[j[:-1]], ends], 0.0)
+            after = cost[order[i - 1], order[j]] + np.append(cost[order[i], ends], 0.0)
             best = int(np.argmin(after - before))
             if after[best] < before[best] - 1e-12:
                 order[i : j[best] + 1] = order[i : j[best] + 1][::-1]

@@ -3,87 +3,81 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from ..arrays import FloatArray
 from ..quantities import IN_DEG, IN_MM
 from .goal import Forecast, Goal
 
-WIDTH, HEIGHT = 300, 240
-"""Of a panel, in pixels."""
-LEFT, RIGHT, TOP, BOTTOM = 56, 14, 34, 44
-"""Room around its axes."""
+PANEL_WIDTH = 300
+"""Of a panel, in pixels: three fit on a page."""
+PANEL_HEIGHT = 240
+"""In pixels."""
+EDGE_LEFT, EDGE_RIGHT = 56, PANEL_WIDTH - 14
+"""Ends of the horizontal axis, in pixels: labels stand before."""
+EDGE_TOP, EDGE_BOTTOM = 34, PANEL_HEIGHT - 44
+"""Ends of the vertical axis, in pixels: the title stands above, labels below."""
 STYLE = (
     "text{font:12px sans-serif;fill:#222}.axis{stroke:#222;fill:none}.grid{stroke:#ddd}"
     ".curve{stroke:#0b6;stroke-width:2;fill:none}.goal{stroke:#c33;stroke-dasharray:5 4}"
 )
 NICE = (1.0, 2.0, 5.0)
-"""Ticks are these times a power of ten."""
-MOST_TICKS = 6
-"""Labels that fit beside one another."""
+"""Ticks are these times a power of ten: people divide between them without thinking."""
+MOST_LABELS = 6
+"""Labels that fit above one another; with more, only powers of ten have one."""
 
 
 def forecast_svg(forecast: Forecast, goal: Goal) -> str:
-    """Return a picture of what will be known after so many stations, beside the goal."""
+    """Return a picture of what will be known after how many stations, beside the goal."""
     distance = forecast.working_distance * IN_MM
     panels = (
-        ("location, mm", forecast.location_sigma * IN_MM, goal.location_sigma, IN_MM),
-        ("direction, deg", forecast.direction_sigma * IN_DEG, goal.direction_sigma, IN_DEG),
-        (f"95 % spot at {distance:.3g} mm, mm", forecast.spot * IN_MM, goal.spot, IN_MM),
+        ("location, mm", forecast.location_sigma, goal.location_sigma, IN_MM),
+        ("direction, deg", forecast.direction_sigma, goal.direction_sigma, IN_DEG),
+        (f"95 % spot at {distance:.3g} mm, mm", forecast.spot, goal.spot, IN_MM),
     )
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{len(panels) * WIDTH}" '
-        f'height="{HEIGHT}" role="img">',
-        "<title>Largest standard deviations after so many stations</title>",
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{len(panels) * PANEL_WIDTH}" '
+        f'height="{PANEL_HEIGHT}" role="img">',
+        "<title>Largest standard deviations after the stations</title>",
         f"<style>{STYLE}</style>",
         '<rect width="100%" height="100%" fill="white"/>',
     ]
     for index, (title, values, most, unit) in enumerate(panels):
-        limit = None if most is None else most * unit
-        lines.append(f'<g transform="translate({index * WIDTH} 0)">')
-        lines += _panel(title, values, limit)
+        lines.append(f'<g transform="translate({index * PANEL_WIDTH} 0)">')
+        lines += _panel(title, values * unit, None if most is None else most * unit)
         lines.append("</g>")
     return "\n".join([*lines, "</svg>"]) + "\n"
 
 
 def _panel(title: str, values: FloatArray, limit: float | None) -> Iterator[str]:
     """Yield the lines of one panel: logarithmic upwards."""
-    shown = [float(x) for x in values if x > 0.0 and math.isfinite(x)]
-    least, most = min(shown, default=1.0), max(shown, default=1.0)
-    if limit is not None:
-        least, most = min(least, limit), max(most, limit)
-    low, high = math.log10(least) - 0.05, math.log10(most) + 0.05
     count = max(len(values) - 1, 1)
+    shown = np.flatnonzero((values > 0.0) & np.isfinite(values))
+    logs = np.log10([*values[shown], *([] if limit is None else [limit])] or [1.0])
+    low, high = float(logs.min()) - 0.05, float(logs.max()) + 0.05
 
     def x(number: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * number / count
+        return EDGE_LEFT + (EDGE_RIGHT - EDGE_LEFT) * number / count
 
     def y(value: float) -> float:
-        share = (math.log10(value) - low) / (high - low)
-        return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * share
+        return EDGE_BOTTOM - (EDGE_BOTTOM - EDGE_TOP) * (math.log10(value) - low) / (high - low)
 
-    yield f'<text x="{LEFT}" y="20">{title}</text>'
-    for tick in _ticks(low, high):
-        yield f'<path class="grid" d="M{LEFT} {y(tick):.1f}H{WIDTH - RIGHT}"/>'
-        yield f'<text x="{LEFT - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>'
-    for number in sorted({0, count // 2, count}):
-        yield f'<text x="{x(number):.1f}" y="{HEIGHT - 26}" text-anchor="middle">{number}</text>'
-    yield f'<text x="{x(count / 2):.1f}" y="{HEIGHT - 8}" text-anchor="middle">stations</text>'
-    yield f'<path class="axis" d="M{LEFT} {TOP}V{HEIGHT - BOTTOM}H{WIDTH - RIGHT}"/>'
-    if limit is not None:
-        yield f'<path class="goal" d="M{LEFT} {y(limit):.1f}H{WIDTH - RIGHT}"/>'
-    points = [
-        f"{x(number):.1f} {y(float(value)):.1f}"
-        for number, value in enumerate(values)
-        if value > 0.0 and math.isfinite(value)
-    ]
-    if points:
-        yield f'<path class="curve" d="M{"L".join(points)}"/>'
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    """Return round numbers between two powers of ten."""
     powers = range(math.floor(low), math.ceil(high) + 1)
-    every = [step * 10.0**power for power in powers for step in NICE]
-    inside = [tick for tick in every if low <= math.log10(tick) <= high]
-    if len(inside) > MOST_TICKS:
-        return [tick for tick in inside if math.log10(tick).is_integer()]
-    return inside
+    ticks = [step * 10.0**power for power in powers for step in NICE]
+    ticks = [tick for tick in ticks if low <= math.log10(tick) <= high]
+    if len(ticks) > MOST_LABELS:
+        ticks = [tick for tick in ticks if math.log10(tick).is_integer()]
+    yield f'<text x="{EDGE_LEFT}" y="20">{title}</text>'
+    for tick in ticks:
+        yield f'<path class="grid" d="M{EDGE_LEFT} {y(tick):.1f}H{EDGE_RIGHT}"/>'
+        yield (f'<text x="{EDGE_LEFT - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
+    below = [(number, f"{number}", 18) for number in sorted({0, count // 2, count})]
+    for number, label, down in (*below, (count / 2, "stations", 36)):
+        place = f'x="{x(number):.1f}" y="{EDGE_BOTTOM + down}"'
+        yield f'<text {place} text-anchor="middle">{label}</text>'
+    yield f'<path class="axis" d="M{EDGE_LEFT} {EDGE_TOP}V{EDGE_BOTTOM}H{EDGE_RIGHT}"/>'
+    if limit is not None:
+        yield f'<path class="goal" d="M{EDGE_LEFT} {y(limit):.1f}H{EDGE_RIGHT}"/>'
+    if shown.size:
+        points = [f"{x(number):.1f} {y(values[number]):.1f}" for number in shown.tolist()]
+        yield f'<path class="curve" d="M{"L".join(points)}"/>'

@@ -4,29 +4,39 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import IntArray
 from ..checks import require_count, require_kind
 from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..validation.simulate import Stations
+from ..validation.simulate import Stations, plane_name
+from .choice import value
 from .goal import Goal
-from .information import judged, told
-from .plate import Placement, Plate, standing
-from .refine import refined
-from .replacing import planned_with_spare
-from .route import Plan, Task, forecast_of
-from .turning import placed
-from .workspace import Workspace, picked, reachable, workspace_of
+from .information import outlook, station_rows, updated
+from .plate import Placement, Plate
+from .route import Plan, planned
+from .task import Task, planning_task
+from .workspace import Workspace, candidates, inside, joined, reachable, safe, within_reach
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
-MOST_STATIONS = 1000
-"""Nobody drives to more of them: a larger number is a slip."""
-DRAWS = 4
-"""Draws of the belief over which the gain is averaged beside its mean."""
+PLACEMENT_POOL = 60
+"""Candidates before each orientation of a plate that is compared."""
+MOST_PLANNED = 1000
+"""Nobody drives to more stations: a larger number is a slip."""
+POSTERIOR_DRAWS = 4
+"""Draws of the belief over which the gain is averaged beside its mean: more change no choice much."""
+REFINING_MOVES = (0.4, 0.15)
+"""Sizes of the moves by which chosen stations are refined, as parts of the largest turn and of the
+sensor's range: about as far as candidates are apart, and then as those are."""
+NEIGHBOURS = 24
+"""Moved copies of every station in each of these rounds: a few to either side of each coordinate."""
+REPLACEMENTS = 6
+"""Rounds in which others take the place of stations without a way, before fewer have to do: most plans
+need one or two."""
 
 
 def plan(
@@ -43,7 +53,7 @@ def plan(
     """Choose the stations that determine the beams best, given what a calibration knows so far.
 
     They lie before the planes of the calibration, which stand where they stood, and before `plates`;
-    with a `placement` before the last of these planes only, put anew as tells most.
+    with a `placement` before the last of these planes only, moved to the best orientations.
 
     Parameters
     ----------
@@ -68,76 +78,131 @@ def plan(
     goal = Goal() if goal is None else goal
     rng = np.random.default_rng(0) if rng is None else rng
     require_kind("sensor", sensor, Sensor)
-    require_count("stations", stations, 1, MOST_STATIONS)
-    task = _task(calibration, workspace, plates, sensor, goal)
-    put = {} if placement is None else _placed(task, placement, stations, rng)
-    if put:
-        task = replace(task, belief=task.belief.before(put, only=True))
-    return _best(task, stations, put, rng)
-
-
-def _best(task: Task, stations: int, put: Mapping[str, Plate], rng: np.random.Generator) -> Plan:
-    """Return the plan of the best stations before all planes of a belief."""
-    pool, rows = _pool(task, stations, rng)
-    count, goal = stations, task.goal
-    if goal.stated:  # how many are enough, before these are chosen with more care
-        quick = task.chosen(rows[:1], stations).candidates
-        enough = forecast_of(task.belief, rows[0], quick, task.distance).reaches(goal)
-        count = stations if enough is None else max(enough, 1)
-    chosen = task.chosen(rows, count, exchange=True).candidates
-    found = refined(task, picked(pool, chosen), rng)
-    if goal.stated:
-        enough = task.forecast(found).reaches(goal)
-        found = found if enough is None else picked(found, np.arange(max(enough, 1)))
-    spare = picked(pool, np.setdiff1d(np.arange(len(pool.plane)), chosen))
-    return planned_with_spare(task, found, spare, put)
-
-
-def _task(
-    calibration: Calibration | Mounts,
-    workspace: Workspace | None,
-    plates: Mapping[str, Plate] | None,
-    sensor: Sensor,
-    goal: Goal,
-) -> Task:
+    require_count("stations", stations, 1, MOST_PLANNED)
     if not isinstance(calibration, Mounts):
         require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
     if workspace is not None:
         require_kind("workspace", workspace, Workspace)
-    recording = calibration.recording if isinstance(calibration, Calibration) else None
-    if workspace is None:
-        if recording is None:
-            raise InputError(
-                "no recording that shows the workspace", "a workspace: [workspace] in a rig file"
-            )
-        workspace = workspace_of(recording)
-    belief = judged(calibration, goal, sensor)
-    if plates is not None:
-        belief = belief.before(plates)
-    if not belief.plane_names:
-        raise InputError("no plane to plan stations before", "where a plate stands roughly")
-    taken = () if recording is None else recording.station_names
-    return Task(belief, workspace, sensor, goal, taken)
+    task = planning_task(calibration, sensor, workspace, goal, plates)
+    put: Mapping[str, Plate] = {}
+    if placement is not None:
+        put = _placed(task, placement, max(stations // placement.count, 1), rng)
+        task = replace(task, belief=task.belief.before(put, only=True))
+    belief = task.belief
+    share = max(POOL // len(belief.plane_names), 2 * stations)
+    pool = reachable(belief, task.workspace, sensor, share, rng)
+    each = [station_rows(belief, pool)]
+    for _ in range(POSTERIOR_DRAWS):
+        try:
+            each.append(station_rows(belief.about(belief.draw(rng)), pool))
+        except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
+            continue
+    rows = np.stack(each)
+    if goal.stated:  # how many are enough, before these are chosen with more care
+        quick = task.chosen(rows[:1], stations).candidates
+        enough = task.forecast(rows[0, quick]).reaches(goal)
+        stations = stations if enough is None else max(enough, 1)
+    chosen = task.chosen(rows, stations, exchange=True).candidates
+    best = _refined(task, pool[chosen], rng)
+    if goal.stated:
+        enough = task.forecast(station_rows(belief, best)).reaches(goal)
+        best = best if enough is None else best[np.arange(max(enough, 1))]
+    return planned_with_spare(task, best, without(pool, chosen), put)
+
+
+def without(pool: Stations, chosen: IntArray) -> Stations:
+    """Return the stations that were not chosen."""
+    return pool[np.setdiff1d(np.arange(len(pool)), chosen)]
 
 
 def _placed(
-    task: Task, placement: Placement, stations: int, rng: np.random.Generator
+    task: Task, placement: Placement, count: int, rng: np.random.Generator
 ) -> Mapping[str, Plate]:
-    """Return where the last plate is to be put."""
-    last = len(task.belief.plane_names) - 1
-    plate = standing(task.belief.mean, last, task.belief.origins[last])
-    return placed(task, plate, placement, max(stations // placement.count, 1), rng)
+    """Return where to put the last plate, time after time, with a number of stations before each.
+
+    Each orientation is the best beside those before.
+
+    Raises
+    ------
+    InputError
+        No orientation lets the beams read it.
+    """
+    taken, last = task.belief.plane_names, task.belief.plates()[-1]
+    names = [plane_name(index) for index in range(placement.count + len(taken))]
+    put: dict[str, Plate] = {}
+    for name in [name for name in names if name not in taken][: placement.count]:
+        best = np.inf
+        before = task.belief
+        for plate in placement.orientations(last):
+            belief = before.before({name: plate})
+            plane, trial = len(belief.plane_names) - 1, replace(task, belief=belief)
+            try:
+                pool = candidates(belief, plane, task.workspace, task.sensor, PLACEMENT_POOL, rng)
+            except InputError:
+                continue
+            known = trial.chosen(station_rows(belief, pool)[None], count).covariance
+            left = value(known, trial.weight, task.goal.criterion)
+            if left < best:
+                best, put[name] = left, plate
+                after = replace(belief, covariance=known)
+        if name not in put:
+            raise InputError(
+                "no orientation of the plate in which every beam reads it safely",
+                "a workspace that reaches the sensor's range, or beams that are known better",
+            )
+        task = replace(task, belief=after)
+    return put
 
 
-def _pool(task: Task, count: int, rng: np.random.Generator) -> tuple[Stations, FloatArray]:
-    """Return the candidates before all planes, and their rows at the mean and at draws."""
-    belief = task.belief
-    share = max(POOL // len(belief.plane_names), 2 * count)
-    pool = reachable(belief, task.workspace, task.sensor, share, rng)
-    rows = [told(belief, pool)]
-    for _ in range(DRAWS):
+def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Stations:
+    """Return as many stations near the given ones, or they themselves, that say more at the mean.
+
+    What lies between the candidates that were drawn is tried.
+    """
+    belief, workspace, sensor = task.belief, task.workspace, task.sensor
+    count, span = len(stations), sensor.range_max - sensor.range_min
+    for size in REFINING_MOVES:
+        near = stations[np.repeat(np.arange(count), NEIGHBOURS)]
+        turn = size * workspace.largest_turn * rng.standard_normal((len(near), 3))
+        step = size * span * rng.standard_normal((len(near), 3))
+        near = Stations(
+            near.world_R_hand @ Rotation.from_rotvec(0.5 * turn).as_matrix(),
+            near.world_t_hand + 0.5 * step,
+            near.plane,
+        )
+        near = near[inside(workspace, near)]
         try:
-            rows.append(told(belief.about(belief.draw(rng)), pool))
-        except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
+            near = near[safe(outlook(belief, near), sensor)]
+            near = near[within_reach(belief, workspace, near)]
+        except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
-    return pool, np.stack(rows)
+        pool = joined([stations, near])
+        rows = station_rows(belief, pool)[None]
+        stations = pool[task.chosen(rows, count, exchange=True, start=np.arange(count)).candidates]
+    return stations
+
+
+def planned_with_spare(
+    task: Task, stations: Stations, spare: Stations, plates: Mapping[str, Plate]
+) -> Plan:
+    """Return a plan of stations in the order in which they matter, or of others instead.
+
+    Where the arm finds no way to some of them, the best of `spare` beside those that it reaches take
+    their places, as long as some are left. The plan with the most stations wins.
+    """
+    belief, count = task.belief, len(stations)
+    best, kept = planned(task, stations, plates=plates)
+    plan = best
+    for _ in range(REPLACEMENTS - 1):
+        missing = count - len(kept)
+        if not missing or len(spare) < missing:
+            break
+        reached = stations[kept]
+        known = updated(belief.covariance, station_rows(belief, reached))
+        chosen = task.chosen(station_rows(belief, spare)[None], missing, known).candidates
+        both = joined([reached, spare[chosen]])
+        order = task.chosen(station_rows(belief, both)[None], count).candidates
+        stations, spare = both[order], without(spare, chosen)  # in the order in which they matter
+        plan, kept = planned(task, stations, plates=plates)
+        best = plan if len(plan) > len(best) else best
+    return best

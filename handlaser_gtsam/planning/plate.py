@@ -1,4 +1,4 @@
-"""Where a plate roughly stands, and how a person can put it anew."""
+"""Where a plate roughly stands, and how a person can move it."""
 
 import math
 from dataclasses import dataclass
@@ -8,20 +8,23 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..checks import number_array, require_count, require_number
-from ..data.parameters import Parameters
 from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import ArgumentError, InputError
-from ..validation.simulate import plane_name
 
 STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""
-MOST_PLANES = 100
+MOST_PLACEMENTS = 100
 """Nobody puts up a plate more often: a larger number is a slip."""
-TILTS = (0.5, 1.0)
-"""Of the largest tilt: how far a plate is turned in the orientations that are compared."""
+TILT_SHARES = (0.5, 1.0)
+"""Of the largest tilt: how far a plate is turned in the orientations that are compared. The largest
+are the best ones for a workspace that reaches them, half of it for others."""
+PLACED_WITHIN = 0.002
+"""How far off in distance a person puts a plate, where nothing else is stated [m]."""
+PLACED_TILT = math.radians(2.0)
+"""How far off in orientation [rad]."""
 SIDES = 8
-"""To so many sides."""
+"""Number of sides to which a plate, or a hand, is turned: neighbours have a cosine of 0.7."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -47,27 +50,19 @@ class Plate(Value):
 
     point: FloatArray
     normal: FloatArray
-    within: float = 0.002
-    tilt: float = math.radians(2.0)
+    within: float = PLACED_WITHIN
+    tilt: float = PLACED_TILT
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", vectors("a point of the plate", self.point, 1)[0])
-        normal = directions("the normal of the plate", self.normal, 1)[0]
-        object.__setattr__(self, "normal", normal)
+        object.__setattr__(self, "point", vectors("point", self.point, 1)[0])
+        object.__setattr__(self, "normal", directions("normal", self.normal, 1)[0])
         require_number("within", self.within, 0.0, LARGEST, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
-
-    def turned(self, tilt: float, side: float) -> "Plate":
-        """Return the plate turned about its point by `tilt` [rad], to the side `side` [rad]."""
-        across = model.tangent_basis(self.normal[None])[0]
-        toward = across @ np.array([math.cos(side), math.sin(side)])
-        normal = math.cos(tilt) * self.normal + math.sin(tilt) * toward
-        return Plate(self.point, normal, self.within, self.tilt)
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How a person can put the plate anew: its orientations are part of the plan.
+    """How a person can move the plate: its orientations are part of the plan.
 
     Attributes
     ----------
@@ -86,38 +81,32 @@ class Placement:
 
     count: int = 1
     largest_tilt: float = math.radians(25.0)
-    within: float = 0.002
-    tilt: float = math.radians(2.0)
+    within: float = PLACED_WITHIN
+    tilt: float = PLACED_TILT
 
     def __post_init__(self) -> None:
-        require_count("planes", self.count, 1, MOST_PLANES)
+        require_count("planes", self.count, 1, MOST_PLACEMENTS)
         require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
         require_number("within", self.within, 0.0, LARGEST, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
 
     def orientations(self, plate: Plate) -> list[Plate]:
-        """Return the plates that are compared: as it stands, and turned to all sides."""
-        stands = Plate(plate.point, plate.normal, self.within, self.tilt)
-        sides = 2.0 * math.pi * np.arange(SIDES) / SIDES
-        turned = [
-            stands.turned(share * self.largest_tilt, float(side))
-            for share in TILTS
-            for side in sides
-        ]
-        return [stands, *(turned if self.largest_tilt > 0.0 else ())]
-
-
-def standing(at: Parameters, plane: int, point: FloatArray) -> Plate:
-    """Return a known plane as a plate, about the foot of a point (3,) on it."""
-    n, b = at.normals[plane], float(at.offsets[plane])
-    return Plate(point - (n @ point + b) * n, n)
+        """Return the plates that are compared: as it stands, and turned about its point."""
+        across = model.tangent_basis(plate.normal[None])[0]
+        normals = [plate.normal]
+        if self.largest_tilt > 0.0:
+            for tilt in self.largest_tilt * np.array(TILT_SHARES):
+                for side in 2.0 * math.pi * np.arange(SIDES) / SIDES:
+                    toward = across @ np.array([math.cos(side), math.sin(side)])
+                    normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
+        return [Plate(plate.point, n, self.within, self.tilt) for n in normals]
 
 
 def plate_of(
     normal: object,
     offset: float,
     near: FloatArray,
-    sigma: tuple[float | None, float | None] | None = None,
+    sigma: tuple[float | None, float | None] = (None, None),
 ) -> Plate:
     """Return a plane n . x + b = 0 as a plate, about the foot of a point (3,) on it.
 
@@ -132,17 +121,9 @@ def plate_of(
         as for a plate that a person has put there.
     """
     n = directions("a normal", normal, 1)[0]
-    shift, turn = (None, None) if sigma is None else sigma
-    known = Plate(near - (n @ near + offset) * n, n)
-    within = known.within if shift is None else 2.0 * shift
-    tilt = known.tilt if turn is None else 2.0 * turn
-    return Plate(known.point, n, within, min(tilt, STEEPEST_TILT))
-
-
-def unused_names(taken: tuple[str, ...], count: int) -> list[str]:
-    """Return names A, B, ... for planes that have none yet."""
-    names = (plane_name(index) for index in range(count + len(taken)))
-    return [name for name in names if name not in taken][:count]
+    within = PLACED_WITHIN if sigma[0] is None else 2.0 * sigma[0]
+    tilt = PLACED_TILT if sigma[1] is None else min(2.0 * sigma[1], STEEPEST_TILT)
+    return Plate(near - (n @ near + offset) * n, n, within, tilt)
 
 
 def vectors(name: str, values: object, count: int | None = None) -> FloatArray:
@@ -152,12 +133,12 @@ def vectors(name: str, values: object, count: int | None = None) -> FloatArray:
     ------
     InputError
     """
-    found = np.atleast_2d(number_array(name, values))  # type: ignore[arg-type]
-    if found.ndim != 2 or found.shape[1] != 3 or (count is not None and len(found) != count):
-        raise InputError(f"{name} of shape {found.shape}", "three numbers each")
-    if not (np.abs(found) <= LARGEST).all():
+    rows = np.atleast_2d(number_array(name, values))  # type: ignore[arg-type]
+    if rows.ndim != 2 or rows.shape[1] != 3 or (count is not None and len(rows) != count):
+        raise InputError(f"{name} of shape {rows.shape}", "three numbers each")
+    if not (np.abs(rows) <= LARGEST).all():
         raise InputError(f"{name} with numbers that are not finite", "finite numbers")
-    return found
+    return rows
 
 
 def directions(name: str, values: object, count: int | None = None) -> FloatArray:
@@ -167,7 +148,7 @@ def directions(name: str, values: object, count: int | None = None) -> FloatArra
     ------
     InputError
     """
-    found = vectors(name, values, count)
-    if not np.linalg.norm(found, axis=1).all():
+    rows = vectors(name, values, count)
+    if not np.linalg.norm(rows, axis=1).all():
         raise ArgumentError(name, "without a length", "a direction")
-    return model.normalized(found)
+    return model.normalized(rows)

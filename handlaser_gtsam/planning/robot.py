@@ -1,5 +1,6 @@
-"""The arm that carries the hand: which poses it reaches, with which joints, and what it would touch."""
+"""The arm of a plan: which poses it reaches beside a plate, and which ways between them are free."""
 
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -7,30 +8,32 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import number_array, require_number
 from ..data.recording import LARGEST
 from ..data.recording_checks import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
-from .arm import FAR_AWAY, Arm
+from ..model.robots.arm import Arm
+from ..model.robots.scene import Scene
 from .plate import Plate, vectors
 
 STARTS = 8
-"""Random joints from which a pose is looked for, after those known to be near."""
+"""Random joints from which a pose is looked for, after those known to be near: about one pose in two
+hundred that an arm reaches is missed from all of them."""
 MANY_STARTS = 12
-"""The same for one pose on the way of the arm."""
+"""The same for one pose on the way of the arm, which is not missed for want of a ninth start."""
 LEEWAY = 0.1
 """Between stations the hand stays in their box to within this [m]: it does not move on a line."""
-STEP = np.deg2rad(1.0)
-"""The way between joints is checked in steps of this, of the joint that moves most [rad], [m]."""
-SAME = 1e-4
-"""Joints that differ by less are one solution [rad], [m]."""
+WAY_STEP = np.deg2rad(1.0)
+"""The way between joints is checked in steps of this, of the joint that moves most [rad], [m]: at the
+end of an arm of 1 m they are 17 mm."""
+SAME_JOINTS = 1e-4
+"""Joints that differ by less are one solution [rad], [m]: both are at the pose to far less."""
 LARGEST_CLEARANCE = 0.5
 """No arm keeps farther from itself [m]: a larger number is in another unit."""
-ARMS = 4
-"""Arms that are kept loaded."""
+ARMS_LOADED = 4
+"""Arms that are kept loaded, which takes a second: a rig has one or two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -94,13 +97,13 @@ class Robot(Value):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """The joints between the base and the hand, as the URDF names them."""
-        return self._arm(None).joint_names
+        return self._scene().arm.joint_names
 
     @property
     def limits(self) -> tuple[FloatArray, FloatArray]:
         """Least and largest joints (J,) [rad], [m]."""
-        chain = self._arm(None).chain
-        return chain.low, chain.high
+        arm = self._scene().arm
+        return arm.low, arm.high
 
     def reachable(self, R: FloatArray, t: FloatArray, plate: Plate | None = None) -> BoolArray:
         """Tell which poses (M,) the arm reaches within its limits without touching anything.
@@ -127,53 +130,57 @@ class Robot(Value):
 
         Of joints that differ by full turns they are those nearest to where the arm stands.
 
-        Parameters and errors are those of `reachable`.
+        See `reachable` for parameters and errors.
         """
-        arm, R, t = self._arm(plate), *self._targets(R, t)
-        chain, rng = arm.chain, np.random.default_rng(0)
-        found = np.full((len(t), len(chain.low)), np.nan)
+        R, t = number_array("R", R), number_array("t", t)
+        if R.shape != (len(R), 3, 3) or t.shape != (len(R), 3):
+            raise InputError(f"poses of shapes {R.shape} and {t.shape}", "(M, 3, 3) and (M, 3)")
+        check_poses(R, t, numbered(len(t)))
+        scene, rng = self._scene(), np.random.default_rng(0)
+        arm, front = scene.arm, _front(plate)
+        stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
+        joints = np.full((len(t), len(arm.low)), np.nan)
         for attempt in range(STARTS + 2):
-            left = np.flatnonzero(np.isnan(found).any(axis=1))
-            known = np.flatnonzero(~np.isnan(found).any(axis=1))
+            missing = np.isnan(joints).any(axis=1)
+            left, reached = np.flatnonzero(missing), np.flatnonzero(~missing)
             if not left.size:
                 break
             if attempt == 0:
-                start = np.tile(arm.start, (len(left), 1))
-            elif attempt == 1 and known.size:  # the joints of the nearest pose
-                near = np.linalg.norm(t[left, None] - t[None, known], axis=2).argmin(axis=1)
-                start = found[known[near]]
+                start = np.tile(stands, (len(left), 1))
+            elif attempt == 1 and reached.size:  # the joints of the nearest pose
+                distance = np.linalg.norm(t[left, None] - t[None, reached], axis=2)
+                start = joints[reached[distance.argmin(axis=1)]]
             else:
-                start = rng.uniform(chain.low, chain.high, (len(left), len(chain.low)))
-            q, met = chain.inverse(R[left], t[left], start)
-            good = np.flatnonzero(met)
-            good = good[arm.free(q[good])]
-            found[left[good]] = chain.nearest(q[good], arm.start)
-        return found
+                start = rng.uniform(arm.low, arm.high, (len(left), len(arm.low)))
+            for pose, begin in zip(left, start, strict=True):
+                q = arm.inverse(R[pose], t[pose], begin)
+                if q is not None and not scene.touches(q, front):
+                    joints[pose] = arm.nearest(q, stands)
+        return joints
 
     def solutions(
         self, R: FloatArray, t: FloatArray, plate: Plate | None, near: FloatArray
     ) -> Iterator[FloatArray]:
-        """Yield joints (J,) for one pose (3, 3), (3,) that touch nothing: from `near`, then others."""
-        hand_R, hand_t = self._targets(R[None], t[None])
-        chain = self._arm(plate).chain
-        first, met = chain.inverse(hand_R, hand_t, near[None])
-        first = chain.nearest(first, near)
-        if met[0] and self._arm(plate).free(first)[0]:
-            yield first[0]
-        drawn = np.random.default_rng(0).uniform(chain.low, chain.high, (MANY_STARTS, len(near)))
-        many = np.zeros(MANY_STARTS, dtype=np.intp)
-        q, good = chain.inverse(hand_R[many], hand_t[many], drawn)
-        seen = [first[0]]
-        others = chain.nearest(q[good], near)
-        for one in sorted(others, key=lambda joints: float(np.abs(joints - near).max())):
-            if min(float(np.abs(one - other).max()) for other in seen) > SAME:
-                seen.append(one)
-                if self._arm(plate).free(one[None])[0]:
-                    yield one
+        """Yield joints (J,) for one pose (3, 3), (3,) that touch nothing: from `near`, then others.
+
+        The others come in the order of how far their farthest joint moves.
+        """
+        arm = self._scene().arm
+        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (MANY_STARTS, len(near)))
+        seen: list[FloatArray] = []
+        for starts in (near[None], drawn):
+            solved = [arm.inverse(R, t, start) for start in starts]
+            turned = [arm.nearest(q, near) for q in solved if q is not None]
+            for joints in sorted(turned, key=lambda q: float(np.abs(q - near).max())):
+                if all(np.abs(joints - other).max() > SAME_JOINTS for other in seen):
+                    seen.append(joints)
+                    if self.free(joints, plate)[0]:
+                        yield joints
 
     def free(self, joints: FloatArray, plate: Plate | None = None) -> BoolArray:
-        """Tell at which joints (N, J) the arm touches neither itself nor the plate."""
-        return self._arm(plate).free(np.atleast_2d(joints))
+        """Tell at which joints (N, J) the arm touches neither itself, the plate nor the table."""
+        scene, front = self._scene(), _front(plate)
+        return np.array([not scene.touches(q, front) for q in np.atleast_2d(joints)], dtype=bool)
 
     def free_way(
         self,
@@ -182,66 +189,44 @@ class Robot(Value):
         plate: Plate | None = None,
         box: tuple[FloatArray, FloatArray] | None = None,
     ) -> bool:
-        """Tell whether the straight way between joints (J,) is free, in steps of `STEP`.
+        """Tell whether the straight way between joints (J,) is free, in steps of `WAY_STEP`.
 
         Nothing touches, and where both ends are in a `box`, low and high (3,) [m] in the world, the
         hand stays there to within `LEEWAY`.
         """
-        parts = max(int(np.ceil(np.abs(end - start).max() / STEP)), 1)
+        parts = max(int(np.ceil(np.abs(end - start).max() / WAY_STEP)), 1)
         way = start + np.linspace(0.0, 1.0, parts + 1)[:, None] * (end - start)
-        arm = self._arm(plate)
         if box is not None:
-            t = arm.chain.forward(way)[1] @ self.base_R.T + self.base_t
+            t = self.poses(way)[1]
             beyond = np.maximum(box[0] - t, t - box[1]).max(axis=1)
             if max(beyond[0], beyond[-1]) <= 0.0 and beyond.max() > LEEWAY:
                 return False
-        return not any(arm.touches(q) for q in way)
+        scene, front = self._scene(), _front(plate)
+        return not any(scene.touches(q, front) for q in way)
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return world_R_hand (N, 3, 3) and world_t_hand (N, 3) [m] of joints (N, J)."""
-        arm = self._arm(None)
-        hands = [arm.hand(q) for q in np.atleast_2d(joints)]
-        R, t = (np.stack(part) for part in zip(*hands, strict=True))
-        return self.base_R @ R, t @ self.base_R.T + self.base_t
+        arm = self._scene().arm
+        R, t, _ = zip(*(arm.hand(q) for q in np.atleast_2d(joints)), strict=True)
+        return np.stack(R), np.stack(t)
 
-    def _targets(self, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses in the frame of the base."""
-        R, t = number_array("R", R), number_array("t", t)
-        if R.shape != (len(R), 3, 3) or t.shape != (len(R), 3):
-            raise InputError(f"poses of shapes {R.shape} and {t.shape}", "(M, 3, 3) and (M, 3)")
-        check_poses(R, t, numbered(len(t)))
-        return self.base_R.T @ R, (t - self.base_t) @ self.base_R
-
-    def _arm(self, plate: Plate | None) -> Arm:
-        """Return the arm, with the plate where it is, or far away."""
+    def _scene(self) -> Scene:
+        """Return the arm among bodies; loaded again when the file has changed."""
         path = Path(self.urdf)
-        changed = path.stat().st_mtime_ns if path.is_file() else 0
-        size = (self.plate_across, self.plate_thickness)
-        start = tuple(self.start.tolist())
-        table = None
-        if self.table is not None:
-            point = (self.table - self.base_t[2]) * self.base_R[2]
-            table = tuple(point.tolist()), tuple(self.base_R[2].tolist())
-        arm = _loaded(self.urdf, changed, self.frame, start, self.clearance, size, table)
-        if plate is None:
-            arm.place(np.eye(3), FAR_AWAY)
-        else:
-            n = plate.normal @ self.base_R
-            across = model.tangent_basis(n[None])[0]
-            turn = np.column_stack((across, n))
-            turn[:, 0] *= np.sign(np.linalg.det(turn))
-            arm.place(turn, (plate.point - self.base_t) @ self.base_R)
-        return arm
+        return _loaded(pickle.dumps(self), path.stat().st_mtime_ns if path.is_file() else 0)
 
 
-@lru_cache(ARMS)
-def _loaded(
-    urdf: str,
-    changed: int,  # noqa: ARG001  a file that was written anew is another arm
-    frame: str,
-    start: tuple[float, ...],
-    clearance: float,
-    plate: tuple[float, float],
-    table: tuple[tuple[float, ...], tuple[float, ...]] | None,
-) -> Arm:
-    return Arm(urdf, frame, start, clearance, plate, table)
+def _front(plate: Plate | None) -> tuple[FloatArray, FloatArray] | None:
+    return None if plate is None else (plate.point, plate.normal)
+
+
+@lru_cache(ARMS_LOADED)
+def _loaded(pickled: bytes, changed: int) -> Scene:  # noqa: ARG001  a changed file is another arm
+    """Return the scene of a robot, which is pickled because arrays are no keys of a cache."""
+    robot: Robot = pickle.loads(pickled)
+    arm = Arm(robot.urdf, robot.frame, robot.base_R, robot.base_t)
+    start = robot.start if len(robot.start) else None
+    if start is not None:
+        arm.require_joints("start joints", start)
+    table = None if robot.table is None else np.array([*robot.base_t[:2], robot.table])
+    return Scene(arm, robot.clearance, (robot.plate_across, robot.plate_thickness), table, start)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind, require_number
 from ..data.recording import LARGEST, Recording
 from ..data.recording_checks import rotation_matrix
@@ -18,34 +18,38 @@ from ..model.sensor import Sensor
 from ..validation.simulate import Stations
 from .belief import Belief
 from .information import Outlook, outlook
-from .plate import Plate, standing, vectors
+from .plate import vectors
 from .robot import Robot
 
-MARGIN = 4.0
-"""Readings and angles stay so many standard deviations inside their limits: of a hundred readings at
+SAFE_SIGMAS = 4.0
+"""Readings and angles stay this many standard deviations inside their limits: of a hundred readings at
 the very margin, less than one in a hundred plans has one beyond."""
 STEEPEST = math.radians(75.0)
-"""Incidence to which a sensor without a stated limit is used."""
+"""Incidence to which a sensor without a stated limit is used: beyond, most sensors read nothing."""
 ROOMY = 0.25
-"""A workspace that is not stated is that of the stations so far, and this part of it more."""
-LEAST_TURN = math.radians(20.0)
-"""Hands that have not turned may turn so far all the same."""
+"""A workspace that is not stated surrounds the stations so far by this part of their extent."""
+SMALLEST_TURN = math.radians(20.0)
+"""Largest turn of a workspace that is not stated, where the hand has not turned: any hand can."""
 LEAST_ROOM = 1e-3
-"""Hands that have not moved may move so far [m]."""
+"""Room to all sides of a workspace that is not stated, where the hand has not moved [m]."""
 ENDS = 0.4
 """Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
-ROUNDING = 1e-9
-"""Of a turn [rad]."""
-TRIES = 40
-"""So many times the poses that are wanted are drawn, before giving up."""
+TURN_EXPONENT = 9.0
+"""The turns of candidates are the largest one times the root of this order of a uniform number: nine of
+ten turn by more than three quarters of it, because stations that turn far say most."""
+TURN_ROUNDING = 1e-9
+"""By this a turn may be above the largest one and still be it [rad]."""
+MOST_TRIED = 40
+"""Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
+fortieth is good."""
 MOST_AT_ONCE = 3000
-"""Poses drawn in one round, or as many as are wanted if those are more."""
+"""Poses drawn in one round, or as many as are wanted if those are more: they fit into memory."""
 MORE_THAN_MISSING = 1.3
-"""So many times the poses that seem to be missing are drawn: most rounds are the last."""
-ARM_TRIES = 3
-"""An arm, which takes longer, is asked for so many times the poses that are wanted, at most."""
+"""Multiple of the poses that seem to be missing that are drawn: most rounds are the last."""
+MOST_ASKED = 3
+"""Multiple of the candidates wanted of which an arm is asked, which takes longer than drawing them."""
 LEAST_CANDIDATES = 10
-"""So few are no choice."""
+"""Fewer are no choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -96,33 +100,25 @@ def inside(workspace: Workspace, stations: Stations) -> BoolArray:
     t = stations.world_t_hand
     turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
     within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
-    return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
+    return np.asarray(within & (turn <= workspace.largest_turn + TURN_ROUNDING))
 
 
 def within_reach(belief: Belief, workspace: Workspace, stations: Stations) -> BoolArray:
     """Tell which stations (M,) the arm reaches without touching the plate; all without an arm."""
-    count = len(stations.plane)
-    found = np.ones(count, dtype=bool)
-    if workspace.robot is None or not count:
-        return found
-    for plane in np.unique(stations.plane):
-        rows = np.flatnonzero(stations.plane == plane)
-        R, t = stations.world_R_hand[rows], stations.world_t_hand[rows]
-        found[rows] = workspace.robot.reachable(R, t, plates_of(belief)[plane])
-    return found
-
-
-def plates_of(belief: Belief) -> list[Plate]:
-    """Return the planes of a belief as plates."""
-    origins = enumerate(belief.origins)
-    return [standing(belief.mean, plane, origin) for plane, origin in origins]
+    reached = np.ones(len(stations), dtype=bool)
+    if workspace.robot is not None:
+        for plane, plate in enumerate(belief.plates()):
+            there = stations.plane == plane
+            R, t = stations.world_R_hand[there], stations.world_t_hand[there]
+            reached[there] = workspace.robot.reachable(R, t, plate) if len(t) else True
+    return reached
 
 
 def workspace_of(recording: Recording) -> Workspace:
     """Return the workspace that the stations of a recording show."""
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()
-    turn = max(float((home.inv() * R).magnitude().max()), LEAST_TURN)
+    turn = max(float((home.inv() * R).magnitude().max()), SMALLEST_TURN)
     room = max(ROOMY * float(np.ptp(t, axis=0).max()), LEAST_ROOM)
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
 
@@ -143,35 +139,39 @@ def candidates(
         The sensor's range is not stated, or there is hardly a station.
     """
     require_range(sensor)
-    at, name = belief.mean, belief.plane_names[plane]
-    require_facing(f"plane {name}", workspace, at.directions, at.normals[plane])
+    mean, name = belief.mean, belief.plane_names[plane]
+    require_facing(f"plane {name}", workspace, mean.directions, mean.normals[plane])
     kept: list[Stations] = []
-    drawn = found_so_far = tried_by_arm = 0
-    while drawn < TRIES * count and found_so_far < count and tried_by_arm < ARM_TRIES * count:
-        wanted = _round(count, drawn, found_so_far)
-        tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
+    drawn = good = asked = 0
+    while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
+        wanted = count
+        if drawn:  # by how many of those drawn were good so far
+            most = min(max(MOST_AT_ONCE, count), MOST_TRIED * count - drawn)
+            missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
+            wanted = int(np.clip(missing, 0.1 * count, most))
         drawn += wanted
-        tried = picked(tried, np.flatnonzero(inside(workspace, tried)))
-        if not tried.plane.size:
+        tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
+        tried = tried[inside(workspace, tried)]
+        if not len(tried):
             continue
-        tried = picked(tried, np.flatnonzero(safe(outlook(belief, tried), sensor)))
+        tried = tried[safe(outlook(belief, tried), sensor)]
         if workspace.robot is not None:
-            tried = picked(tried, np.arange(min(len(tried.plane), count)))
-            tried_by_arm += len(tried.plane)
-        kept.append(picked(tried, np.flatnonzero(within_reach(belief, workspace, tried))))
-        found_so_far += len(kept[-1].plane)
-    found = joined(kept) if kept else None
-    if found is None or len(found.plane) < LEAST_CANDIDATES:
-        raise _nowhere(belief.plane_names[plane], workspace, tried_by_arm)
-    return picked(found, np.arange(min(count, len(found.plane))))
-
-
-def _round(count: int, drawn: int, found: int) -> int:
-    """Return how many poses to draw next, from how many of those drawn were good so far."""
-    if not drawn:
-        return count
-    missing = MORE_THAN_MISSING * (count - found) * drawn / max(found, 1)
-    return int(np.clip(missing, 0.1 * count, min(max(MOST_AT_ONCE, count), TRIES * count - drawn)))
+            tried = tried[np.arange(min(len(tried), count))]
+            asked += len(tried)
+        kept.append(tried[within_reach(belief, workspace, tried)])
+        good += len(kept[-1])
+    if good >= LEAST_CANDIDATES:
+        return joined(kept)[np.arange(min(count, good))]
+    if asked >= LEAST_CANDIDATES:
+        raise InputError(
+            f"no station before plane {name} that the arm reaches without a collision, of {asked} that "
+            "are safe for the sensor",
+            "another place of the plate or of the arm's base, or a smaller clearance",
+        )
+    raise InputError(
+        f"no station before plane {name} at which every beam reads it safely",
+        "a workspace that reaches the sensor's range, or a calibration that is known better",
+    )
 
 
 def require_facing(
@@ -206,20 +206,6 @@ def require_facing(
     )
 
 
-def _nowhere(plane: str, workspace: Workspace, tried_by_arm: int) -> InputError:
-    """Return the refusal of a plane before which there is hardly a station."""
-    if workspace.robot is not None and tried_by_arm >= LEAST_CANDIDATES:
-        return InputError(
-            f"no station before plane {plane} that the arm reaches without a collision, of "
-            f"{tried_by_arm} that are safe for the sensor",
-            "another place of the plate or of the arm's base, or a smaller clearance",
-        )
-    return InputError(
-        f"no station before plane {plane} at which every beam reads it safely",
-        "a workspace that reaches the sensor's range, or a calibration that is known better",
-    )
-
-
 def reachable(
     belief: Belief, workspace: Workspace, sensor: Sensor, count: int, rng: np.random.Generator
 ) -> Stations:
@@ -230,15 +216,15 @@ def reachable(
     InputError
         The sensor's range is not stated, or all planes are out of reach.
     """
-    found, refusal = [], None
+    parts, refusal = [], None
     for plane in range(len(belief.plane_names)):
         try:
-            found.append(candidates(belief, plane, workspace, sensor, count, rng))
+            parts.append(candidates(belief, plane, workspace, sensor, count, rng))
         except InputError as error:
             refusal = refusal or error
-    if refusal is not None and not found:
+    if refusal is not None and not parts:
         raise refusal
-    return joined(found)
+    return joined(parts)
 
 
 def require_range(sensor: Sensor) -> None:
@@ -252,18 +238,17 @@ def require_range(sensor: Sensor) -> None:
         raise InputError("no range of the sensor", "range_mm in the table [sensor] of the rig file")
 
 
+def least_cosine(sensor: Sensor) -> float:
+    """Return the cosine of the largest incidence to which a sensor is used."""
+    return math.cos(min(sensor.max_incidence, STEEPEST))
+
+
 def safe(ahead: Outlook, sensor: Sensor) -> BoolArray:
     """Tell at which stations (M,) all readings are within the sensor's limits, with a margin."""
-    spread = MARGIN * ahead.reading_sigma
+    spread = SAFE_SIGMAS * ahead.reading_sigma
     near, far = ahead.reading - spread, ahead.reading + spread
-    least = math.cos(min(sensor.max_incidence, STEEPEST))
-    steep = ahead.cosine - MARGIN * ahead.cosine_sigma >= least
+    steep = ahead.cosine - SAFE_SIGMAS * ahead.cosine_sigma >= least_cosine(sensor)
     return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
-
-
-def picked(stations: Stations, rows: IntArray) -> Stations:
-    """Return some of the stations."""
-    return Stations(stations.world_R_hand[rows], stations.world_t_hand[rows], stations.plane[rows])
 
 
 def joined(parts: Sequence[Stations]) -> Stations:
@@ -284,24 +269,24 @@ def _drawn(
     rng: np.random.Generator,
 ) -> Stations:
     """Return random stations of the workspace, moved along the normal until the beams can read."""
+    mean = belief.mean
     axis = model.normalized(rng.standard_normal((count, 3)))
-    # Stations that tell most turn far, and read near an end of the range.
-    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / 9.0)
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
     R = workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
     t = rng.uniform(workspace.low, workspace.high, (count, 3))
-    n, b = belief.mean.normals[plane], belief.mean.offsets[plane]
+    n, b = mean.normals[plane], mean.offsets[plane]
     n_hand = np.einsum("mji,j->mi", R, n)
-    cosine = n_hand @ belief.mean.directions.T
-    good = np.flatnonzero((cosine > math.cos(min(sensor.max_incidence, STEEPEST))).all(axis=1))
+    cosine = n_hand @ mean.directions.T
+    good = (cosine > least_cosine(sensor)).all(axis=1)
     R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
-    s = -(n_hand @ belief.mean.locations.T + (t @ n + b)[:, None]) / cosine
-    limits = np.array([sensor.range_min, sensor.range_max])
-    k = belief.mean.range_errors
-    low, high = (np.asarray(model.corrected(np.full(len(k), d), k)) for d in limits)
+    s = -(n_hand @ mean.locations.T + (t @ n + b)[:, None]) / cosine
+    k = mean.range_errors
+    low = np.asarray(model.corrected(np.full(len(k), sensor.range_min), k))
+    high = np.asarray(model.corrected(np.full(len(k), sensor.range_max), k))
     # A step back by h along the normal lengthens the range of a beam by h over its cosine.
     nearest = ((low - s) * cosine).max(axis=1)
     farthest = ((high - s) * cosine).min(axis=1)
-    fits = np.flatnonzero(farthest > nearest)
-    share = rng.beta(ENDS, ENDS, size=len(fits))
+    fits = farthest > nearest
+    share = rng.beta(ENDS, ENDS, size=int(fits.sum()))
     back = nearest[fits] + share * (farthest - nearest)[fits]
-    return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(fits), plane))
+    return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))

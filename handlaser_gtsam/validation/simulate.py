@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.noise import MOST_SIGMA, Noise
 from ..data.parameters import Parameters
@@ -26,6 +26,13 @@ class Stations:
     world_R_hand: FloatArray
     world_t_hand: FloatArray
     plane: IntArray
+
+    def __len__(self) -> int:
+        return len(self.plane)
+
+    def __getitem__(self, rows: IntArray | BoolArray) -> "Stations":
+        """Return the stations at some rows, or where a mask holds."""
+        return Stations(self.world_R_hand[rows], self.world_t_hand[rows], self.plane[rows])
 
 
 @dataclass(frozen=True, slots=True)
