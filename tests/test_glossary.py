@@ -8,7 +8,6 @@ from helpers import GRIPPER, ROOT, degenerate
 from rich.table import Table
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.study import COLUMNS, TITLES
 from handlaser_gtsam.cli.tables import ROWS
 from handlaser_gtsam.results.verdict import OPENING
 from handlaser_gtsam.results.wording import WORDING
@@ -113,7 +112,6 @@ def test_what_lines_begin_with_and_heads_of_tables(
 def test_words_of_the_code_are_there():
     """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
     words = [name for name, _, _ in ROWS] + [*OPENING.values(), *WORDING]
-    words += [TITLES.get(name, name) for name, _ in COLUMNS]
     assert set(words) <= set(TERMS), set(words) - set(TERMS)
 
 
