@@ -36,6 +36,7 @@ if __name__ == "__main__":
     gripper = Path(__file__).parent / "gripper" / "recording.csv"
     known = hl.Errors(3e-5, pose_translation_sigma=2e-5, pose_rotation_sigma=1e-4)
     ratio = bootstrap(hl.read_recording(gripper), known, np.random.default_rng(0), draws=400)
+    names = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
     print("spread of 400 draws over the stated standard deviation, by beam:")
-    for name, row in zip("x y z vx vy vz k1 k2".split(), ratio.T, strict=True):
+    for name, row in zip(names, ratio.T, strict=True):
         print(f"  {name:2}", *(f"{value:.2f}" for value in row))
