@@ -153,16 +153,6 @@ class Forecast(Value):
                 good &= values <= most
         return int(good.argmax()) if good.any() else None
 
-    def part(self, stations: int) -> "Forecast":
-        """Return the forecast of the first stations."""
-        until = stations + 1
-        return Forecast(
-            self.location_sigma[:until],
-            self.direction_sigma[:until],
-            self.spot[:until],
-            self.working_distance,
-        )
-
     def words(self, stations: int) -> str:
         """Return what is known after so many stations, in words."""
         return (
