@@ -19,7 +19,7 @@ from rich.progress import track
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.covariance import covariance
-from handlaser_gtsam.estimation.solve import solve
+from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -32,7 +32,7 @@ def batch_seconds(session: hl.Session, noise: hl.Noise, options: hl.CalibrationO
     """Return how long one batch solution from the present estimate takes."""
     readings, at = session.estimate()
     begin = time.perf_counter()
-    found = solve(readings, at, noise, options)
+    found = settle(readings, at, noise, options).integrated()
     covariance(found.problem, found.result.values)
     return time.perf_counter() - begin
 

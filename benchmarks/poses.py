@@ -14,7 +14,7 @@ import numpy as np
 
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.estimation.options import CalibrationOptions, Poses
-from handlaser_gtsam.estimation.solve import solve
+from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
@@ -39,7 +39,7 @@ def main() -> None:
         for mode in MODES:
             options = CalibrationOptions("k1k2", poses=mode)
             begin = time.perf_counter()
-            found = solve(readings, start, Noise(*SIGMAS), options)
+            found = settle(readings, start, Noise(*SIGMAS), options).integrated()
             seconds[mode].append(time.perf_counter() - begin)
             assert found.poses == mode, found.poses
     median = {mode: statistics.median(values) for mode, values in seconds.items()}

@@ -23,7 +23,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.options import RangeError
-from handlaser_gtsam.estimation.solve import solve
+from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.results.calibration import Calibration
 
 from .problems import Problem, solvable
@@ -57,7 +57,7 @@ def judge_solvable(seed: int) -> Verdict:
     readings = problem.recording.readings()
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
-    best = solve(readings.seen_from(origins), truth, noise, options).chi2
+    best = settle(readings.seen_from(origins), truth, noise, options).integrated().chi2
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
     if found.fit.chi2 > best + SAME_CHI2:

@@ -1,9 +1,9 @@
-"""What the studies of this folder share: a function mapped over seeds, by the engine of `hl.study`.
+"""What the studies of this folder share: a function mapped over seeds, on processes or a Dask cluster.
 
 Whatever the number of workers and their order, and however often one of them is lost, every run counts
 once, and its result follows from its argument alone. `--jobs` says how many processes work,
 `--scheduler tcp://ADDRESS:PORT` names a Dask cluster instead, and `--rows FOLDER` keeps finished runs,
-from which the same command goes on. It tells studies apart by their arguments, not by the code that
+from which the same command goes on. Studies are told apart by their arguments, not by the code that
 runs: take another folder when that has changed.
 """
 
@@ -14,15 +14,14 @@ import pickle
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Generic, Self, TypeVar
+from typing import Self, TypeVar
 
 from rich.progress import Progress
 
-from handlaser_gtsam.validation.study_executor import executor_of
-from handlaser_gtsam.validation.study_tasks import run_each
+from handlaser_gtsam.validation.workers import run_blocks, workers
 
 PARTS = 200
-"""Most parts of a study that are handed over and kept by themselves."""
+"""Most parts of a study that are handed to workers, and written, by themselves."""
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -55,7 +54,7 @@ class Studies:
     def __enter__(self) -> Self:
         """Show the bar, and connect to the cluster."""
         jobs = None if self._scheduler else self._jobs
-        self._executor = executor_of(jobs, self._scheduler, self._ends)
+        self._executor = self._ends.enter_context(workers(jobs, self._scheduler))
         self._ends.enter_context(self._bar)
         return self
 
@@ -67,22 +66,39 @@ class Studies:
         self, name: str, run: Callable[[Argument], Result], arguments: Sequence[Argument]
     ) -> list[Result]:
         """Return run(argument) for every argument, in their order, and show how many are done."""
-        task = self._bar.add_task(name, total=len(arguments))
-        store = None if self._rows is None else _Kept[Result].of(self._rows, run, arguments)
-        found = run_each(
-            run,
-            arguments,
-            self._executor,
-            store,
-            lambda done: self._bar.update(task, completed=done),
-            max(len(arguments) // PARTS, 1),
-        )
+        kept, results = None, dict[int, Result]()
+        if self._rows is not None:
+            content = pickle.dumps((run, list(arguments)), protocol=5)
+            kept = self._rows / f"{hashlib.sha256(content).hexdigest()[:16]}.pickle"
+            self._rows.mkdir(parents=True, exist_ok=True)
+        if kept is not None and kept.exists():
+            results = pickle.loads(kept.read_bytes())
+        task = self._bar.add_task(name, total=len(arguments), completed=len(results))
+        left = [number for number in range(len(arguments)) if number not in results]
+        share = max(len(arguments) // PARTS, 1)
+        blocks = [
+            (run, {number: arguments[number] for number in left[first : first + share]})
+            for first in range(0, len(left), share)
+        ]
+        for part in run_blocks(_run_part, blocks, self._executor):
+            results |= part
+            self._bar.update(task, completed=len(results))
+            if kept is not None:
+                beside = kept.with_suffix(".part")
+                beside.write_bytes(pickle.dumps(results))
+                beside.replace(kept)
         self._bar.remove_task(task)
-        return found
+        return [results[number] for number in range(len(arguments))]
 
     def show(self, text: str) -> None:
         """Print a line above the progress bar."""
         self._bar.console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+
+def _run_part(
+    run: Callable[[Argument], Result], arguments: dict[int, Argument]
+) -> dict[int, Result]:
+    return {number: run(argument) for number, argument in arguments.items()}
 
 
 def add_options(parser: argparse.ArgumentParser, jobs: int | None = None) -> None:
@@ -90,33 +106,3 @@ def add_options(parser: argparse.ArgumentParser, jobs: int | None = None) -> Non
     parser.add_argument("--jobs", type=int, default=jobs or os.cpu_count())
     parser.add_argument("--scheduler", help="Dask cluster to run on, tcp://ADDRESS:PORT")
     parser.add_argument("--rows", type=Path, help="folder that keeps finished runs, to go on from")
-
-
-class _Kept(Generic[Result]):
-    """Finished parts of one study in a folder of its own, pickled: a store that nobody else reads."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    @classmethod
-    def of(cls, rows: Path, run: object, arguments: Sequence[object]) -> Self:
-        """Return the store of a function with its arguments."""
-        content = pickle.dumps((run, list(arguments)), protocol=5)
-        folder = rows / hashlib.sha256(content).hexdigest()[:16]
-        folder.mkdir(parents=True, exist_ok=True)
-        return cls(folder)
-
-    def begin(self, _identity: str) -> None:
-        """Take the folder, whose name is the identity."""
-
-    def kept(self, name: str) -> list[Result] | None:
-        """Return the results of a part."""
-        path = self.folder / name
-        found: list[Result] | None = pickle.loads(path.read_bytes()) if path.exists() else None
-        return found
-
-    def keep(self, name: str, part: list[Result]) -> None:
-        """Write a part, whole or not at all."""
-        beside = self.folder / f".{name}"
-        beside.write_bytes(pickle.dumps(part))
-        beside.replace(self.folder / name)

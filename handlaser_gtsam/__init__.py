@@ -57,11 +57,11 @@ if TYPE_CHECKING:
     from .files.report.pictures import write_pictures as write_pictures
     from .files.rig_toml import Rig as Rig
     from .files.rig_toml import read_rig as read_rig
+    from .files.runs_parquet import read_runs as read_runs
+    from .files.runs_parquet import write_runs as write_runs
     from .files.stations_csv import read_stations as read_stations
     from .files.stations_csv import write_stations as write_stations
-    from .files.study_folder import StudyFolder as StudyFolder
     from .files.study_picture import write_study_picture as write_study_picture
-    from .files.study_toml import DeclaredStudy as DeclaredStudy
     from .files.study_toml import read_study as read_study
     from .model.joint import JointCovariance as JointCovariance
     from .model.losses import Loss as Loss
@@ -127,8 +127,6 @@ if TYPE_CHECKING:
     from .solvers.progress import Trial as Trial
     from .validation import scenes as scenes
     from .validation import simulate as simulate
-    from .validation.bootstrap import Bootstrap as Bootstrap
-    from .validation.bootstrap import bootstrap as bootstrap
     from .validation.cross_check import CrossCheck as CrossCheck
     from .validation.cross_check import cross_check as cross_check
     from .validation.hold_out import BeamDrift as BeamDrift
@@ -138,18 +136,16 @@ if TYPE_CHECKING:
     from .validation.leave_out import Validation as Validation
     from .validation.leave_out import validate as validate
     from .validation.prediction import Prediction as Prediction
+    from .validation.runs_table import count_warnings as count_warnings
+    from .validation.runs_table import summarize_runs as summarize_runs
     from .validation.scenes import Layout as Layout
     from .validation.simulate import Errors as Errors
+    from .validation.study import Case as Case
     from .validation.study import Study as Study
-    from .validation.study import study as study
-    from .validation.study_cases import Calibrated as Calibrated
-    from .validation.study_cases import Case as Case
-    from .validation.study_cases import Drawn as Drawn
-    from .validation.study_cases import Reduced as Reduced
-    from .validation.study_cases import Simulated as Simulated
-    from .validation.study_cases import Treatment as Treatment
-    from .validation.study_rows import Estimated as Estimated
-    from .validation.study_tasks import Store as Store
+    from .validation.study import run_study as run_study
+    from .validation.treatments import Estimated as Estimated
+    from .validation.treatments import calibrate_each as calibrate_each
+    from .validation.treatments import reduce_together as reduce_together
 
 _NAMES = {
     "data.noise": "Noise",
@@ -177,9 +173,9 @@ _NAMES = {
     "files.report.page": "write_report",
     "files.report.pictures": "plot write_pictures",
     "files.rig_toml": "Rig read_rig",
-    "files.study_folder": "StudyFolder",
+    "files.runs_parquet": "read_runs write_runs",
     "files.study_picture": "write_study_picture",
-    "files.study_toml": "DeclaredStudy read_study",
+    "files.study_toml": "read_study",
     "files.stations_csv": "read_stations write_stations",
     "factors.keys": "BeamKeys",
     "model.joint": "JointCovariance",
@@ -220,15 +216,13 @@ _NAMES = {
     "solvers.levenberg": "LevenbergOptions LevenbergResult optimize",
     "solvers.progress": "Progress Trial",
     "solvers.poses": "PosePriors pose_priors",
-    "validation.bootstrap": "Bootstrap bootstrap",
     "validation.cross_check": "CrossCheck cross_check",
     "validation.hold_out": "BeamDrift HoldOut hold_out",
     "validation.leave_out": "PlaneLeftOut Validation validate",
     "validation.prediction": "Prediction",
-    "validation.study": "Study study",
-    "validation.study_cases": "Calibrated Case Drawn Reduced Simulated Treatment",
-    "validation.study_rows": "Estimated",
-    "validation.study_tasks": "Store",
+    "validation.runs_table": "count_warnings summarize_runs",
+    "validation.study": "Case Study run_study",
+    "validation.treatments": "Estimated calibrate_each reduce_together",
 }
 _HOME = {name: home for home, names in _NAMES.items() for name in names.split()}
 _MODULES = {

@@ -9,7 +9,7 @@ from helpers import GRIPPER, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.planning.history import history
 from handlaser_gtsam.solvers.linear import CalibrationSystem
-from handlaser_gtsam.validation.held_out import held_out
+from handlaser_gtsam.validation.held_out import USUAL_SPLITS, held_out
 from handlaser_gtsam.validation.parts import Whole
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -35,8 +35,8 @@ def test_it_is_what_calibrating_anew_gives(gripper, case):
         gripper = simulated(layout=Layout(planes=5))[0]
         options = hl.CalibrationOptions("none")
     calibration = hl.calibrate(gripper, noise, options)
-    fast = held_out(calibration, 3)
-    slow = hl.validate(gripper, noise, options, splits=3)
+    fast = held_out(calibration)
+    slow = hl.validate(gripper, noise, options, splits=USUAL_SPLITS)
     assert [one.plane for one in fast.planes] == [one.plane for one in slow.planes]
     given = noise.range_sigma is not None
     for one, other in zip(fast.planes, slow.planes, strict=True):
@@ -74,7 +74,7 @@ def test_a_plane_that_was_moved_while_it_was_read_is_contradicted():
     ranges[rows] *= 1.0 + 0.02 * np.linspace(-1.0, 1.0, len(rows))[:, None]
     bent = dataclasses.replace(recording, ranges=ranges)
     options = hl.CalibrationOptions(range_error="k1k2", outliers="keep")
-    found = held_out(hl.calibrate(bent, hl.Noise(3e-5, **EXACT), options), 0)
+    found = held_out(hl.calibrate(bent, hl.Noise(3e-5, **EXACT), options))
     p = {one.plane: one.result.p_value for one in found.planes}
     assert min(p, key=p.get) == recording.plane_names[2]
 
@@ -94,7 +94,7 @@ def test_a_plane_without_which_nothing_is_determined_says_so():
     rows = np.arange(len(recording.plane_labels))
     few = recording.part(rows[(recording.plane_of_station == 0) | (rows % 11 < 2)])
     options = hl.CalibrationOptions(range_error="none")
-    found = held_out(hl.calibrate(few, hl.Noise(3e-5, **EXACT), options), 0)
+    found = held_out(hl.calibrate(few, hl.Noise(3e-5, **EXACT), options))
     first, last = found.planes
     assert first.result is None
     assert "undetermined" in first.message

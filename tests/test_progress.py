@@ -1,6 +1,5 @@
 """What long computations tell their caller."""
 
-import numpy as np
 import pytest
 from helpers import GRIPPER
 
@@ -13,11 +12,6 @@ EXACT = hl.CalibrationOptions("k1k2", poses="exact")
 @pytest.fixture(scope="module")
 def gripper():
     return hl.read_recording(GRIPPER / "recording.csv")
-
-
-@pytest.fixture(scope="module")
-def calibration(gripper):
-    return hl.calibrate(gripper, hl.Noise(3e-5), EXACT)
 
 
 def test_every_phase_of_a_calibration_tells(gripper):
@@ -43,14 +37,6 @@ def test_a_validation_counts_its_parts(gripper):
     assert {"search", "solve", "hold-out"} < {one.phase for one in told}
 
 
-def test_a_bootstrap_counts_its_draws(gripper, calibration):
-    told = []
-    rng = np.random.default_rng(0)
-    hl.bootstrap(calibration, gripper, hl.Noise(3e-5), rng, 3, progress=told.append)
-    draws = [(one.done, one.total) for one in told if one.phase == "bootstrap"]
-    assert draws == [(0, 3), (1, 3), (2, 3)]
-
-
 def test_nobody_is_told_after_the_end(gripper):
     told = []
     hl.calibrate(gripper, hl.Noise(3e-5), EXACT, progress=told.append)
@@ -69,8 +55,7 @@ def test_a_stop_outside_the_solver_is_passed_on(gripper, phase):
         hl.calibrate(gripper, hl.Noise(3e-5), EXACT, progress=stop)
 
 
-@pytest.mark.parametrize("what", ["validate", "bootstrap"])
-def test_a_stop_within_the_solver_ends_all_that_follows(gripper, calibration, what):
+def test_a_stop_within_the_solver_ends_all_that_follows(gripper):
     parts = []
 
     def stop(told):
@@ -79,13 +64,6 @@ def test_a_stop_within_the_solver_ends_all_that_follows(gripper, calibration, wh
         if told.phase == "solve" and len(parts) == 2:
             raise KeyboardInterrupt
 
-    def run():
-        if what == "validate":
-            hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=stop)
-        else:
-            rng = np.random.default_rng(0)
-            hl.bootstrap(calibration, gripper, hl.Noise(3e-5), rng, 5, progress=stop)
-
     with pytest.raises(KeyboardInterrupt):
-        run()
+        hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=stop)
     assert len(parts) == 2

@@ -12,7 +12,7 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.estimation.solve import solve
+from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import Names
 from handlaser_gtsam.results.alternatives import DIRECTIONS, WHOLE
@@ -161,7 +161,7 @@ def solved(scene, ranges, terms="none"):
     """Return the problem at its solution, planes and beams found anew."""
     truth, readings, position = scene.problem(ranges)
     options = CalibrationOptions(range_error=terms, poses="exact", outliers="keep")
-    found = solve(readings, truth, Noise(SIGMA), options)
+    found = settle(readings, truth, Noise(SIGMA), options).integrated()
     assert found.result.status == "converged"
     return arguments(found.parameters, readings, position, NONE if terms == "none" else FREE)
 

@@ -1,10 +1,11 @@
 """Predictions of readings that a calibration has not seen."""
 
 import math
+import runpy
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, draws, simulated
+from helpers import GRIPPER, ROOT, draws, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.validation.prediction import predict, reconstruction
@@ -96,16 +97,14 @@ def test_what_is_no_calibration_is_not_validated():
         hl.validate(recording, NOISE)
 
 
-@pytest.mark.slow
-def test_the_bootstrap_agrees_with_the_covariance(gripper):
+@pytest.mark.parametrize("pose_sigmas", [(2e-5, 1e-4), (0.0, 0.0)])
+def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
-    noise, count = hl.Noise(3e-5, 2e-5, 1e-4), draws(80, 200)
-    for poses in ("marginalised", "exact"):
-        calibration = hl.calibrate(gripper, noise, hl.CalibrationOptions("k1k2", poses=poses))
-        found = hl.bootstrap(calibration, gripper, noise, np.random.default_rng(0), count)
-        assert found.failed == 0
-        assert found.draws.shape == (count, 4, 8)
-        # n draws tell a standard deviation to 1 / sqrt(2 n); the largest of 32 is within four of it.
-        one = 1.0 / math.sqrt(2.0 * count)
-        assert np.abs(found.ratio - 1.0).max() < 4.0 * one
-        assert found.ratio.mean() == pytest.approx(1.0, abs=one)
+    bootstrap = runpy.run_path(str(ROOT / "examples" / "07_bootstrap.py"))["bootstrap"]
+    count = draws(200, 1000)
+    ratio = bootstrap(gripper, hl.Errors(3e-5, *pose_sigmas), np.random.default_rng(0), count)
+    assert ratio.shape == (4, 8)
+    # n draws tell a standard deviation to 1 / sqrt(2 n); the largest of 32 is within four of it.
+    one = 1.0 / math.sqrt(2.0 * count)
+    assert np.abs(ratio - 1.0).max() < 4.0 * one
+    assert ratio.mean() == pytest.approx(1.0, abs=one)

@@ -45,7 +45,7 @@ def values(gripper):
                 hl.hold_out(mounts, one),
                 hl.cross_check(calibration, gripper),
                 hl.spot(calibration, beam, 0.01),
-                hl.Bootstrap(np.array([[1.0, np.nan]]), 1, np.ones(2)),
+                hl.RangeErrorPrior(np.array([[1.0, np.nan]]), np.ones((1, 2))),
             )
         )
     )
@@ -77,7 +77,7 @@ def again(value: Value) -> tuple[Value, Value]:
 def test_the_values_of_the_interface_are_among_those_tested(values):
     kinds = {type(one).__name__ for one in values}
     wanted = "Calibration Recording Readings Noise Beam Plane Fit JointCovariance Parameters Mounts"
-    assert {*wanted.split(), "HoldOut", "Bootstrap", "CrossCheck", "Validation"} <= kinds
+    assert {*wanted.split(), "HoldOut", "RangeErrorPrior", "CrossCheck", "Validation"} <= kinds
 
 
 def test_copies_are_equal_and_cannot_be_written_to(values):
@@ -116,10 +116,8 @@ def test_representations_are_short(values):
 
 def test_representations_show_small_numbers_and_sizes():
     assert repr(hl.Noise(range_sigma=3e-5)) == "Noise(range_sigma=3e-05)"
-    lot = hl.Bootstrap(np.ones((2, 3)), 1, np.ones((24, 4)))
-    assert repr(lot) == (
-        "Bootstrap(draws=[[1., 1., 1.], [1., 1., 1.]], failed=1, ratio=<array 24x4>)"
-    )
+    lot = hl.RangeErrorPrior(np.ones((2, 3)), np.ones((24, 4)))
+    assert repr(lot) == "RangeErrorPrior(sigma=[[1., 1., 1.], [1., 1., 1.]], mean=<array 24x4>)"
 
 
 def test_a_mapping_stays_read_only_in_copies(values):

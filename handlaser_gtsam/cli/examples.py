@@ -37,7 +37,7 @@ EXAMPLES = {
     ),
     "study": (
         "handlaser study study.toml --runs 4",
-        "handlaser study study.toml --runs 4 \\\n    --out rows --jobs 2",
+        "handlaser study study.toml --runs 4 \\\n    --out runs.parquet --jobs 2",
     ),
     "validate": (
         "handlaser validate recording.csv --rig rig.toml",

@@ -20,6 +20,7 @@ PHASES = {
     "planes": "adding planes",
     "read": "reading the log",
     "report": "making the report",
+    "study": "drawing and solving",
 }
 
 
@@ -56,7 +57,9 @@ class Working:
             raise KeyboardInterrupt
         words = PHASES.get(told.phase, told.phase)
         if told.total:
-            self._part = f"{told.name or words} ({told.done + 1} of {told.total}): "
+            self._part = (
+                f"{told.name or words} ({min(told.done + 1, told.total)} of {told.total}): "
+            )
         else:
             self._phase = words
 

@@ -1,18 +1,14 @@
 """handlaser simulate: a recording whose truth is known."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ..quantities import DEG, MM
 from .answer import print_wrapped
 from .progress_line import Working
-
-if TYPE_CHECKING:
-    from ..validation import simulate as simulation
 
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
@@ -48,22 +44,6 @@ class Noise:
         PoseAxes | None, typer.Option(help="Hand axes on which the pose errs.")
     ] = None
 
-    def instead_of(self, scene: "simulation.Errors") -> "simulation.Errors":
-        """Return the errors of a scene with what the command line says instead."""
-        from ..files.rig_toml import scaled
-
-        axes = scene.pose_axes
-        if self.pose_axes is not None:
-            axes = tuple(map("xyz".index, self.pose_axes.value))
-        shift, turn = self.pose_translation_sigma_mm, self.pose_rotation_sigma_deg
-        return replace(
-            scene,
-            range_sigma=scaled(self.range_sigma_mm, MM, scene.range_sigma),
-            pose_translation_sigma=scaled(shift, MM, scene.pose_translation_sigma),
-            pose_rotation_sigma=scaled(turn, DEG, scene.pose_rotation_sigma),
-            pose_axes=axes,
-        )
-
 
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
@@ -89,7 +69,7 @@ def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) 
     from ..errors import InputError
     from ..files.calibration_json import write_truth
     from ..files.recording_csv import write_recording
-    from ..files.rig_toml import write_rig
+    from ..files.rig_toml import errors_instead, write_rig
     from ..validation import scenes
     from ..validation import simulate as simulation
 
@@ -97,7 +77,13 @@ def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) 
     if there and not force:
         raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
     name = scene.scene.value
-    errors = noise.instead_of(scenes.ERRORS[name])
+    errors = errors_instead(
+        scenes.ERRORS[name],
+        noise.range_sigma_mm,
+        noise.pose_translation_sigma_mm,
+        noise.pose_rotation_sigma_deg,
+        noise.pose_axes,
+    )
     layout = scenes.Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m)
     rng = np.random.default_rng(seed)
     truth, motion = scenes.SCENES[name](layout, rng)

@@ -1,8 +1,7 @@
 """handlaser study: many draws of scenes, solved in several ways."""
 
-import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,38 +10,10 @@ import typer
 
 from .answer import Answer, print_wrapped
 from .options import JsonOption, QuietOption
+from .progress_line import Working
 
 if TYPE_CHECKING:
-    from ..validation.study import Study
-
-COLUMNS = (
-    ("scene", "{}"),
-    ("treatment", "{}"),
-    ("runs", "{}"),
-    ("converged", "{:.1f}"),
-    ("refused", "{:.1f}"),
-    ("location_mm", "{:.4f}"),
-    ("direction_deg", "{:.4f}"),
-    ("nees", "{:.3f}"),
-    ("standard_error", "{:.3f}"),
-    ("nees_with_k", "{:.3f}"),
-    ("coverage", "{:.1f}"),
-    ("beyond_5", "{}"),
-    ("iterations", "{:.0f}"),
-    ("warned", "{:.1f}"),
-)
-TITLES = {
-    "converged": "solved %",
-    "refused": "refused %",
-    "location_mm": "rms r mm",
-    "direction_deg": "rms v deg",
-    "nees": "NEES",
-    "standard_error": "+-",
-    "nees_with_k": "with k",
-    "coverage": "95 % holds",
-    "beyond_5": "> 5 sigma",
-    "warned": "warned %",
-}
+    from polars import DataFrame
 
 
 def study(
@@ -51,7 +22,7 @@ def study(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the rows; the study goes on from there if interrupted."),
+        typer.Option(help="Parquet file for a row a run; an interrupted study goes on from it."),
     ] = None,
     runs: Annotated[int | None, typer.Option(min=1, help="Instead of those declared.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the one declared.")] = None,
@@ -71,63 +42,49 @@ def study(
 
     Exit codes: 0 done; 2 bad input; 130 stopped by Ctrl-C: with --out the same command goes on.
     """
-    from ..files.study_folder import StudyFolder
+    from ..files.runs_parquet import read_runs, write_runs
     from ..files.study_picture import write_study_picture
     from ..files.study_toml import read_study
-    from ..validation.study import study as draw
-    from ..validation.study_executor import executor_of
+    from ..files.writing import require_outputs
+    from ..validation.runs_table import count_warnings, summarize_runs
+    from ..validation.study import run_study
+    from ..validation.workers import workers
 
     declared = read_study(file)
-    runs, seed = runs or declared.runs, declared.seed if seed is None else seed
-    store = None if out is None else StudyFolder(out)
-    with ExitStack() as ends:
-        where = executor_of(jobs, scheduler, ends)
-        found = draw(declared.cases, runs, seed, where, store, _bar(ends))
-    summary = found.summary()
+    if runs is not None:
+        declared = replace(declared, runs=runs)
+    if seed is not None:
+        declared = replace(declared, seed=seed)
+    require_outputs({"--out": out, "--picture": picture}, [file])
+    kept = None if out is None or not out.exists() else read_runs(out)
+    keep = None if out is None else partial(write_runs, out)
+    with Working(), workers(jobs, scheduler) as executor:
+        table = run_study(declared, executor, kept, keep)
+    summary, warnings = summarize_runs(table), count_warnings(table)
+    content = {"summary": summary.to_dicts(), "warnings": warnings.to_dicts()}
+    text = json.dumps(content, indent=2) + "\n"
+    Answer(text, partial(_show, summary, warnings)).give(json=json_, quiet=quiet)
     if picture is not None:
         write_study_picture(picture, summary)
-    Answer(_json(found), partial(_show, found)).give(json=json_, quiet=quiet)
 
 
-def _bar(ends: ExitStack) -> Callable[[int, int], None] | None:
-    """Return what shows the progress and the time left; nothing where stderr is no terminal."""
-    if sys.stderr is None or not sys.stderr.isatty():
-        return None
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    bar = ends.enter_context(Progress(*columns, console=Console(stderr=True), transient=True))
-    task = bar.add_task("runs", total=None)
-
-    def told(done: int, total: int) -> None:
-        bar.update(task, completed=done, total=total)
-
-    return told
-
-
-def _show(found: "Study") -> None:
+def _show(summary: "DataFrame", warnings: "DataFrame") -> None:
     from ..results.description.rendering import text_table
-    from ..results.description.tables import Column, Table, text
+    from ..results.description.tables import Column, Table, significant, text
     from .width import columns
 
     titles = tuple(
-        Column(TITLES.get(name, name), number=name not in ("scene", "treatment"))
-        for name, _ in COLUMNS
+        Column(name, number=name not in ("scene", "treatment")) for name in summary.columns
     )
     rows = tuple(
-        tuple(text("-" if row[name] is None else form.format(row[name])) for name, form in COLUMNS)
-        for row in found.summary().iter_rows(named=True)
+        tuple(
+            significant(cell, 4) if isinstance(cell, float | None) else text(str(cell))
+            for cell in row
+        )
+        for row in summary.iter_rows()
     )
     print_wrapped(text_table(Table("study", "", titles, rows), columns()))
     print_wrapped(
         f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"
-        for row in found.power().iter_rows(named=True)
+        for row in warnings.iter_rows(named=True)
     )
-
-
-def _json(found: "Study") -> str:
-    import json
-
-    content = {"summary": found.summary().to_dicts(), "warnings": found.power().to_dicts()}
-    return json.dumps(content, indent=2) + "\n"

@@ -80,16 +80,6 @@ class RangeErrorGrid(Value):
         own = np.exp(weight[rows] @ own / weight[rows].sum())
         return RangeErrorGrid.at(own, angles if turned else None)
 
-    def drawn(self, point: int, beams: int, rng: np.random.Generator) -> FloatArray:
-        """Return range errors (B, T) of some beams, drawn from the prior at a point."""
-        terms = self.own.shape[1]
-        own = self.own[point] * rng.standard_normal((beams, terms))
-        shared = self.common[point] * rng.standard_normal(terms)
-        found: FloatArray = own + shared
-        if self.turned[point]:
-            found = np.einsum("bt,btk->bk", found, axes(self.angles))
-        return found
-
     def bases(self) -> Iterator[tuple[bool, IntArray]]:
         """Yield the points whose axes are not turned, and those whose are."""
         for turned in (False, True):

@@ -43,15 +43,18 @@ class Solved:
         return self.solution if self.learning is None else self.learning.integrated(self.solution)
 
 
-def solve(
+def settle(
     readings: Readings,
     start: Parameters,
     noise: Noise,
     options: CalibrationOptions,
     scale: float | None = None,
     prior: RangeErrorPrior | None = None,
-) -> Solution:
-    """Solve jointly, find unknown scales, integrate over them, and diagnose the solution.
+) -> Solved:
+    """Solve jointly, find unknown scales, and diagnose the solution.
+
+    The integration over the scales is left to `Solved.integrated`: it is not needed before the readings
+    are chosen.
 
     Parameters
     ----------
@@ -64,18 +67,6 @@ def solve(
     prior : RangeErrorPrior, optional
         Of the range errors; instead of one whose scales are learned.
     """
-    return settle(readings, start, noise, options, scale, prior).integrated()
-
-
-def settle(
-    readings: Readings,
-    start: Parameters,
-    noise: Noise,
-    options: CalibrationOptions,
-    scale: float | None = None,
-    prior: RangeErrorPrior | None = None,
-) -> Solved:
-    """Do what `solve` does, but for the integration: not needed before the readings are chosen."""
     task = Task(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0

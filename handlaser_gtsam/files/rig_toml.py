@@ -36,6 +36,7 @@ from ..planning.plate import Placement
 from ..planning.workspace import Workspace
 from ..quantities import DEG, IN_DEG, IN_MM, MM
 from ..results.limits import Limits
+from ..validation.simulate import Errors
 from .checked_text import FileRecord, in_table, read_checked, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, with_stated
@@ -245,6 +246,22 @@ def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
             scaled(table.pose_translation_prior_mm, MM, given.pose_translation_prior),
             scaled(table.pose_rotation_prior_deg, DEG, given.pose_rotation_prior),
         )
+
+
+def errors_instead(
+    usual: Errors,
+    range_sigma_mm: float | None,
+    pose_translation_sigma_mm: float | None,
+    pose_rotation_sigma_deg: float | None,
+    pose_axes: str | None,
+) -> Errors:
+    """Return the usual errors of a scene with those that are given instead."""
+    return Errors(
+        scaled(range_sigma_mm, MM, usual.range_sigma),
+        scaled(pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
+        scaled(pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
+        usual.pose_axes if pose_axes is None else tuple(map("xyz".index, pose_axes)),
+    )
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:

@@ -22,26 +22,28 @@
 A function runs with the rights of who starts the study: declare those that you trust.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from ..data.noise import Noise
+from pydantic import Discriminator, Field, Tag
+
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
-from ..quantities import DEG, MM
-from ..validation.scenes import ERRORS, SENSORS, Layout
+from ..model.sensor import Sensor
+from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors
-from ..validation.study_cases import Calibrated, Case, Drawn, Reduced, Simulated, Treatment
+from ..validation.study import Case, Draw, Solve, Study
+from ..validation.treatments import calibrate_each, reduce_together
 from .checked_text import FileRecord, in_table, read_checked
-from .rig_toml import NoiseTable, noise_of, scaled, toml_value
+from .rig_toml import NoiseTable, errors_instead, noise_of, toml_value
 from .writing import path_of
 
 
 class _Scene(FileRecord):
-    scene: Literal["paper", "unplanned", "arm"] | None = None
+    scene: Literal["paper", "unplanned", "arm"]
     beams: int = 4
     planes: int = 4
     stations: int = 11
@@ -54,8 +56,38 @@ class _Scene(FileRecord):
     pose_rotation_sigma_deg: float | None = None
     pose_axes: Literal["x", "y", "z", "xyz"] | None = None
     redraw: bool = True
-    function: str | None = None
-    arguments: dict[str, Any] | None = None
+
+    def errors(self) -> Errors:
+        return errors_instead(
+            ERRORS[self.scene],
+            self.range_sigma_mm,
+            self.pose_translation_sigma_mm,
+            self.pose_rotation_sigma_deg,
+            self.pose_axes,
+        )
+
+    def draw(self) -> Draw:
+        return partial(
+            draw_scene,
+            scene=self.scene,
+            layout=Layout(self.beams, self.planes, self.stations, self.k1, self.k2_per_m),
+            errors=self.errors(),
+            range_error_sigmas=(self.k1_sigma, self.k2_sigma_per_m),
+            redraw=self.redraw,
+        )
+
+
+class _Function(FileRecord):
+    function: str
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+    def draw(self) -> Draw:
+        module, _, name = self.function.partition(":")
+        try:
+            return partial(getattr(import_module(module), name), **self.arguments)
+        except (ImportError, AttributeError, ValueError) as error:
+            found = f"the function {self.function!r} ({error})"
+            raise InputError(found, "module:name") from error
 
 
 class _Treatment(FileRecord):
@@ -66,24 +98,49 @@ class _Treatment(FileRecord):
     loss: LossName = "gaussian"
     poses: Poses = "auto"
 
+    def solver(self, name: str, scene: _Scene | _Function) -> Solve:
+        """Return what solves recordings of a scene by the treatment of this name."""
+        noise, sensor = None, Sensor()
+        if isinstance(scene, _Scene):
+            sensor = SENSORS[scene.scene]
+        if isinstance(self.noise, NoiseTable):
+            noise = noise_of(self.noise, f"treatments.{name}.noise")
+        elif self.noise == "scene" and isinstance(scene, _Scene):
+            noise = scene.errors().stated()
+        elif self.noise == "scene":
+            found = f'treatments.{name}.noise = "scene" for the scene of a function'
+            raise InputError(found, "a table: noise = { range_sigma_mm = 0.1, ... }")
+        if self.solve == "calibrate":
+            options = CalibrationOptions(
+                self.range_error, self.outliers, self.loss, self.poses, sensor=sensor
+            )
+            return partial(calibrate_each, noise=noise, options=options)
+        others = sorted(self.model_fields_set - {"solve", "noise", "range_error"})
+        if others or self.range_error == "auto" or noise is None:
+            found = f"treatments.{name}: the reduction with {', '.join(others) or 'too little'}"
+            raise InputError(found, 'noise, and range_error = "none", "k1" or "k1k2"')
+        terms = RANGE_ERROR_TERMS[self.range_error]
+        return partial(reduce_together, noise=noise, terms=terms)
+
+
+def _kind(scene: object) -> str:
+    return "a function" if isinstance(scene, dict) and "function" in scene else "a scene"
+
 
 class _Study(FileRecord):
     runs: int = 100
     seed: int = 0
-    scenes: dict[str, _Scene]
+    scenes: dict[
+        str,
+        Annotated[
+            Annotated[_Scene, Tag("a scene")] | Annotated[_Function, Tag("a function")],
+            Discriminator(_kind),
+        ],
+    ]
     treatments: dict[str, _Treatment]
 
 
-@dataclass(frozen=True, slots=True)
-class DeclaredStudy:
-    """What a file declares: the arguments of `study`."""
-
-    cases: tuple[Case, ...]
-    runs: int
-    seed: int
-
-
-def read_study(path: Path | str) -> DeclaredStudy:
+def read_study(path: Path | str) -> Study:
     """Read the declaration of a study.
 
     Raises
@@ -93,82 +150,17 @@ def read_study(path: Path | str) -> DeclaredStudy:
     """
     path = path_of(path)
     declared = read_checked(path, _Study, toml_value, "a study, TOML")
+    cases = []
     try:
-        scenes = {name: _drawn(name, scene) for name, scene in declared.scenes.items()}
-        cases = [
-            Case(scene, name, scenes[scene], _solved(name, treatment, scenes[scene]))
-            for scene in scenes
-            for name, treatment in declared.treatments.items()
-        ]
+        for name, scene in declared.scenes.items():
+            with in_table(f"scenes.{name}", scene):
+                draw = scene.draw()
+            cases += [
+                Case(name, treatment, draw, table.solver(treatment, scene))
+                for treatment, table in declared.treatments.items()
+            ]
         if not cases:
             raise InputError("no scenes or no treatments", "[scenes.NAME] and [treatments.NAME]")
+        return Study(cases, declared.runs, declared.seed)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
-    return DeclaredStudy(tuple(cases), declared.runs, declared.seed)
-
-
-def _drawn(name: str, scene: _Scene) -> Simulated | Drawn:
-    """Return what draws a scene."""
-    if (scene.scene is None) == (scene.function is None):
-        found = "neither scene nor function" if scene.scene is None else "scene and function"
-        raise InputError(f"scenes.{name} with {found}", "one of the two")
-    if scene.function is not None:
-        others = scene.model_fields_set - {"function", "arguments"}
-        if others:
-            found = f"scenes.{name} with function and {', '.join(sorted(others))}"
-            raise InputError(found, "function and arguments alone")
-        return Drawn(scene.function, scene.arguments or {})
-    assert scene.scene is not None
-    usual = ERRORS[scene.scene]
-    axes = usual.pose_axes
-    if scene.pose_axes is not None:
-        axes = tuple(map("xyz".index, scene.pose_axes))
-    with in_table(f"scenes.{name}", scene):
-        return Simulated(
-            scene.scene,
-            Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m),
-            Errors(
-                scaled(scene.range_sigma_mm, MM, usual.range_sigma),
-                scaled(scene.pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
-                scaled(scene.pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
-                axes,
-            ),
-            (scene.k1_sigma, scene.k2_sigma_per_m),
-            scene.redraw,
-        )
-
-
-def _solved(name: str, treatment: _Treatment, scene: Simulated | Drawn) -> Treatment:
-    """Return what solves the recordings of a scene."""
-    noise, sensor = _noise(name, treatment, scene), None
-    if treatment.solve == "reduction":
-        others = treatment.model_fields_set - {"solve", "noise", "range_error"}
-        if others or treatment.range_error == "auto" or noise is None:
-            raise InputError(
-                f"treatments.{name}: the reduction with {', '.join(sorted(others)) or 'too little'}",
-                'noise, and range_error = "none", "k1" or "k1k2"',
-            )
-        return Reduced(noise, RANGE_ERROR_TERMS[treatment.range_error])
-    if isinstance(scene, Simulated):
-        sensor = SENSORS[scene.scene]
-    options: Mapping[str, Any] = {} if sensor is None else {"sensor": sensor}
-    return Calibrated(
-        noise,
-        CalibrationOptions(
-            treatment.range_error, treatment.outliers, treatment.loss, treatment.poses, **options
-        ),
-    )
-
-
-def _noise(name: str, treatment: _Treatment, scene: Simulated | Drawn) -> Noise | None:
-    if isinstance(treatment.noise, NoiseTable):
-        return noise_of(treatment.noise, f"treatments.{name}.noise")
-    if treatment.noise is None:
-        return None
-    if not isinstance(scene, Simulated) or scene.errors is None:
-        found = f'treatments.{name}.noise = "scene" for a scene of one\'s own'
-        raise InputError(found, "a table: noise = { range_sigma_mm = 0.1, ... }")
-    stated = scene.errors.stated()
-    if stated.poses_uncertain or stated.pose_covariance is not None:
-        return stated
-    return Noise(stated.range_sigma, 0.0, 0.0)

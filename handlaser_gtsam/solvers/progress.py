@@ -20,10 +20,10 @@ Phase = Literal[
     "tests",
     "leave-out",
     "hold-out",
-    "bootstrap",
     "planes",
     "read",
     "report",
+    "study",
 ]
 
 
@@ -46,9 +46,9 @@ class Progress:
     ----------
     phase : str
         `search`: of a start and of the readings that agree; `solve`: the joint solution; `scales`:
-        unknown standard deviations; `tests`: for systematic errors; `leave-out`, `hold-out`,
-        `bootstrap`: the parts of a validation; `planes`: one plane after the other joins a session;
-        `read`: the messages of a bag; `report`: what a report shows beside the calibration.
+        unknown standard deviations; `tests`: for systematic errors; `leave-out`, `hold-out`: the
+        parts of a validation; `planes`: one plane after the other joins a session; `read`: the messages
+        of a bag; `report`: what a report shows beside the calibration; `study`: the runs of a study.
     done, total : int
         Parts that are finished, and all of them; zero where they are not counted.
     name : str

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray
-from ..checks import require_count, require_kind
+from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.value import Value
 from ..errors import GrazingBeamError, InputError, SolverError
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .hold_out import hold_out
-from .leave_out import MOST_SPLITS, PlaneLeftOut, training_stations
+from .leave_out import USUAL_SPLITS, PlaneLeftOut, training_stations
 from .parts import Whole
 from .prediction import Prediction, predicted
 
@@ -46,20 +46,11 @@ class HeldOut(Value):
     message: str = ""
 
 
-def held_out(
-    calibration: Calibration, splits: int = 5, rng: np.random.Generator | None = None
-) -> HeldOut:
-    """Predict every plane, and 30 % of all stations `splits` times, from the rest of the recording.
+def held_out(calibration: Calibration) -> HeldOut:
+    """Predict every plane, and 30 % of all stations several times, from the rest of the recording.
 
-    Of many planes only some are left out, evenly spread: as many as take a second or two.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    splits : int
-        Random 70/30 splits.
-    rng : numpy.random.Generator, optional
-        Chooses the splits; the same ones each time where not given.
+    Of many planes only some are left out, evenly spread: as many as take a second or two. The splits
+    are the same each time.
 
     Returns
     -------
@@ -69,10 +60,9 @@ def held_out(
     Raises
     ------
     InputError
-        What is no calibration, or no sensible number of splits.
+        What is no calibration.
     """
     require_kind("calibration", calibration, Calibration)
-    require_count("splits", splits, 0, MOST_SPLITS)
     try:
         whole = Whole.of(calibration)
     except SolverError as error:
@@ -81,8 +71,8 @@ def held_out(
     known = fit.range_sigma_given or bool(calibration.noise_estimate)
     sigma = fit.range_sigma if known else None
     left_out = (_plane_held_out(whole, plane, sigma) for plane in _chosen(planes))
-    rng = np.random.default_rng(0) if rng is None else rng
-    parts = [training_stations(whole.recording, rng) for _ in range(splits)]
+    rng = np.random.default_rng(0)
+    parts = [training_stations(whole.recording, rng) for _ in range(USUAL_SPLITS)]
     found = (_split(whole, training) for training in parts)
     return HeldOut(tuple(left_out), tuple(one for one in found if one is not None))
 

@@ -23,6 +23,8 @@ from .prediction import Prediction, predict, reconstruction
 
 TRAINING = 0.7
 """Part of the stations of every plane that a split calibrates with."""
+USUAL_SPLITS = 5
+"""Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 MOST_SPLITS = 10_000
 """More tell nothing new: their spread is known to a hundredth."""
 
@@ -66,7 +68,7 @@ def validate(
     noise: Noise | None = None,
     options: CalibrationOptions | None = None,
     *,
-    splits: int = 5,
+    splits: int = USUAL_SPLITS,
     rng: np.random.Generator | None = None,
     progress: Listener | None = None,
 ) -> Validation:

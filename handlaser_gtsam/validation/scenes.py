@@ -19,11 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_count, require_number
+from ..checks import require_count, require_number, require_word
 from ..data.parameters import Parameters
+from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
-from .simulate import Errors, Stations
+from .simulate import Errors, Stations, simulate
 
 LARGEST_RANGE_ERROR = 1e3
 """Of k1 [1] and k2 [1/m]: no sensor errs so."""
@@ -94,6 +95,42 @@ ERRORS = {
 }
 """What each scene errs by where nothing else is said; the first as in the paper."""
 SENSORS = {"paper": Sensor(0.0, 0.030), "unplanned": Sensor(0.0, 0.030), "arm": Sensor(0.05, 0.60)}
+
+
+def draw_scene(
+    rng: np.random.Generator,
+    scene: str = "paper",
+    layout: Layout | None = None,
+    errors: Errors | None = None,
+    range_error_sigmas: tuple[float, float] = (0.0, 0.0),
+    *,
+    redraw: bool = True,
+) -> tuple[Recording, Parameters]:
+    """Draw a recording of a scene of `handlaser simulate`.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    scene : str
+        "paper", "unplanned" or "arm".
+    layout : Layout, optional
+    errors : Errors, optional
+        Those of the scene where not given.
+    range_error_sigmas : (float, float)
+        Standard deviations of k1 [1] and k2 [1/m] of every beam about those of the layout.
+    redraw : bool
+        Whether beams, planes and stations are drawn too, or are always the same.
+
+    Returns
+    -------
+    Recording, and the Parameters that are true
+    """
+    require_word("scene", scene, SCENES)
+    source = rng if redraw else np.random.default_rng(0)
+    truth, stations = SCENES[scene](layout or Layout(), source)
+    k = truth.range_errors + rng.standard_normal(truth.range_errors.shape) * range_error_sigmas
+    truth = Parameters(truth.locations, truth.directions, k, truth.normals, truth.offsets)
+    return simulate(truth, stations, errors or ERRORS[scene], rng, SENSORS[scene]), truth
 
 
 def _scene(

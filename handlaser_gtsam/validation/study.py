@@ -1,117 +1,195 @@
-"""Monte-Carlo studies: many draws of scenes, solved in several ways, on any executor.
+"""Monte-Carlo studies: many draws of scenes, solved in several ways, in one table with a row a run.
 
-The runs are parted into tasks that do not depend on who works on them. The seed of a run is that of the
-study, the number of its scene and its own number: the rows are the same to the last bit whatever the
-number of workers, their order, or how often one of them was lost.
+The seed of a run is made of the seed of the study, the number of its scene and the number of the run.
+Its row is therefore the same to the last bit whatever the number of workers, their order, and how often
+one is lost; and all treatments of a scene get the same recordings.
 """
 
 import hashlib
 import pickle
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 
+import numpy as np
 import polars as pl
 
 from ..checks import require_count
-from ..errors import InputError
-from .study_cases import Case, solve_runs
-from .study_rows import found_codes, summarized
-from .study_tasks import Store, run_tasks
+from ..data.parameters import Parameters
+from ..data.recording import Recording
+from ..errors import HandlaserError, InputError
+from ..solvers.progress import Listener, tell, told_to
+from .runs_table import RUN_SCHEMA, run_row
+from .treatments import Estimated
+from .workers import run_blocks
 
-SHARE = 20
-"""Runs of a task."""
+BLOCK = 20
+"""Runs that a worker solves at once: enough to gain from solving them together, and few enough that an
+interrupted study loses seconds."""
+PERIOD = 2.0
+"""Seconds from one writing of the table to the next: what a killed study loses at most, and far more
+than the writing takes."""
+
+Draw = Callable[[np.random.Generator], tuple[Recording, Parameters]]
+"""Draws a recording, and the truth behind it with the beams in the order of the recording."""
+Solve = Callable[[Sequence[Recording]], Sequence[Estimated | HandlaserError]]
+"""Returns an estimate for each recording, or the error that refuses it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A scene with a treatment: functions that can be pickled, as they go to other processes.
+
+    Attributes
+    ----------
+    scene, treatment : str
+        Their names.
+    draw : callable
+        Draws a recording by a generator, and the truth behind it with the beams in its order: a
+        `partial` of `draw_scene`, or a function of your own.
+    solve : callable
+        Returns an estimate for each of many recordings, or the error that refuses it: a `partial` of
+        `calibrate_each` or `reduce_together`, or a function of your own.
+    """
+
+    scene: str
+    treatment: str
+    draw: Draw
+    solve: Solve
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """The rows of a study.
+    """What a study draws and solves.
 
     Attributes
-    ----------
-    rows : polars.DataFrame
-        One a run, by scene, treatment and number; see `KINDS`.
-    """
-
-    rows: pl.DataFrame
-
-    def summary(self) -> pl.DataFrame:
-        """Return a line for every scene and treatment."""
-        return summarized(self.rows)
-
-    def power(self) -> pl.DataFrame:
-        """Return in how many of the runs [%] each warning was given."""
-        return found_codes(self.rows)
-
-
-def study(
-    cases: Sequence[Case],
-    runs: int,
-    seed: int = 0,
-    executor: Executor | Callable[[], Executor] | None = None,
-    store: Store[pl.DataFrame] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Study:
-    """Draw and solve `runs` recordings of every case.
-
-    Parameters
     ----------
     cases : sequence of Case
         Cases of one scene, by name, get the same recordings.
     runs : int
+        Of every case.
     seed : int
-    executor : Executor, or a function that makes one, optional
-        Where the work is done; a process for every processor where not given. One that is made here is
-        shut down here, and made again when a worker of it dies.
-    store : Store, optional
-        Keeps finished parts: a `StudyFolder`, from which a study that was interrupted goes on.
-    progress : callable, optional
-        Called with the numbers of finished and of all runs.
 
     Raises
     ------
     InputError
-        No cases, a scene and treatment twice, or a store with the parts of another study.
-    SolverError
-        A worker was lost again and again on the same runs.
+        No cases, a scene and treatment twice, or numbers that cannot be.
     """
-    require_count("runs", runs, 1, 10**9)
-    require_count("seed", seed, 0, 2**63)
-    tasks = _tasks(cases, runs, seed)
-    identity = _identity(cases, seed)
-    if store is not None:
-        store.begin(identity)
-    make = ProcessPoolExecutor if executor is None else executor
-    told = None if progress is None else partial(_tell, progress, runs * len(cases))
-    found = run_tasks(tasks, make, store, told)
-    return Study(pl.concat([found[name] for name in tasks]))
+
+    cases: Sequence[Case]
+    runs: int = 100
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_count("runs", self.runs, 1, 10**9)
+        require_count("seed", self.seed, 0, 2**63)
+        names = [(case.scene, case.treatment) for case in self.cases]
+        if not names or len(set(names)) < len(names):
+            raise InputError(f"cases {names}", "one or more, each scene and treatment once")
 
 
-def _tell(progress: Callable[[int, int], None], total: int, done: int) -> None:
-    progress(done, total)
+def run_study(
+    study: Study,
+    executor: Callable[[], Executor] = ProcessPoolExecutor,
+    kept: pl.DataFrame | None = None,
+    keep: Callable[[pl.DataFrame], None] | None = None,
+    progress: Listener | None = None,
+) -> pl.DataFrame:
+    """Draw and solve all runs of a study; return their table, by case and number of the run.
+
+    Parameters
+    ----------
+    study : Study
+    executor : callable
+        Makes the executor that works: a process for every processor where not given,
+        `partial(ProcessPoolExecutor, 4)`, or `client.get_executor` of a Dask client.
+    kept : polars.DataFrame, optional
+        Table of an interrupted study, or of one with fewer runs: its runs are not done again.
+    keep : callable, optional
+        Takes the table every few seconds, and at the end of a study that is interrupted, too.
+    progress : callable, optional
+        Called with a `Progress` whenever runs are finished.
+
+    Returns
+    -------
+    polars.DataFrame
+        With the columns of `RUN_SCHEMA`.
+
+    Raises
+    ------
+    InputError
+        A table of another study, or a case that cannot be pickled.
+    SolverError
+        Workers were lost again and again.
+    """
+    digest = _digest(study)
+    table = pl.DataFrame(schema=RUN_SCHEMA) if kept is None else kept
+    if (table["study"] != digest).any():
+        raise InputError("runs of another study", "those of the same cases and seed, or none")
+    blocks: list[tuple[Case, tuple[int, int], list[int]]] = []
+    scenes = list(dict.fromkeys(case.scene for case in study.cases))
+    for case in study.cases:
+        done = set(_of_case(table, case)["run"])
+        left = [run for run in range(study.runs) if run not in done]
+        key = (study.seed, scenes.index(case.scene))
+        blocks += [(case, key, left[i : i + BLOCK]) for i in range(0, len(left), BLOCK)]
+    total = study.runs * len(study.cases)
+    finished = total - sum(len(runs) for *_, runs in blocks)
+    written, unwritten = time.monotonic(), False
+    with told_to(progress), closing(run_blocks(solve_runs, blocks, executor)) as results:
+        tell("study")
+        tell("study", finished, total, "runs")
+        try:
+            for rows in results:
+                table = table.vstack(rows.with_columns(study=pl.lit(digest)))
+                finished += rows.height
+                unwritten = True
+                tell("study", finished, total, "runs")
+                if keep is not None and time.monotonic() - written > PERIOD:
+                    keep(table)
+                    written, unwritten = time.monotonic(), False
+        finally:
+            if keep is not None and unwritten:
+                keep(table)
+    table = table.filter(pl.col("run") < study.runs)
+    return pl.concat(_of_case(table, case).sort("run") for case in study.cases)
 
 
-def _tasks(cases: Sequence[Case], runs: int, seed: int) -> dict[str, Callable[[], pl.DataFrame]]:
-    """Return the tasks by name, in the order of their rows."""
-    names = [(case.scene, case.treatment) for case in cases]
-    if not names or len(set(names)) < len(names):
-        raise InputError(f"cases {names}", "one or more, each scene and treatment once")
-    scenes = list(dict.fromkeys(case.scene for case in cases))
-    found: dict[str, Callable[[], pl.DataFrame]] = {}
-    for number, case in enumerate(cases):
-        key = (seed, scenes.index(case.scene))
-        for first in range(0, runs, SHARE):
-            some = range(first, min(first + SHARE, runs))
-            found[f"{number:03d}-{first:08d}-{len(some)}"] = partial(solve_runs, case, key, some)
-    return found
+def _of_case(table: pl.DataFrame, case: Case) -> pl.DataFrame:
+    return table.filter(scene=case.scene, treatment=case.treatment)
 
 
-def _identity(cases: Sequence[Case], seed: int) -> str:
-    """Return what tells one study from another: its cases and its seed."""
+def solve_runs(case: Case, key: tuple[int, int], runs: Sequence[int]) -> pl.DataFrame:
+    """Draw and solve some runs of a case; return their rows of the table.
+
+    Parameters
+    ----------
+    case : Case
+    key : ints
+        Seed of the study and number of the scene: with the number of a run, they are its seed.
+    runs : ints
+    """
+    drawn = [case.draw(np.random.default_rng((*key, run))) for run in runs]
+    for pair in drawn:
+        kinds = [type(part) for part in pair] if isinstance(pair, tuple) else [type(pair)]
+        if kinds != [Recording, Parameters]:
+            found = f"the scene {case.scene} draws {', '.join(kind.__name__ for kind in kinds)}"
+            raise InputError(found, "a Recording, and the Parameters that are true")
+    estimates = case.solve([recording for recording, _ in drawn])
+    rows = [
+        {"scene": case.scene, "treatment": case.treatment, "run": run, **run_row(estimate, truth)}
+        for run, (_, truth), estimate in zip(runs, drawn, estimates, strict=True)
+    ]
+    return pl.DataFrame(rows, schema=RUN_SCHEMA)
+
+
+def _digest(study: Study) -> str:
+    """Return what tells a study from those of other cases or another seed."""
     try:
-        content = pickle.dumps((list(cases), seed), protocol=5)
+        content = pickle.dumps((tuple(study.cases), study.seed), protocol=5)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         found = f"a case that cannot be pickled ({error})"
         raise InputError(found, "functions of a module, and values") from error
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(content).hexdigest()[:16]

@@ -1,0 +1,119 @@
+"""The table of a study, with a row a run: what it holds, and what its rows say together."""
+
+import numpy as np
+import polars as pl
+
+from .. import model
+from ..arrays import FloatArray
+from ..data.parameters import Parameters
+from ..errors import HandlaserError
+from ..model.joint import beam_lifts
+from ..quantities import IN_DEG, IN_MM
+from .treatments import Estimated
+
+WITHIN = 1.959964
+"""Standard deviations to either side that hold 95 % of a Gaussian."""
+FAR = 5.0
+"""Standard deviations that no coordinate of an honest study exceeds: 1 in 2 million does by chance."""
+RUN_SCHEMA: dict[str, pl.DataType] = {
+    "study": pl.String(),
+    "scene": pl.String(),
+    "treatment": pl.String(),
+    "run": pl.Int64(),
+    "status": pl.String(),
+    "codes": pl.List(pl.String()),
+    "iterations": pl.Int64(),
+    "beams": pl.Int64(),
+    "location_squares": pl.Float64(),
+    "direction_squares": pl.Float64(),
+    "nees": pl.Float64(),
+    "nees_with_k": pl.Float64(),
+    "covered": pl.Int64(),
+    "coordinates": pl.Int64(),
+    "worst": pl.Float64(),
+}
+"""Columns of the table of runs.
+
+`study` is the same where cases and seed are. `codes` are those of warnings, or the name of the error
+that refuses a run. Squares are sums of squared errors over the beams [m^2], [rad^2]. The NEES is taken
+for a degree of freedom, without range errors and with them. `covered` counts the coordinates whose 95 %
+interval holds the truth, and `worst` is the largest error in standard deviations.
+"""
+
+
+def run_row(estimate: Estimated | HandlaserError, truth: Parameters) -> dict[str, object]:
+    """Return the columns of a run from `status` on: an estimate compared with the truth."""
+    if isinstance(estimate, HandlaserError):
+        return {"status": "refused", "codes": [type(estimate).__name__]}
+    row: dict[str, object] = {
+        "status": estimate.status,
+        "codes": list(estimate.codes),
+        "iterations": estimate.iterations,
+    }
+    S = estimate.covariances
+    if estimate.status != "converged" or not np.isfinite(S).all():
+        return row
+    r, v, k = estimate.beams
+    e = np.hstack((r - truth.locations, v - truth.directions, k - truth.range_errors))
+    sigma = np.sqrt(np.maximum(np.einsum("bii->bi", S), 0.0))
+    z = np.abs(e[sigma > 0.0]) / sigma[sigma > 0.0]
+    # The eight coordinates of a beam have seven freedoms: three of r, two of v, and k1 and k2.
+    lift = beam_lifts(model.tangent_basis(v))
+    x, C = np.einsum("bij,bi->bj", lift, e), np.swapaxes(lift, 1, 2) @ S @ lift
+    terms = int((np.einsum("bii->bi", C)[:, 5:] > 0.0).all(axis=0).sum())
+    return row | {
+        "beams": len(r),
+        "location_squares": float((e[:, :3] ** 2).sum()),
+        "direction_squares": float((np.cross(v, truth.directions) ** 2).sum()),
+        "nees": _nees(x[:, :5], C[:, :5, :5]),
+        "nees_with_k": _nees(x[:, : 5 + terms], C[:, : 5 + terms, : 5 + terms]),
+        "covered": int((z <= WITHIN).sum()),
+        "coordinates": len(z),
+        "worst": float(z.max()),
+    }
+
+
+def _nees(x: FloatArray, C: FloatArray) -> float:
+    """Return the mean squared error x (B, n) in covariances C (B, n, n), a degree of freedom."""
+    unit = np.sqrt(np.einsum("bii->bi", C))
+    solved = np.linalg.solve(C / (unit[:, :, None] * unit[:, None]), (x / unit)[..., None])
+    return float(((x / unit) * solved[..., 0]).sum(axis=1).mean() / x.shape[1])
+
+
+def summarize_runs(runs: pl.DataFrame) -> pl.DataFrame:
+    """Return a line for every scene and treatment.
+
+    Columns: runs; converged, refused [%]; location_mm, direction_deg: rms errors; nees with its
+    standard_error, nees_with_k: means a degree of freedom; coverage: of 95 % intervals [%]; worst: the
+    largest error of a coordinate in standard deviations; beyond_5: runs with one beyond five;
+    iterations: median; warned: runs with a warning [%].
+    """
+    beams = pl.col("beams").sum()
+    return runs.group_by("scene", "treatment", maintain_order=True).agg(
+        runs=pl.len(),
+        converged=100.0 * (pl.col("status") == "converged").mean(),
+        refused=100.0 * (pl.col("status") == "refused").mean(),
+        location_mm=IN_MM * (pl.col("location_squares").sum() / beams).sqrt(),
+        direction_deg=IN_DEG * (pl.col("direction_squares").sum() / beams).sqrt(),
+        nees=pl.col("nees").mean(),
+        standard_error=pl.col("nees").std() / pl.col("nees").count().sqrt(),
+        nees_with_k=pl.col("nees_with_k").mean(),
+        coverage=100.0 * pl.col("covered").sum() / pl.col("coordinates").sum(),
+        worst=pl.col("worst").max(),
+        beyond_5=(pl.col("worst") > FAR).sum(),
+        iterations=pl.col("iterations").median(),
+        warned=100.0 * (pl.col("codes").list.len() > 0).mean(),
+    )
+
+
+def count_warnings(runs: pl.DataFrame) -> pl.DataFrame:
+    """Return in how many runs [%] of every scene and treatment each warning is given: its power."""
+    case = ("scene", "treatment")
+    return (
+        runs.with_columns(runs=pl.len().over(case), code=pl.col("codes").list.unique())
+        .explode("code")
+        .drop_nulls("code")
+        .group_by(*case, "code")
+        .agg(percent=100.0 * pl.len() / pl.col("runs").first())
+        .sort(*case, "code")
+    )
