@@ -8,11 +8,12 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -21,18 +22,18 @@ from ...data.recording import LARGEST
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
-from .bag_types import Bag
 from .conventions import LENGTHS
 from .format import LogFormat
 from .frames import Frames, Stamped, track_of_rows
-from .packed import refuse_bag_bomb
-from .ros1_bag import Ros1Bag
+from .packed import limit_chunks, refuse_bag_bomb
 from .stands import Track
 
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 STATIC = "/tf_static"
+ROS1 = ".bag"
+"""The ending of a ROS 1 bag."""
 METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
@@ -76,7 +77,7 @@ class BagContent:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Bag]:
+def opened(path: Path) -> Iterator[Any]:
     """Open a bag; whatever rosbags says against it is an InputError.
 
     Raises
@@ -94,13 +95,11 @@ def opened(path: Path) -> Iterator[Bag]:
             "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
         ) from error
     try:
-        if path.suffix.lower() == ".bag":
-            with path.open("rb") as file:
-                yield cast(Bag, Ros1Bag(path, file))
-        else:
+        if path.suffix.lower() != ROS1:
             refuse_bag_bomb(path)
-            with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                yield cast(Bag, reader)
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            limit_chunks(reader, path)
+            yield reader
     except (HandlaserError, MemoryError):
         raise
     except Exception as error:  # the readers of rosbags have no common root
@@ -125,28 +124,19 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
         poses = _pose_topics(topics, given, path)
         frames = Frames(*given.frames) if given.frames else None
         stamped = Stamped()
-        wanted = {*poses, *(beam.topic for beam in beams)}
-        connections = [one for one in reader.connections if one.topic in wanted]
-        for one in connections:
-            if one.msgtype != topics[one.topic]:
-                found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
-                raise InputError(found, "one type on one topic", path)
-        frame_of: dict[str, str] = {}
-        of_topic = {topic: [one for one in beams if one.topic == topic] for topic in wanted}
-        total = sum(one.msgcount for one in connections)
-        for count, (one, received, data) in enumerate(reader.messages(connections)):
-            if count % A_PART == 0:
-                tell("read", count // A_PART, total // A_PART + 1, "part of the bag")
-            message = reader.deserialize(data, one.msgtype)
+        wanted = list(dict.fromkeys([*poses, *(beam.topic for beam in beams)]))
+        wanted.sort(key=lambda topic: not topic.endswith(STATIC))
+        for message, topic, received in _messages(reader, wanted, topics, path):
             when = received if given.receive_time else None
-            if one.topic not in poses or frames is None:
-                _refuse_other_frame(message, one.topic, frame_of, path)
-            if one.topic not in poses:
-                _read(message, of_topic[one.topic], when, received, given)
+            if topic not in poses:
+                of_topic = [beam for beam in beams if beam.topic == topic]
+                _read(message, of_topic, when, received, given)
             elif frames is None:
-                _add_pose(message, stamped, when, received)
+                stamped.add(
+                    _time(message, when, received), message.pose.position, message.pose.orientation
+                )
             else:
-                static = one.topic.endswith(STATIC)
+                static = topic.endswith(STATIC)
                 for transform in message.transforms:
                     frames.add(_time(transform, when, received), transform, static=static)
     several = [] if frames is not None else poses
@@ -154,15 +144,38 @@ def read_bag(path: Path, given: LogFormat) -> BagContent:
     return _content(path, topics, wanted, poses, (frames, stamped), beams, warnings)
 
 
-def _refuse_other_frame(message: Any, topic: str, frame_of: dict[str, str], path: Path) -> None:
-    """Refuse messages of one topic in several frames: they come from several publishers."""
-    frame = message.header.frame_id
-    first = frame_of.setdefault(topic, frame)
-    if frame != first:
-        found = f"messages in the frames {shown(first)} and {shown(frame)} on topic {topic}"
-        raise InputError(
-            found, "one publisher of one frame; record each on a topic of its own", path
-        )
+def _messages(
+    reader: Any, wanted: Sequence[str], topics: Mapping[str, str], path: Path
+) -> Iterator[tuple[Any, str, int]]:
+    """Yield messages of the wanted topics, each with its topic and the time of receipt [ns].
+
+    Of a ROS 1 bag topic by topic: rosbags keeps one unpacked chunk and goes through topics in the order of
+    time, which in a bag that was written topic by topic unpacks a chunk for every message.
+    """
+    connections = [one for one in reader.connections if one.topic in wanted]
+    for one in connections:
+        if one.msgtype != topics[one.topic]:
+            found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
+            raise InputError(found, "one type on one topic", path)
+    groups = [connections]
+    if path.suffix.lower() == ROS1:
+        groups = [[one for one in connections if one.topic == topic] for topic in wanted]
+    total, frame_of = sum(one.msgcount for one in connections), dict[str, str]()
+    messages = chain.from_iterable(map(reader.messages, groups))
+    for count, (one, received, data) in enumerate(messages):
+        if count % A_PART == 0:
+            tell("read", count // A_PART, total // A_PART + 1, "part of the bag")
+        message = reader.deserialize(data, one.msgtype)
+        if one.msgtype not in TRANSFORMS:  # several publishers of tf are usual
+            frame = message.header.frame_id
+            first = frame_of.setdefault(one.topic, frame)
+            if frame != first:
+                raise InputError(
+                    f"messages in the frames {shown(first)} and {shown(frame)} on topic {one.topic}",
+                    "one publisher of one frame; record each on a topic of its own",
+                    path,
+                )
+        yield message, one.topic, received
 
 
 def _publishers(publishers: Counter[str], topics: list[str]) -> tuple[CalibrationWarning, ...]:
@@ -182,7 +195,7 @@ def _publishers(publishers: Counter[str], topics: list[str]) -> tuple[Calibratio
 def _content(
     path: Path,
     topics: dict[str, str],
-    wanted: set[str],
+    wanted: list[str],
     poses: list[str],
     found: tuple[Frames | None, Stamped],
     beams: tuple[Beam, ...],
@@ -211,11 +224,6 @@ def _time(message: Any, when: int | None, received: int) -> float:
     if when is None and (stamp.sec or stamp.nanosec):
         return float(stamp.sec + 1e-9 * stamp.nanosec)
     return 1e-9 * received
-
-
-def _add_pose(message: Any, stamped: Stamped, when: int | None, received: int) -> None:
-    pose = message.pose
-    stamped.add(_time(message, when, received), pose.position, pose.orientation)
 
 
 def _read(
