@@ -65,8 +65,10 @@ def test_a_bag_is_calibrated_to_the_same_answer_as_the_csv(tmp_path, handlaser, 
     # A reading more or less at the end of a stand: noise of 1 mm over 37 readings of a stand.
     assert np.abs(found.ranges - wanted.ranges).max() < 3e-4
     assert (found.samples > 25.0).all()
-    arguments = ["--poses", "exact", "--json"]
-    code, out, _ = handlaser("calibrate", bag, "--plane-ranges", ",".join(PLANES), *arguments)
+    arguments, rig = ["--poses", "exact", "--json"], tmp_path / "rig.toml"
+    ranges = ("--plane-ranges", ",".join(PLANES))
+    assert handlaser("convert", bag, *ranges, "--write-log", rig)[0] == 0
+    code, out, _ = handlaser("calibrate", bag, "--rig", rig, *arguments)
     other = handlaser("calibrate", csv, *arguments)
     assert code == other[0]
     first, second = json.loads(out), json.loads(other[1])
@@ -170,7 +172,7 @@ def test_what_a_bag_lacks_is_named(tmp_path, driven, handlaser):
         assert "\n" not in str(caught.value)
     for name in ("broken.bag", "broken.mcap", "broken.db3"):
         (tmp_path / name).write_bytes(b"nonsense" * 100)
-        code, _, err = handlaser("calibrate", tmp_path / name, "--plane", "A")
+        code, _, err = handlaser("calibrate", tmp_path / name)
         assert (code, err.count("\n")) == (2, 1)
         assert "no bag that can be read" in err
     (tmp_path / "folder").mkdir()
@@ -206,7 +208,7 @@ def test_compressed_bags_are_the_same(tmp_path, short, kind, compression, whole)
 
 
 def test_chunks_of_a_bag_written_topic_by_topic_are_unpacked_once_a_topic(tmp_path, monkeypatch):
-    """As programs write that convert other logs; merged in the order of time, each message takes one."""
+    """As programs write that convert logs; in the order of time, every message would take one."""
     frame = pytest.importorskip("lz4.frame")
     drive = example(stations=60)[0]
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, print_wrapped
-from .log_options import Log
 from .options import Given, JsonOption, Model, QuietOption
 from .progress_line import Working
 
@@ -63,7 +62,6 @@ class Wanted:
 
 def plan(
     given: Given,
-    log: Log,
     model: Model,
     wanted: Wanted,
     recording: Annotated[
@@ -85,7 +83,7 @@ def plan(
     from ..files.writing import require_outputs
 
     with Working():
-        rig = given.read(log)
+        rig = given.read()
         outputs = {"--out": wanted.out, "--picture": wanted.picture}
         require_outputs(outputs, (recording, wanted.calibration, given.rig, *rig.log.files))
         found = _planned(recording, rig, model, wanted)

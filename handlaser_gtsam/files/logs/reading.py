@@ -125,10 +125,10 @@ def _is_recording(path: Path, given: LogFormat) -> bool:
     except InputError:
         return False
     names = set(table.frame.columns)
-    if not names.issuperset(("plane", *POSE)) or given.readings is not None:
+    if not names.issuperset(("plane", *POSE)):
         return False
     try:
-        columns_of(table, given)
+        columns_of(table, given, readings=given.readings is None)
     except InputError:
         return True
     return False
