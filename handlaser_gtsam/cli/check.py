@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 RigOption = Annotated[
     Path | None,
     typer.Option(
-        help="Rig file, TOML: how logs are written; with the sensor's range, the next best stations are "
-        "named."
+        help="Rig file, TOML: how logs are written; with the sensor's range, the next best stations "
+        "are named."
     ),
 ]
 

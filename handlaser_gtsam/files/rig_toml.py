@@ -269,7 +269,7 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
 
 
 def with_log_table(path: Path | str, log: LogFormat) -> str:
-    """Return the text of a rig file, which may yet come, with a table [log] that says how logs are written.
+    """Return the text of a rig file, which may not exist yet, with how logs are written as its [log].
 
     Raises
     ------

@@ -20,9 +20,9 @@ import numpy as np
 from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import CalibrationWarning, HandlaserError, InputError
+from ...model.conventions import LENGTHS
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
-from .conventions import LENGTHS
 from .format import LogFormat
 from .frames import Frames, Stamped, track_of_rows
 from .packed import limit_chunks, refuse_bag_bomb
@@ -149,8 +149,8 @@ def _messages(
 ) -> Iterator[tuple[Any, str, int]]:
     """Yield messages of the wanted topics, each with its topic and the time of receipt [ns].
 
-    Of a ROS 1 bag topic by topic: rosbags keeps one unpacked chunk and goes through topics in the order of
-    time, which in a bag that was written topic by topic unpacks a chunk for every message.
+    Of a ROS 1 bag topic by topic: rosbags keeps one unpacked chunk and goes through topics in the order
+    of time, which in a bag that was written topic by topic unpacks a chunk for every message.
     """
     connections = [one for one in reader.connections if one.topic in wanted]
     for one in connections:

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError
+from ...model.conventions import FORMATS
 from .assembling import Known, Stationed, assembled
 from .averaging import Samples
 from .bag_messages import METADATA, BagContent, read_bag
-from .conventions import FORMATS
 from .format import LogFormat
 from .frames import between
 from .lag import Lag, estimated_lag

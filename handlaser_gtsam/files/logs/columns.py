@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import InputError
+from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
-from .conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
 from .format import LogFormat
 from .format_checks import convention_of
 

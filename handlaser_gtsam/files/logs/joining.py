@@ -8,11 +8,11 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
+from ...model.conventions import poses_of
 from .averaging import Samples
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Means, Rows, Way
-from .poses import poses_of
 from .rows import LogRows
 
 SAME_STATION_M, SAME_STATION_RAD = 1e-3, np.radians(0.1)

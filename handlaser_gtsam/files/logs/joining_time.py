@@ -6,15 +6,14 @@ from scipy.spatial.transform import Rotation
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import InputError
+from ...model.conventions import TIME_UNITS, poses_of
 from .averaging import Samples
-from .conventions import TIME_UNITS
 from .format import LogFormat
 from .format_checks import convention_of
 from .joining import SAME_STATION_M, SAME_STATION_RAD, Joined, groups, unmatched
 from .lag import Lag, estimated_lag
 from .motion import Between, Rows, Way, bracketed, nearest
 from .planes import intervals, planes_in_time, planes_of
-from .poses import poses_of
 from .rows import LogRows
 from .stands import Track, find_stands
 

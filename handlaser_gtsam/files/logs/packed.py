@@ -178,8 +178,8 @@ MCAP_MESSAGE, MCAP_CHUNK = 5, 6
 def limit_chunks(reader: Any, path: Path) -> None:
     """Let the chunks of a ROS 1 bag that is open unpack to no more than is plausible of a log.
 
-    A block of bzip2 does not state its size, so nothing can be refused before it is unpacked. Each chunk
-    of rosbags carries the function that unpacks it; here it becomes one that stops at the limit.
+    A block of bzip2 does not state its size, so nothing can be refused before it is unpacked. Each
+    chunk of rosbags carries the function that unpacks it; here it becomes one that stops at the limit.
     """
     allowance = Allowance(path)
     for one in reader.readers:

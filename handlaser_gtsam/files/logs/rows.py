@@ -8,13 +8,13 @@ import polars as pl
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import CalibrationWarning, InputError
+from ...model.conventions import LENGTHS
 from ...model.sensor import Sensor
 from ...text import some
 from ..range_cells import code_warnings, range_numbers
 from ..table import Table
 from .cells import labels, pose_numbers, refuse_thousands, times
 from .columns import Columns, columns_of
-from .conventions import LENGTHS
 from .format import LogFormat
 
 
