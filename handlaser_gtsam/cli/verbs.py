@@ -45,8 +45,8 @@ def usage_words(error: Exception) -> str:
     if option in LogFormat.__dataclass_fields__ and "--rig" in _options(context):
         return (
             f"no option --{option.replace('_', '-')} at {command}: how a log is written stands in the "
-            f"table [log] of the rig file, as {option}. `{NAME} convert` has the option: it turns the log "
-            "into a recording, or with --write-log RIG writes that table"
+            f"table [log] of the rig file, as {option}. `{NAME} convert` has the option: it turns the "
+            "log into a recording, or with --write-log RIG writes that table"
         )
     message = " ".join(error.format_message().split())  # type: ignore[attr-defined]
     message = (

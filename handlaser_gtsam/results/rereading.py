@@ -74,7 +74,9 @@ def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.i
     return float(start.tried[0][1] ** 2) / max(float(np.nanvar(recording.ranges)), 1e-300)
 
 
-def one_beam(recording: Recording, most: int | None = None) -> tuple[Recording, IntArray]:
+def one_beam(
+    recording: Recording, most: int | None = None, spare: int = SPARE
+) -> tuple[Recording, IntArray]:
     """Return the readings of the beam with most of them, and their stations; all where they are few.
 
     A mistake in the poses or the units is the same for all beams, and one beam is the smallest problem
@@ -91,10 +93,10 @@ def one_beam(recording: Recording, most: int | None = None) -> tuple[Recording, 
         if len(rows) > most:
             rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(np.intp)]
     one = recording.without(others).part(rows)
-    return (one, rows) if tells(one) else (recording, np.arange(len(seen), dtype=np.intp))
+    return (one, rows) if tells(one, spare) else (recording, np.arange(len(seen), dtype=np.intp))
 
 
-def tells(recording: Recording) -> bool:
-    """Tell whether a recording has readings enough to tell another way from a chance fit."""
+def tells(recording: Recording, spare: int = SPARE) -> bool:
+    """Tell whether a recording has readings enough, `spare` more than unknowns, to judge another way."""
     unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
-    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + SPARE)
+    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + spare)

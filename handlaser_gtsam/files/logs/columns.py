@@ -1,8 +1,8 @@
 """Which column of a log is what: by its usual name, or as the user says."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from ...errors import InputError
 from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
@@ -46,13 +46,13 @@ class Columns:
     plane, station, time : str
     """
 
-    pose: tuple[str, ...]
-    beams: dict[str, str]
-    beam: str
-    range: str
-    plane: str
-    station: str
-    time: str
+    pose: tuple[str, ...] = ()
+    beams: Mapping[str, str] = field(default_factory=dict)
+    beam: str = ""
+    range: str = ""
+    plane: str = ""
+    station: str = ""
+    time: str = ""
 
     @property
     def used(self) -> set[str]:

@@ -15,7 +15,6 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
-from .averaging import Samples
 from .format import LogFormat
 from .motion import Means
 
@@ -106,10 +105,6 @@ class Stands:
     def times(self) -> FloatArray:
         """The middle of each stand (S,) [s]."""
         return np.asarray(0.5 * (self.begin + self.end))
-
-    def samples(self, time: FloatArray, d: FloatArray) -> Samples:
-        """Return the readings d (N, B) at times (N,) [s] of poses that lie in a stand."""
-        return Samples.of_rows(self.stand_of(time), d)
 
     def stand_of(self, time: FloatArray) -> IntArray:
         """Return the stand (N,) in which each time lies, -1 for none."""

@@ -8,13 +8,13 @@ convention. A convention is named where it fits much better, and well.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import IntArray
 from ...data.ordering import sorted_readings
 from ...data.recording import Recording
 from ...errors import CalibrationWarning, HandlaserError, InputError
@@ -25,8 +25,6 @@ from ...model.conventions import (
     LENGTHS,
     Convention,
     called,
-    inverted,
-    poses_of,
 )
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...model.losses import Loss
@@ -37,7 +35,7 @@ from ...starts import Effort, find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow
 from ...starts.robust import least_scale
-from .motion import Pair, Way
+from .motion import Raw
 from .poses import faults
 
 FITS = 1e-4
@@ -48,6 +46,9 @@ BETTER, BETTER_ROBUST = 4.0, 6.25
 WELL = 2.5e-3
 """A convention is named where it leaves at most this part of the variance: of a log that fits in no way
 the best way says nothing."""
+LEAST, LEAST_SPARE = 24, 10
+"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
+than for other mistakes, because the other convention must fit well, too."""
 MOST = 60
 """Stations that are looked at; more take longer than reading the log."""
 TERMS = 2
@@ -59,36 +60,6 @@ CANDIDATES, SUBSETS, TRIED = 6, 8, 200
 """Starts from all readings, starts from parts of the stations, and the directions tried for these."""
 STEPS = 30
 """Steps that refine a start; ten more with range errors."""
-
-
-@dataclass(frozen=True, slots=True)
-class Raw:
-    """Poses as they are written, and how they become those of stations.
-
-    Attributes
-    ----------
-    numbers : (M, k)
-        Of every row.
-    convention : Convention
-    inverted : bool
-        Whether they are taken as hand_T_world.
-    way : Rows, Means or Between
-    """
-
-    numbers: FloatArray
-    convention: Convention
-    inverted: bool
-    way: Way
-
-    def narrowed(self, stations: IntArray) -> "Raw":
-        """Return what is needed of some stations."""
-        rows, way = self.way.narrowed(stations)
-        return replace(self, numbers=self.numbers[rows], way=way)
-
-    def poses(self) -> Pair:
-        """Return rotations and positions of stations."""
-        R, t = poses_of(self.numbers, self.convention)
-        return self.way.place(*(inverted(R, t) if self.inverted else (R, t)))
 
 
 def refuse_wrong_convention(
@@ -116,8 +87,8 @@ def refuse_wrong_convention(
     ------
     InputError
     """
-    part, rows = one_beam(recording, MOST)
-    if not tells(part) or len(part.beam_names) > 1:
+    part, rows = one_beam(recording, MOST, LEAST_SPARE)
+    if len(rows) < LEAST or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     raw = raw.narrowed(chosen[rows])
     R, t = raw.poses()  # of the hand as the log has it, whatever the tool and the base
