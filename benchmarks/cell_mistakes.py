@@ -401,7 +401,7 @@ AFTER: dict[str, tuple[Mistake, str]] = {
     "rotations-inverted": (turned(Rotation.inv), "inverted"),
     "quaternions-scalar-first": (
         turned(lambda R: Rotation.from_quat(np.roll(R.as_quat(), 1, axis=1))),
-        "qw",
+        "quaternion w x y z",
     ),
     "angles-exchanged": (turned(lambda R: Rotation.from_euler("xyz", R.as_euler("ZYX"))), "angle"),
     "axis-negated": (mirror([-1, 1, 1]), "sign|negat|mirror|left-handed"),

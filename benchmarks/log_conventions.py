@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.files.logs.conventions import ANGLES, FORMATS, LENGTHS, Convention, formats_of
+from handlaser_gtsam.model.conventions import ANGLES, FORMATS, LENGTHS, Convention, formats_of
 from handlaser_gtsam.validation.scenes import ERRORS, SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate
 

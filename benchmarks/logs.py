@@ -43,7 +43,7 @@ from benchmarks.log_conventions import (
     meanings,
     study,
 )
-from handlaser_gtsam.files.logs.conventions import formats_of
+from handlaser_gtsam.model.conventions import formats_of
 
 PARTS = ("conventions", "table", "bags")
 MOST_SECONDS, MOST_MEGABYTES = 2.0, 300.0

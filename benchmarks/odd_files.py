@@ -27,13 +27,22 @@ from typing import Any
 
 import numpy as np
 
-from handlaser_gtsam.files.logs.ros1_bag import MAGIC
-
 NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 ROWS = 8
 MOST_MB, MOST_S = 500.0, 2.0
 """What a file may take: memory, and time on a machine with nothing else to do."""
 KB_A_MB = 1024.0
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
+POSE_STAMPED = (b"\n" + b"=" * 80 + b"\nMSG: ").join(
+    (
+        b"Header header\nPose pose",
+        b"std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id",
+        b"geometry_msgs/Pose\nPoint position\nQuaternion orientation",
+        b"geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z",
+        b"geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    )
+)
+"""The definition of `geometry_msgs/PoseStamped`."""
 STARTER = """
 import resource, subprocess, sys, time
 begin = time.perf_counter()
@@ -120,30 +129,36 @@ def record(header: Mapping[bytes, bytes], data: bytes = b"") -> bytes:
     return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
 
 
-def ros1_bag(
-    path: Path, content: bytes, stated: int, compression: bytes = b"bz2", chunks: int = 1
-) -> Path:
-    """Write a bag of chunks with a topic of poses and one of ranges behind them."""
-    one = {b"op": b"\x05", b"compression": compression, b"size": struct.pack("<I", stated)}
-    body = record(one, content) * chunks
+def ros1_bag(path: Path, content: bytes, compression: bytes = b"bz2", chunks: int = 1) -> Path:
+    """Write a bag of equal chunks, each with one message of a pose, beside a topic of ranges."""
+    zero, one, moment = bytes(4), struct.pack("<I", 1), bytes(8)
+    chunk = record({b"op": b"\x05", b"compression": compression, b"size": zero}, content)
+    index = {b"op": b"\x04", b"ver": one, b"conn": zero, b"count": one}
+    chunk += record(index, moment + zero)
     topics = b""
     for number, (topic, kind) in enumerate(
         ((b"/pose", b"geometry_msgs/PoseStamped"), (b"/laser", b"sensor_msgs/Range"))
     ):
-        inner = record({b"type": kind, b"md5sum": b"*", b"message_definition": b"float32 range"})
+        inner = record({b"type": kind, b"md5sum": b"", b"message_definition": POSE_STAMPED})
         size = struct.unpack("<I", inner[:4])[0]
-        index = struct.pack("<I", number)
-        topics += record({b"op": b"\x07", b"conn": index, b"topic": topic}, inner[4 : 4 + size])
-    head = {b"op": b"\x03", b"conn_count": struct.pack("<I", 2), b"chunk_count": bytes(4)}
-    begin = len(MAGIC) + len(record(head | {b"index_pos": bytes(8)}))
-    head[b"index_pos"] = struct.pack("<Q", begin + len(body))
-    path.write_bytes(MAGIC + record(head) + body + topics)
+        conn = struct.pack("<I", number)
+        topics += record({b"op": b"\x07", b"conn": conn, b"topic": topic}, inner[4 : 4 + size])
+    count = struct.pack("<I", chunks)
+    head = {b"op": b"\x03", b"conn_count": struct.pack("<I", 2), b"chunk_count": count}
+    begin = len(ROS1_MAGIC) + len(record(head | {b"index_pos": bytes(8)}))
+    info = {b"op": b"\x06", b"ver": one, b"start_time": moment, b"end_time": moment, b"count": one}
+    for i in range(chunks):
+        place = struct.pack("<Q", begin + i * len(chunk))
+        topics += record(info | {b"chunk_pos": place}, zero + one)
+    head[b"index_pos"] = struct.pack("<Q", begin + chunks * len(chunk))
+    path.write_bytes(ROS1_MAGIC + record(head) + chunks * chunk + topics)
     return path
 
 
-def squeezed(size: int) -> bytes:
-    """Return a chunk with one record of zeros of no kind that is read."""
-    return bz2.compress(record({b"op": b"\x04"}, bytes(size)))
+def zeros(size: int) -> bytes:
+    """Return the content of a chunk: one stamped pose in a frame with a name of so many zeros."""
+    pose = bytes(12) + struct.pack("<I", size) + bytes(size) + bytes(56)
+    return record({b"op": b"\x02", b"conn": bytes(4), b"time": bytes(8)}, pose)
 
 
 def mcap(path: Path, content: bytes, stated: int, compression: bytes = b"zstd") -> Path:
@@ -257,7 +272,6 @@ def _floats(value: float) -> Callable[[Path, Columns], Path]:
 
 
 MM = ("--rotation", "xyzw", "--units", "mm", "--range-units", "mm")
-ZEROS = len(record({b"op": b"\x04"}, bytes(1 << 24)))
 LYING_LZ4 = b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", 1 << 40) + bytes(9)
 ODD = (
     Odd("errors.xlsx", lambda path, log: workbook(path, log, errors_in_cells), 0),
@@ -269,9 +283,8 @@ ODD = (
     Odd("twice.jsonl", lambda path, log: json_lines(path, log, ', "range_a": 0.3')),
     Odd("deep.jsonl", lambda path, _: _text(path, ['{"x": ' + _deep(1_000_000) + "}"])),
     Odd("deep-line.jsonl", lambda path, log: json_lines(path, log, f', "x": {_deep(100_000)}')),
-    Odd("bomb.bag", lambda path, _: ros1_bag(path, squeezed(1 << 20), 3_200_000_000)),
-    Odd("lying.bag", lambda path, _: ros1_bag(path, squeezed(1 << 24), 1000)),
-    Odd("many.bag", lambda path, _: ros1_bag(path, squeezed(1 << 24), ZEROS, chunks=190)),
+    Odd("bomb.bag", lambda path, _: ros1_bag(path, bz2.compress(zeros(1 << 28)))),
+    Odd("many.bag", lambda path, _: ros1_bag(path, bz2.compress(zeros(1 << 24)), chunks=190)),
     Odd("bomb.mcap", lambda path, _: mcap(path, zstd_zeros(25_000), 1000)),
     Odd("lying.mcap", lambda path, _: mcap(path, b"", 1 << 40)),
     Odd("lz4.mcap", lambda path, _: mcap(path, LYING_LZ4, 1000, b"lz4")),

@@ -74,13 +74,34 @@ def test_help_is_no_wider_than_the_terminal(handlaser, monkeypatch, verb, column
 
 
 def test_options_of_logs_stand_by_themselves(handlaser):
-    _, text, _ = handlaser("calibrate", "--help")
+    _, text, _ = handlaser("convert", "--help")
     before, after = text.split("Options for logs:\n")
     assert "--rig" in before
+    assert "--write-log" in before
     assert "--quiet" in before
     assert "--pose-format" not in before
     assert "--pose-format" in after
     assert "--rig <path>" not in after
+
+
+def test_the_help_of_calibrate_begins_with_what_most_people_need(handlaser):
+    _, text, _ = handlaser("calibrate", "--help")
+    options = re.findall(r"(?m)^  (?:-\w, )?(--[a-z-]+)", text)
+    assert options[:4] == ["--rig", "--range-sigma-mm", "--out", "--report"]
+    assert len(options) <= 30
+    titles = re.findall(r"(?m)^(\w[\w ,]+):$", text)
+    assert titles[:2] == ["Arguments", "Options"]
+    assert len(titles) == 4
+
+
+def test_help_is_as_wide_as_the_terminal(handlaser, monkeypatch):
+    widest = {}
+    for columns in (80, 120, 160):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        widest[columns] = max(map(len, handlaser("calibrate", "--help")[1].splitlines()))
+        assert (
+            columns - 12 < widest[columns] <= columns
+        )  # a word that does not fit is on the next line
 
 
 def test_nothing_but_the_name_shows_the_help(handlaser):

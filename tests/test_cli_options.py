@@ -49,6 +49,7 @@ WORDS = {
 """Bad values of options that take text."""
 FREE = {
     *("--beam", "--link", "--into", "--out", "--picture", "--report", "--host", "--scheduler"),
+    "--write-log",
     *("--plane", "--header", "--sheet", "--pose-topic", "--frames"),
     *("--beam-column", "--range-column"),  # both or none
     *("--readings-station-column", "--readings-time-column"),  # of a second file
@@ -58,15 +59,12 @@ PYDANTIC = re.compile(r"Input should|validation error|type=|pydantic|Value error
 
 
 def _bad_values():
-    logs = set(LogFormat.__dataclass_fields__)
     for verb in BASE:
         parameters = inspect.signature(expanded(getattr(verbs, verb))).parameters
         for name, one in parameters.items():
             kinds, option = str(one.annotation), f"--{name.replace('_', '-')}"
             if "OptionInfo" not in kinds or "bool" in kinds or option in FREE:
                 continue
-            if verb not in ("convert", "export") and name in logs:
-                continue  # the same group in every verb
             if verb == "export" and option == "--tool":
                 values = ["0"]
             elif option in OFFER:
@@ -208,7 +206,24 @@ def test_names_the_field_of_a_calibration(calibrated, tmp_path, place, value, wo
     assert words in str(caught.value)
 
 
-def test_an_option_of_logs_that_a_recording_passes_over_is_said_to_be(handlaser):
-    code, out, _ = handlaser("calibrate", RECORDING, "--pose-columns", "misspelt")
+LOG_FIELDS = [one.replace("_", "-") for one in LogFormat.__dataclass_fields__]
+
+
+@pytest.mark.parametrize("verb", ["calibrate", "check", "plan", "plot", "validate", "watch"])
+def test_options_of_logs_at_other_verbs_are_answered_with_what_to_do(verb, handlaser):
+    for option in LOG_FIELDS:
+        code, out, err = handlaser(verb, RECORDING, f"--{option}=mm")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert f"no option --{option} at handlaser {verb}" in err
+        assert f"[log] of the rig file, as {option.replace('-', '_')}." in err
+        assert "`handlaser convert`" in err
+    code, _, err = handlaser("study", str(STUDY), "--pose-format", "kuka")  # reads no log
+    assert "No such option" in err
+
+
+def test_a_field_of_a_log_that_a_recording_passes_over_is_said_to_be(handlaser, tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[log]\npose_columns = ["misspelt"]\n')
+    code, out, _ = handlaser("calibrate", RECORDING, "--rig", rig)
     assert code == 0
     assert "what is stated of logs does not count" in " ".join(out.split())

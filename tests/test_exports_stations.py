@@ -12,7 +12,7 @@ from controllers import CONTROLLERS, of_quaternion, rodrigues
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.logs.conventions import FORMATS
+from handlaser_gtsam.model.conventions import FORMATS
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # RoboDK warns of its own name space

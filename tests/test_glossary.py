@@ -28,9 +28,18 @@ LOG = [
 ]
 CHANNELS = ("--range-columns", "1=Laser 1,2=Laser 2,3=Laser 3,4=Laser 4")
 LASERS = ("--readings", "kuka_lasers.csv", *CHANNELS, "--range-units", "mm")
+KUKA = """
+[log]
+pose_format = "kuka"
+station_column = "Point"
+plane_column = "Plate"
+readings = "kuka_lasers.csv"
+range_columns = ["1=Laser 1", "2=Laser 2", "3=Laser 3", "4=Laser 4"]
+range_units = "mm"
+"""
 SCREENS = (
     ("convert", "kuka_poses.csv", *LASERS, *LOG),
-    ("calibrate", "kuka_poses.csv", *LASERS, *LOG),
+    ("calibrate", "kuka_poses.csv", "--rig", "kuka.toml"),
     ("calibrate", "recording.csv", *RIG, "-v", "--incremental", "--cross-check"),
     ("calibrate", "recording.csv", *RIG, "--cross-check"),
     ("calibrate", "recording.csv", "-v", "--range-error", "k1"),
@@ -57,6 +66,7 @@ def folder(tmp_path_factory):
     shutil.copy(ROOT / "examples" / "study" / "study.toml", path)
     for name in ("kuka_poses.csv", "kuka_lasers.csv"):
         shutil.copy(ROOT / "examples" / "logs" / name, path)
+    (path / "kuka.toml").write_text(KUKA)
     rig = (path / "rig.toml").read_text()
     (path / "tight.toml").write_text(f"{rig}\n[limits]\nrms_mm = 0.001\nlocation_sigma_mm = 5\n")
     hl.write_recording(path / "degenerate.csv", degenerate("two planes, no rotation"))

@@ -40,7 +40,9 @@ def turned(change):
 
 MISTAKES = {
     "poses look inverted": inverted,
-    "qw qx qy qz": turned(lambda q: Rotation.from_quat(np.roll(q.as_quat(), 1, axis=1))),
+    "quaternion w x y z (abb) read as quaternion x y z w": turned(
+        lambda q: Rotation.from_quat(np.roll(q.as_quat(), 1, axis=1))
+    ),
     "the qx of the quaternions look negated": turned(
         lambda q: Rotation.from_quat(q.as_quat() * [-1, 1, 1, 1])
     ),
@@ -49,13 +51,15 @@ MISTAKES = {
     ),
     "positions look like millimetres": lambda r: replace(r, world_t_hand=1e3 * r.world_t_hand),
     "ranges look like millimetres": lambda r: replace(r, ranges=1e3 * r.ranges),
-    "KUKA A B C read as FANUC W P R": turned(
+    "angles ZYX (kuka) read as angles xyz (fanuc)": turned(
         lambda q: Rotation.from_euler("xyz", q.as_euler("ZYX"))
     ),
-    "rotation vectors look like radians taken as degrees": turned(
+    "(rotation vector) look like radians taken as degrees": turned(
         lambda q: Rotation.from_rotvec(np.pi / 180 * q.as_rotvec())
     ),
-    "read as angles about x, y, z": turned(lambda q: Rotation.from_euler("xyz", q.as_rotvec())),
+    "rotation vector (ur) read as angles xyz": turned(
+        lambda q: Rotation.from_euler("xyz", q.as_rotvec())
+    ),
 }
 
 
@@ -74,7 +78,9 @@ def test_undoing_a_mistake_gives_the_right_file(right, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", ["qw qx qy qz", "ranges look like millimetres"])
+@pytest.mark.parametrize(
+    "words", ["quaternion w x y z (abb) read as quaternion x y z w", "ranges look like millimetres"]
+)
 def test_the_mistake_is_named_first(right, words):
     found = better_way(MISTAKES[words](right), 0)
     assert words in found

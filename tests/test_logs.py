@@ -4,7 +4,7 @@ import inspect
 import json
 import math
 import zipfile
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 from xml.sax.saxutils import escape
 
@@ -27,8 +27,9 @@ from benchmarks.log_conventions import (
     study,
 )
 from handlaser_gtsam.cli.log_options import Log
-from handlaser_gtsam.files.logs.conventions import FORMATS, formats_of
 from handlaser_gtsam.files.rig_log import LogTable
+from handlaser_gtsam.files.rig_toml import with_log_table
+from handlaser_gtsam.model.conventions import FORMATS, formats_of
 
 
 def text_of(names, rows, extra=(), separator=","):
@@ -506,18 +507,21 @@ OPTIONS = [
 ]
 
 
-def test_calibrate_check_and_validate_take_a_log(handlaser, gripper_log):
-    rig = ["--rig", GRIPPER / "rig.toml"]
-    code, out, err = handlaser("calibrate", gripper_log, *OPTIONS, *rig, "--json")
+def test_calibrate_check_and_validate_take_a_log(handlaser, gripper_log, tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text((GRIPPER / "rig.toml").read_text())
+    rig = ["--rig", file]
+    assert handlaser("convert", gripper_log, *OPTIONS, *rig, "--write-log", file)[0] == 0
+    code, out, err = handlaser("calibrate", gripper_log, *rig, "--json")
     direct = handlaser("calibrate", GRIPPER / "recording.csv", *rig, "--json")
     assert (code, err) == (direct[0], direct[2])
     mounts, wanted = (json.loads(text)["beams"] for text in (out, direct[1]))
     for one, other in zip(mounts, wanted, strict=True):
         assert np.allclose(one["location_m"], other["location_m"], atol=1e-9)
         assert np.allclose(one["direction"], other["direction"], atol=1e-8)
-    code, out, _ = handlaser("check", gripper_log, *OPTIONS)
-    assert (code, out) == handlaser("check", GRIPPER / "recording.csv")[:2]
-    assert handlaser("validate", gripper_log, *OPTIONS, *rig, "--splits", "0")[0] == 0
+    code, out, _ = handlaser("check", gripper_log, *rig)
+    assert (code, out) == handlaser("check", GRIPPER / "recording.csv", *rig)[:2]
+    assert handlaser("validate", gripper_log, *rig, "--splits", "0")[0] == 0
 
 
 def test_convert_writes_the_recording(handlaser, gripper_log, tmp_path):
@@ -537,7 +541,8 @@ def test_convert_writes_the_recording(handlaser, gripper_log, tmp_path):
 def test_a_log_that_is_taken_for_a_recording_is_recognised(handlaser, gripper_log):
     code, _, err = handlaser("calibrate", gripper_log)
     assert code == 2
-    assert "--pose-format fanuc" in err
+    assert "log.pose_format fanuc" in err
+    assert "convert LOG --write-log RIG" in err
     assert err.count("\n") == 1
 
 
@@ -552,9 +557,86 @@ def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
     assert handlaser("convert", gripper_log, "--rig", rig, "--out", out)[0] == 0
     code, said, _ = handlaser("check", out, "--rig", rig)
     assert (code, said) == handlaser("check", gripper_log, "--rig", rig)[:2]
-    code, _, err = handlaser("check", out, "--units", "mm")  # as a log of ros in millimetres
+    rig.write_text('[log]\nunits = "mm"\n')  # as a log of ros in millimetres
+    code, _, err = handlaser("check", out, "--rig", rig)
     assert code == 2
-    assert "--units m" in err or "--pose-format ros" in err
+    assert "log.units m" in err or "log.pose_format ros" in err
+
+
+def test_a_recording_of_two_files_is_calibrated_with_their_rig_file(handlaser, tmp_path):
+    poses, rig, out = (
+        ROOT / "examples" / "logs" / "kuka_poses.csv",
+        tmp_path / "rig.toml",
+        tmp_path / "recording.csv",
+    )
+    columns = "1=Laser 1,2=Laser 2,3=Laser 3,4=Laser 4"
+    options = ["--pose-format", "kuka", "--station-column", "Point", "--plane-column", "Plate"]
+    options += ["--readings", ROOT / "examples" / "logs" / "kuka_lasers.csv"]
+    options += ["--range-columns", columns, "--range-units", "mm"]
+    assert handlaser("convert", poses, *options, "--out", out, "--write-log", rig)[0] == 0
+    assert handlaser("check", out, "--rig", rig)[:2] == handlaser("check", poses, "--rig", rig)[:2]
+
+
+def test_the_table_of_a_rig_file_is_written_beside_the_rest(handlaser, gripper_log, tmp_path):
+    """The file keeps every byte, and gets the table once; what reads alike writes nothing."""
+    rig = tmp_path / "rig.toml"
+    for before, ends in (
+        ("", "\n"),
+        ("[sensor]\r\nrange_mm = [0, 30] # of the data sheet", "\r\n"),
+    ):
+        rig.write_bytes(before.encode())
+        assert handlaser("convert", gripper_log, *OPTIONS, "--write-log", rig)[0] == 0
+        text = rig.read_bytes().decode()
+        assert text.startswith(before)
+        assert f'[log]{ends}pose_format = "fanuc"{ends}' in text
+        assert text.count("\n") == text.count(ends)
+        given = hl.read_rig(rig).log
+        assert given.pose_format == "fanuc"
+        assert given.range_columns == ("1=d1", "2=d2", "3=d3", "4=d4")
+        assert handlaser("convert", gripper_log, *OPTIONS, "--write-log", rig)[0] == 0
+        assert rig.read_bytes().decode() == text
+
+
+def test_a_table_that_says_another_thing_is_not_replaced(handlaser, gripper_log, tmp_path):
+    rig, out = tmp_path / "rig.toml", tmp_path / "recording.csv"
+    rig.write_text('[log]\npose_format = "kuka"\nrange_units = "mm"\n')
+    before = rig.read_bytes()
+    options = (*OPTIONS, "--write-log", rig, "--out", out)
+    code, _, err = handlaser("convert", gripper_log, *options)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "[log] with other values of pose_format, range_columns" in err
+    assert rig.read_bytes() == before
+    assert not out.exists()
+    rig.write_text("[log")
+    assert handlaser("convert", gripper_log, *options)[0] == 2
+    rig.unlink()
+    code, _, err = handlaser("convert", GRIPPER / "recording.csv", "--write-log", rig)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "nothing that a table [log] could say" in err
+    assert not rig.exists()
+
+
+def test_every_field_comes_back_from_the_table_of_a_rig_file(tmp_path):
+    folder = tmp_path / "rigs"
+    folder.mkdir()
+    given = hl.LogFormat(
+        rotation="ZYX",
+        units="mm",
+        angles="deg",
+        inverted=True,
+        tool=(1.0, 1e-7, 3.0, 0.1, -0.2, 1e5),
+        range_columns=('links=Länge "a"', "b\\c=D"),
+        plane_file=tmp_path / "planes.csv",
+        readings=tmp_path / "other" / "readings.csv",
+        lag_s=-0.25,
+    )
+    (folder / "rig.toml").write_text(with_log_table(folder / "rig.toml", given))
+    found = hl.read_rig(folder / "rig.toml").log
+    assert replace(found, plane_file=None, readings=None) == replace(
+        given, plane_file=None, readings=None
+    )
+    for one, other in zip(found.files, given.files, strict=True):
+        assert one.resolve() == other.resolve()
 
 
 def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):

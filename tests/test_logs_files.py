@@ -1,5 +1,6 @@
 """Odd files: each ends in one line or in a warning, in little time and memory, never in silence."""
 
+import bz2
 import decimal
 import json
 import math
@@ -20,9 +21,8 @@ from benchmarks.odd_files import (
     lines_of,
     mcap,
     measured,
-    record,
     ros1_bag,
-    squeezed,
+    zeros,
     zstd_zeros,
 )
 from handlaser_gtsam.files.logs.packed import zstd_bound
@@ -265,15 +265,19 @@ def test_a_panic_of_a_library_is_one_line(tmp_path, log, monkeypatch, handlaser)
 # --- bags -----------------------------------------------------------------------------------------
 
 
-def test_chunks_of_a_bag_unpack_to_what_they_state(tmp_path):
+@pytest.mark.parametrize("chunks", [1, 8])
+@pytest.mark.parametrize("compression", ["bz2", "lz4"])
+def test_chunks_of_a_bag_stop_at_the_limit(tmp_path, compression, chunks):
+    """Zeros: one chunk of 128 MB, and eight of 16 MB, are more than the 64 MB of any file."""
     pytest.importorskip("rosbags")
-    zeros, size = squeezed(1 << 24), len(record({b"op": b"\x04"}, bytes(1 << 24)))
+    pack = bz2.compress if compression == "bz2" else pytest.importorskip("lz4.frame").compress
     path = tmp_path / "log.bag"
-    assert "states" in fault(ros1_bag(path, zeros, 1000))
-    assert "packed bytes that unpack to" in fault(ros1_bag(path, zeros, size, chunks=5))
-    assert "packed bytes that unpack to" in fault(ros1_bag(path, zeros, 3_200_000_000))
-    lz4 = pytest.importorskip("lz4.frame")
-    assert "states" in fault(ros1_bag(path, lz4.compress(bytes(1 << 20)), 1000, b"lz4"))
+    limit = "packed bytes that unpack to"
+    content = pack(zeros((1 << 27) // chunks))
+    assert limit in fault(ros1_bag(path, content, compression.encode(), chunks))
+    content = pack(zeros(1 << 20))
+    assert limit not in fault(ros1_bag(path, content, compression.encode(), chunks))
+    assert "ends too early" in fault(ros1_bag(path, content[:-20], compression.encode(), chunks))
 
 
 def test_chunks_of_mcap_are_judged_before_they_are_unpacked(tmp_path):

@@ -309,7 +309,9 @@ def test_a_pipe_is_read_once(tmp_path, log, handlaser):
     text = written(tmp_path, log).read_text()
     writing = threading.Thread(target=lambda: pipe.write_text(text), daemon=True)
     writing.start()
-    code, out, err = handlaser("check", pipe, "--units", "m")
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[log]\nunits = "m"\n')
+    code, out, err = handlaser("check", pipe, "--rig", rig)
     writing.join(5.0)
     assert code in (0, 3), err
     assert out.startswith("16 readings")
@@ -349,8 +351,7 @@ def test_plan_takes_a_log(kuka, handlaser):
 
 def test_plot_takes_a_log(kuka, tmp_path, handlaser):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
-    path, _ = kuka
-    options = ("--rotation", "xyzw", "--units", "mm", "--range-units", "mm")
-    code, out, err = handlaser("plot", path, *options, "--out", tmp_path / "pictures")
+    path, rig = kuka
+    code, out, err = handlaser("plot", path, "--rig", rig, "--out", tmp_path / "pictures")
     assert code == 0, err
     assert "space-world.png" in out

@@ -13,7 +13,7 @@ from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
 from handlaser_gtsam.outliers.leverage import leverages
 from handlaser_gtsam.outliers.snooping import price
-from handlaser_gtsam.results import file_mistakes
+from handlaser_gtsam.results import rereading
 from handlaser_gtsam.solvers import refine
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
@@ -135,9 +135,11 @@ def test_saturated_readings_are_solved_without_them():
 
 def test_mistakes_are_looked_for_with_one_beam_where_its_readings_suffice():
     recording, _ = simulated("arm", Layout(3, 2, 20), 1e-3, 4)
-    assert file_mistakes._one_beam(recording).ranges.shape == (40, 1)
+    one, rows = rereading.one_beam(recording)
+    assert one.ranges.shape == (40, 1)
+    assert rows.tolist() == list(range(40))
     few, _ = simulated("arm", Layout(3, 2, 10), 1e-3, 4)
-    assert file_mistakes._one_beam(few) is few
+    assert rereading.one_beam(few)[0] is few
 
 
 class _Rounds:

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer, print_wrapped
-from .log_options import Log
-from .options import AtRangeOption, Given, JsonOption, Model, QuietOption, RecordingArgument, metres
+from .options import (
+    HOW,
+    AtRangeOption,
+    Given,
+    JsonOption,
+    Model,
+    QuietOption,
+    RecordingArgument,
+    metres,
+)
 from .progress_line import Working
 
 if TYPE_CHECKING:
@@ -44,21 +52,27 @@ class Manner:
     outliers: Annotated[
         OutliersChoice,
         typer.Option(
-            help="Leave out, and list, readings that the others contradict; or keep them."
+            help="Leave out, and list, readings that the others contradict; or keep them.",
+            rich_help_panel=HOW,
         ),
     ] = OutliersChoice.reject
     loss: Annotated[
-        LossChoice, typer.Option(help="Loss of the final estimate, reading by reading.")
+        LossChoice,
+        typer.Option(help="Loss of the final estimate, reading by reading.", rich_help_panel=HOW),
     ] = LossChoice.gaussian
     incremental: Annotated[
         bool,
         typer.Option(
             "--incremental",
             help="Add plane by plane, show what each teaches, and compare with all at once.",
+            rich_help_panel=HOW,
         ),
     ] = False
     cross_check: Annotated[
-        bool, typer.Option("--cross-check", help="Solve again with SciPy and compare.")
+        bool,
+        typer.Option(
+            "--cross-check", help="Solve again with SciPy and compare.", rich_help_panel=HOW
+        ),
     ] = False
 
 
@@ -66,7 +80,6 @@ class Manner:
 class Output:
     """What becomes of the result."""
 
-    at_range_mm: AtRangeOption = None
     out: Annotated[
         Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
     ] = None
@@ -74,17 +87,18 @@ class Output:
         Path | None,
         typer.Option(readable=False, help="Write a report, one HTML page, to this file."),
     ] = None
+    at_range_mm: AtRangeOption = None
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
+    ] = False
+    quiet: QuietOption = False
+    json_: JsonOption = False
     report_date: Annotated[
         str | None,
         typer.Option(
             help="Date of the report, as 2026-03-31; default: that of the recording's file."
         ),
     ] = None
-    json_: JsonOption = False
-    quiet: QuietOption = False
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
-    ] = False
 
     @property
     def reading(self) -> float | None:
@@ -118,7 +132,6 @@ class _Outcome:
 def calibrate(
     recording: RecordingArgument,
     given: Given,
-    log: Log,
     model: Model,
     manner: Manner,
     output: Output,
@@ -130,7 +143,7 @@ def calibrate(
     larger than what the result states; 130 stopped by Ctrl-C.
     """
     with Working():
-        outcome = _calibrated(recording, given.read(log), model, manner, output, given.rig)
+        outcome = _calibrated(recording, given.read(), model, manner, output, given.rig)
         aloud = output.json_ or output.quiet
         answer = Answer(
             outcome.text,

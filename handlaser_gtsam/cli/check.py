@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import UNDETERMINED, Answer, print_wrapped
-from .log_options import Log
 from .options import JsonOption, RecordingArgument
 from .progress_line import Working
 
@@ -18,30 +17,31 @@ if TYPE_CHECKING:
 
 RigOption = Annotated[
     Path | None,
-    typer.Option(help="Rig file, TOML; with the sensor's range, the next best stations are named."),
+    typer.Option(
+        help="Rig file, TOML: how logs are written; with the sensor's range, the next best stations "
+        "are named."
+    ),
 ]
 
 
-def check(
-    recording: RecordingArgument, log: Log, rig: RigOption = None, json_: JsonOption = False
-) -> None:
+def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
     Exit codes: 0 the motion determines everything, for beams and planes in general position; 2 bad
     input; 3 it leaves something open.
     """
     with Working():
-        answer = _checked(recording, log, rig, json=json_)
+        answer = _checked(recording, rig, json=json_)
     answer.give(json=json_)
 
 
-def _checked(path: Path, log: Log, rig: Path | None, *, json: bool) -> Answer:
+def _checked(path: Path, rig: Path | None, *, json: bool) -> Answer:
     from ..files.calibration_json import check_text
     from ..files.rig_reading import read_with
     from ..files.rig_toml import known_rig
     from ..observability.motion import check_motion, lemma_words
 
-    report, known = read_with(known_rig(rig, log.stated()), path)
+    report, known = read_with(known_rig(rig, {}), path)
     recording = report.recording
     found = check_motion(recording)
     lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]

@@ -1,4 +1,4 @@
-"""handlaser convert: a log becomes a recording in CSV."""
+"""handlaser convert: a log becomes a recording in CSV, and how it is written a table of a rig file."""
 
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,8 @@ from .options import QuietOption
 from .progress_line import Working
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from ..files.logs.format import LogFormat
     from ..files.logs.report import LogReport
     from ..model.sensor import Sensor
@@ -32,6 +34,14 @@ def convert(
         Path | None,
         typer.Option(readable=False, help="Write the recording to this CSV file; else only say."),
     ] = None,
+    write_log: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False,
+            help="Write the options for logs into this rig file, TOML, as its table [log]: "
+            "with --rig, every verb then reads such logs.",
+        ),
+    ] = None,
     rig: Annotated[
         Path | None, typer.Option(help="Rig file, TOML: table [log], and the sensor's range.")
     ] = None,
@@ -43,29 +53,40 @@ def convert(
 ) -> None:
     """Turn the log of a robot controller, a spreadsheet or a bag into a recording.
 
-    Example: handlaser convert log.csv --pose-format kuka --range-units mm --out recording.csv
-
     Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
     """
     with Working():
-        answer = _converted(log_file, log, out, rig, range_mm)
+        answer = _converted(log_file, log, {"--out": out, "--write-log": write_log}, rig, range_mm)
     answer.give(json=False, quiet=quiet)
 
 
 def _converted(
-    path: Path, log: Log, out: Path | None, rig: Path | None, range_mm: tuple[float, float] | None
+    path: Path,
+    log: Log,
+    outputs: "Mapping[str, Path | None]",
+    rig: Path | None,
+    range_mm: tuple[float, float] | None,
 ) -> Answer:
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
-    from ..files.writing import require_outputs
+    from ..files.writing import require_outputs, write_text
 
     given, sensor, sigma = _known(log, rig, range_mm)
-    require_outputs({"--out": out}, (path, rig, *given.files))
+    out, rig_file = outputs["--out"], outputs["--write-log"]
+    require_outputs(outputs, (path, *given.files))
+    require_outputs({"--out": out}, (rig,))
+    rig_text = ""
+    if rig_file is not None:  # refused, if at all, before anything is written
+        from ..files.rig_toml import with_log_table
+
+        rig_text = with_log_table(rig_file, given)
     report = describe_log(path, given, sensor, sigma)
     if out is not None:
         write_recording(out, report.recording)
+    if rig_file is not None:
+        write_text(rig_file, rig_text)
     warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
-    return Answer("", partial(print_wrapped, _lines(report, out)), warnings)
+    return Answer("", partial(print_wrapped, _lines(report, outputs.values())), warnings)
 
 
 def _known(
@@ -85,13 +106,12 @@ def _known(
     return with_stated(LogFormat(), log.stated()), sensor, None
 
 
-def _lines(report: "LogReport", out: Path | None) -> list[str]:
+def _lines(report: "LogReport", written: "Iterable[Path | None]") -> list[str]:
     from ..text import printable, some
 
     lines = list(report.lines)
     ignored = report.recording.ignored_columns
     if ignored:
         lines.append(f"not used: {some(ignored, 8)}")
-    if out is not None:
-        lines.append(f"wrote {printable(str(out))}")
+    lines += [f"wrote {path}" for path in written if path is not None]
     return [printable(line) for line in lines]

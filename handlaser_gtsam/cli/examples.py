@@ -17,6 +17,7 @@ EXAMPLES = {
     "convert": (
         "handlaser convert recording.csv",
         "handlaser convert recording.csv \\\n    --pose-format ros --out again.csv",
+        "handlaser convert recording.csv \\\n    --pose-format ros --write-log logs.toml",
     ),
     "export": (
         "handlaser export calibration.json --to kuka",

@@ -48,42 +48,63 @@ AtRangeOption = Annotated[
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")]
 
 
+KNOWN, HOW = "Noise and sensor, instead of the rig file", "How it is calibrated"
+"""Sections of the help, behind the options that most people need."""
+
+
 @dataclass(frozen=True, slots=True)
 class Given:
     """What is known of noise and sensor: the rig file, and what the command line says instead."""
 
-    rig: Annotated[Path | None, typer.Option(help="Rig file, TOML: noise, sensor, limits.")] = None
+    rig: Annotated[
+        Path | None,
+        typer.Option(help="Rig file, TOML: noise, sensor, limits, how logs are written."),
+    ] = None
     range_sigma_mm: Annotated[
         float | None,
         typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
     ] = None
     pose_translation_sigma_mm: Annotated[
         float | None,
-        typer.Option(help="Sigma of the hand position an axis, mm; estimated if not given."),
+        typer.Option(
+            help="Sigma of the hand position an axis, mm; estimated if not given.",
+            rich_help_panel=KNOWN,
+        ),
     ] = None
     pose_rotation_sigma_deg: Annotated[
         float | None,
         typer.Option(
-            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
+            help="Sigma of the hand rotation about each axis, deg; estimated if not given.",
+            rich_help_panel=KNOWN,
         ),
     ] = None
     incidence_sigma_mm: Annotated[
         float | None,
-        typer.Option(help="Added to a reading's sigma times the tangent of the incidence, mm."),
+        typer.Option(
+            help="Added to a reading's sigma times the tangent of the incidence, mm.",
+            rich_help_panel=KNOWN,
+        ),
     ] = None
     range_mm: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
+        typer.Option(
+            metavar="MIN MAX",
+            help="Range of the sensor, mm: --range-mm 0 30.",
+            rich_help_panel=KNOWN,
+        ),
     ] = None
     max_incidence_deg: Annotated[
-        float | None, typer.Option(help="Largest angle between beam and plane normal, deg.")
+        float | None,
+        typer.Option(
+            help="Largest angle between beam and plane normal, deg.", rich_help_panel=KNOWN
+        ),
     ] = None
 
-    def read(self, log: Log) -> "Rig":
+    def read(self) -> "Rig":
         """Return the rig file with what the command line says instead."""
         from ..files.rig_toml import known_rig
 
-        return known_rig(self.rig, asdict(self) | log.stated())
+        return known_rig(self.rig, asdict(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +115,16 @@ class Model:
         RangeErrorChoice,
         typer.Option(
             help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
-            "of zero mean whose scales are learned from all beams."
+            "of zero mean whose scales are learned from all beams.",
+            rich_help_panel=HOW,
         ),
     ] = RangeErrorChoice.auto
     poses: Annotated[
         PosesChoice,
         typer.Option(
             help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
-            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
+            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero.",
+            rich_help_panel=HOW,
         ),
     ] = PosesChoice.auto
     estimate_noise: Annotated[
@@ -109,11 +132,16 @@ class Model:
         typer.Option(
             "--estimate-noise",
             help="Estimate the sigmas of ranges and poses even where they are given.",
+            rich_help_panel=HOW,
         ),
     ] = False
     range_sigma_by_beam: Annotated[
         bool,
-        typer.Option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
+        typer.Option(
+            "--range-sigma-by-beam",
+            help="Estimate the range sigma of each beam.",
+            rich_help_panel=HOW,
+        ),
     ] = False
 
     def options(self, rig: "Rig") -> "CalibrationOptions":

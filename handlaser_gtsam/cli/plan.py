@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, print_wrapped
-from .log_options import Log
 from .options import Given, JsonOption, Model, QuietOption
 from .progress_line import Working
 
@@ -67,7 +66,6 @@ class PlanOptions:
 
 def plan(
     given: Given,
-    log: Log,
     model: Model,
     wanted: PlanOptions,
     recording: Annotated[
@@ -94,7 +92,7 @@ def plan(
     from .plan_tables import plan_lines, scene_lines
 
     with Working():
-        rig = given.read(log)
+        rig = given.read()
         outputs = {"--out": wanted.out, "--picture": wanted.picture}
         require_outputs(outputs, (recording, wanted.calibration, given.rig, *rig.log.files))
         planned = _planned(recording, rig, model, wanted)

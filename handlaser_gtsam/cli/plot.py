@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import UNDETERMINED, Answer, print_wrapped
-from .log_options import Log
 from .options import Given, Model
 from .progress_line import Working
 
@@ -30,7 +29,7 @@ OutOption = Annotated[
 ]
 
 
-def plot(file: SourceArgument, out: OutOption, given: Given, log: Log, model: Model) -> None:
+def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> None:
     """Draw the figures of a report as PNG files into a folder.
 
     Of a calibration that was written by --out, only the beams and their correlations: its file holds
@@ -40,7 +39,7 @@ def plot(file: SourceArgument, out: OutOption, given: Given, log: Log, model: Mo
     Exit codes: 0 good; 2 bad input; 3 no calibration: what can be drawn all the same is drawn.
     """
     with Working():
-        answer = _drawn(file, out, given.read(log), model)
+        answer = _drawn(file, out, given.read(), model)
     answer.give(json=False)
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import NOT_USABLE, Answer, print_wrapped
-from .log_options import Log
 from .options import Given, JsonOption, Model, RecordingArgument
 from .progress_line import Working
 
@@ -48,7 +47,6 @@ def validate(
     recording: RecordingArgument,
     against: Against,
     given: Given,
-    log: Log,
     model: Model,
     splits: Splits,
     json_: JsonOption = False,
@@ -61,7 +59,7 @@ def validate(
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
     """
     with Working():
-        answer = _answered(recording, against, given.read(log), model, splits)
+        answer = _answered(recording, against, given.read(), model, splits)
     answer.give(json=json_)
 
 

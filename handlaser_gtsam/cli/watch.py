@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .log_options import Log
 from .options import AtRangeOption, Given, Model, metres
 from .progress_line import Working
 
@@ -55,7 +54,6 @@ def watch(
         ),
     ],
     given: Given,
-    log: Log,
     model: Model,
     serving: Serving,
 ) -> None:
@@ -67,7 +65,7 @@ def watch(
     """
     with Working():
         _require_extra()
-        watched = _watched(path, given, log, model, serving)
+        watched = _watched(path, given, model, serving)
         from ..files.watch.follower import Follower
         from ..files.watch.server import PageServer, listening
 
@@ -90,12 +88,12 @@ def _require_extra() -> None:
             raise InputError(f"no {name}, which the page needs", expected) from error
 
 
-def _watched(path: Path, given: Given, log: Log, model: Model, serving: Serving) -> "Watched":
+def _watched(path: Path, given: Given, model: Model, serving: Serving) -> "Watched":
     """Return what is followed; refuse what cannot be calibrated whatever the files say."""
     from ..files.rig_toml import known_rig
     from ..files.watch.watched import Watched, watched_files
 
-    stated = {name: value for name, value in asdict(given).items() if name != "rig"} | log.stated()
+    stated = {name: value for name, value in asdict(given).items() if name != "rig"}
     options = model.options(known_rig(None, stated))
     recording, rig = watched_files(path, given.rig)
     reading = metres(serving.at_range_mm)

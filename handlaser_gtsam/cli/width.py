@@ -2,8 +2,6 @@
 
 import shutil
 
-from ..results.lines import WIDTH
-
 LEAST = 40
 """Columns below which nothing gets any narrower."""
 ENDLESS = 1000
@@ -17,4 +15,6 @@ def columns() -> int:
 
 def text_width() -> int:
     """Return the columns of text: those of the screen, but at most `WIDTH`."""
+    from ..results.lines import WIDTH  # loads NumPy, which the help does without
+
     return min(columns(), WIDTH)

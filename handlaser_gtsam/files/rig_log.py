@@ -1,5 +1,7 @@
 """The table [log] of a rig file: how logs are written, a field for every one of `LogFormat`."""
 
+import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -57,12 +59,40 @@ class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type:
             with in_table("log", self):
                 return with_stated(LogFormat(), stated)
         except InputError as error:  # which of several fields contradict each other
-            raise InputError(_as_fields(error.found), _as_fields(error.expected)) from error
+            raise InputError(as_fields(error.found), as_fields(error.expected)) from error
 
 
-def _as_fields(words: str) -> str:
-    """Return words with fields of the table in place of options."""
-    return OPTION.sub(lambda found: f"log.{found[1].replace('-', '_')}", words)
+def as_fields(words: str) -> str:
+    """Return words with fields of the table in place of the options of `convert`."""
+
+    def field(option: re.Match[str]) -> str:
+        name = option[1].replace("-", "_")
+        return f"log.{name}" if name in NAMES else option[0]
+
+    return OPTION.sub(field, words)
+
+
+def table_of(given: LogFormat, folder: Path) -> str:
+    """Return the table [log] that says how logs are written, with files named from a folder on.
+
+    Raises
+    ------
+    InputError
+        Nothing is stated.
+    """
+    plain, lines = LogFormat(), ["[log]"]
+    for name in NAMES:
+        value = getattr(given, name)
+        if value == getattr(plain, name):
+            continue
+        if isinstance(value, Path):
+            value = os.path.relpath(value.absolute(), folder.absolute())
+        # What JSON says of a text, a number, a truth value or a list of them, TOML says, too.
+        lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
+    if len(lines) == 1:
+        expected = "an option that says how the log is written, such as --pose-format"
+        raise InputError("nothing that a table [log] could say", expected)
+    return "\n".join(lines) + "\n"
 
 
 def with_stated(known: LogFormat, given: Mapping[str, object]) -> LogFormat:

@@ -20,9 +20,9 @@ Every table is optional, and so is every field but those that say where somethin
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, overload
+from typing import Annotated, Any, overload
 
 from pydantic import Strict
 
@@ -37,11 +37,13 @@ from ..planning.workspace import Workspace
 from ..quantities import DEG, IN_DEG, IN_MM, MM
 from ..results.limits import Limits
 from ..validation.simulate import Errors
-from .checked_text import FileRecord, in_table, read_checked, square_matrix
+from .checked_text import FileRecord, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
-from .rig_log import LogTable, with_stated
+from .rig_log import LogTable, table_of, with_stated
 from .rig_planning import BlindTable, GoalTable, PlacementTable, RobotTable, WorkspaceTable
 from .writing import path_of, write_text
+
+RIG_FILE = "a rig file, TOML"
 
 
 class NoiseTable(FileRecord):
@@ -172,14 +174,14 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
-    rig = read_checked(path, _Rig, toml_value, "a rig file, TOML")
+    rig = read_checked(path, _Rig, toml_value, RIG_FILE)
     try:
         return rig, _to_si(rig, path.parent)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
 
-def toml_value(text: str) -> object:
+def toml_value(text: str) -> dict[str, Any]:
     """Return the content of a TOML text; raises a ValueError."""
     return tomllib.loads(text.removeprefix("\ufeff").replace("\r\n", "\n"))
 
@@ -281,6 +283,40 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
         least, most = sensor.range_min * IN_MM, sensor.range_max * IN_MM
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
     write_text(path_of(path), "\n".join(lines) + "\n")
+
+
+def with_log_table(path: Path | str, log: LogFormat) -> str:
+    """Return the text of a rig file, which may not exist yet, with how logs are written as its [log].
+
+    Raises
+    ------
+    InputError
+        No rig file, one with a table [log] that says another thing, or nothing to say.
+    """
+    path = path_of(path)
+    table = table_of(log, path.parent)
+    try:
+        table.encode()
+        wanted = LogTable.model_validate(toml_value(table)["log"]).to_format(path.parent)
+    except ValueError as error:  # a character that UTF-8 or TOML does not have
+        raise InputError(f"no table [log] ({error})", "printable names") from error
+    if not path.exists():
+        return table
+    known, text = read_rig(path).log, read_text(path, RIG_FILE)
+    if "log" not in toml_value(text):
+        ends = "\r\n" if "\r\n" in text else "\n"
+        gap = "" if not text else ends if text.endswith("\n") else 2 * ends
+        return text + gap + table.replace("\n", ends)
+    differ = [
+        one.name for one in fields(log) if getattr(known, one.name) != getattr(wanted, one.name)
+    ]
+    if differ:
+        raise InputError(
+            f"a table [log] with other values of {', '.join(differ)}",
+            "the same values, a rig file without that table, or a new one",
+            path,
+        )
+    return text
 
 
 @overload

@@ -1,35 +1,28 @@
-"""Would the file fit if it were read another way? Asked only where it does not fit as it stands.
+"""Mistakes that people make when they write poses and ranges to a file.
 
-Each hypothesis is a mistake that people make when they write poses and ranges to a file. The recording
-is changed as if the mistake were undone, a start is found, and the residuals are compared. The result
-is a sentence for the user, never a change of the data.
+A recording that does not fit as it stands is read as if each mistake were undone (`rereading`).
 """
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, product
-from typing import Literal
+from itertools import chain, combinations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
-from ..data.ordering import sorted_readings
 from ..data.recording import LARGEST, Recording
 from ..errors import InputError
-from ..quantities import DEG, INCH, MM
-from ..starts import Effort, find_start
+from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
+from ..quantities import INCH, MM
+from ..starts import Effort
+from .rereading import MUCH_BETTER, Change, Rereading, misfit, misfits, one_beam, tells
 
-MUCH_BETTER = 100.0
-"""A hypothesis is worth a word when it lowers the mean squared residual by this factor."""
 ALIKE = 4.0
 """Of several hypotheses those are named whose misfit is within this factor of the least."""
 PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
-SPARE = 15
-"""So many readings more than unknowns tell a mistake from a chance fit."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
 MANY_LOST = 0.1
@@ -48,19 +41,12 @@ MOST_SWAPS = 40
 """Pairs of beams, times planes, that are tried: more would take longer than the calibration."""
 GROUPS = 4
 """Planes are left out in so many groups to find the one before which beams look swapped."""
-Numbers = Literal["vector", "xyz", "XYZ", "ZYX"]
-"""Three numbers of a rotation: its vector, or angles of a sequence in SciPy's spelling, in lower case
-about fixed axes and in upper case about moving ones."""
-
-
-Undone = Callable[[Recording], Recording]
-"""Returns a recording as it would be without a mistake."""
 
 
 def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
     """Say how else the file could be read so that it fits a hundredfold better; nothing if it cannot.
 
-    Where several ways fit alike, as y negated and both x and z do, all of them are said. Nothing is
+    Where several ways fit alike, as y negated and both x and z do, all of them are named. Nothing is
     said of a recording that is so small that another way may fit by chance.
 
     Parameters
@@ -72,74 +58,45 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         Readings that were rejected as outliers. Where they are given, the others fit, and only mistakes
         that concern a part of the recording are tried.
     """
-    if not _tells(recording):
+    if not tells(recording):
         return ""
+    measure = partial(_misfit, terms=terms)
     if rejected is None:
-        rounds: list[Callable[[], list[tuple[str, Undone, Effort]]]] = [
-            lambda: [
-                *_promising(recording, terms),
-                *_swaps(recording, terms),
-                *_unit_changes(recording),
-            ],
-            lambda: [*_mixed_labels(recording, terms), *_on_the_way(recording, terms)],
+        rounds: list[list[Iterator[Rereading]]] = [
+            [_promising(recording, terms), _swaps(recording, terms), _unit_changes(recording)],
+            [_mixed_labels(recording, terms), _on_the_way(recording, terms)],
         ]
     else:
-        rounds = [lambda: [*_exchanges(recording, rejected), *_second_plates(recording, rejected)]]
+        rounds = [[_exchanges(recording, rejected), _second_plates(recording, rejected)]]
         if rejected.mean() > MANY_LOST:
-            rounds.append(lambda: [*_mixed_labels(recording, terms)])
-    found: list[tuple[float, str]] = []
+            rounds.append([_mixed_labels(recording, terms)])
     for mistakes in rounds:  # those that take long are tried only where the others explain nothing
-        found = found or _much_better(recording, terms, mistakes())
-    if not found:
-        return ""
-    best = max(ratio for ratio, _ in found)
-    words = " or ".join(way for ratio, way in found if ratio > best / ALIKE)
-    return f"{words}: read so, the readings fit {min(np.sqrt(best), 1e6):.0f} times better"
+        without = misfits(recording, chain.from_iterable(mistakes), measure)
+        if not without:
+            continue
+        now, best = measure(recording, "normal"), min(without)[0]
+        if now >= MUCH_BETTER * best:
+            most = min(now / MUCH_BETTER, ALIKE * best)
+            words = " or ".join(words for value, words in without if value <= most)
+            times = min(np.sqrt(now / best), 1e6)
+            return f"{words}: read so, the readings fit {times:.0f} times better"
+    return ""
 
 
-def _much_better(
-    recording: Recording, terms: int, mistakes: list[tuple[str, Undone, Effort]]
-) -> list[tuple[float, str]]:
-    """Return by how much the misfit falls without each of some mistakes, where that is much."""
-    if not mistakes:
-        return []
-    now, found = misfit(recording, terms, "normal"), []
-    for words, undone, effort in mistakes:
-        ratio = now / max(misfit(undone(recording), terms, effort), 1e-30)
-        if ratio >= MUCH_BETTER:
-            found.append((ratio, words))
-    return found
+def _misfit(recording: Recording, effort: Effort, terms: int) -> float:
+    return misfit(recording, terms, effort)
 
 
-def _promising(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
-    """Yield the mistakes of the poses or the units without which one beam fits far better.
-
-    Such a mistake is the same for all beams, and one beam is the smallest problem that shows it.
-    """
-    one = _one_beam(recording)
+def _promising(recording: Recording, terms: int) -> Iterator[Rereading]:
+    """Yield the mistakes of poses or units without which one beam fits far better at a glance."""
+    one, _ = one_beam(recording)
     now = misfit(one, terms, "glance")
     for words, undone in HYPOTHESES.items():
         if now >= PROMISING * misfit(undone(one), terms, "glance"):
-            yield words, undone, "normal"
+            yield Rereading(words, undone)
 
 
-def _one_beam(recording: Recording) -> Recording:
-    """Return the readings of the beam with most of them, where they suffice."""
-    seen = ~np.isnan(recording.ranges)
-    beam = int(np.argmax(seen.sum(axis=0)))
-    others = np.ones(seen.shape, dtype=bool)
-    others[:, beam] = False
-    one = recording.without(others).part(seen[:, beam])
-    return one if _tells(one) else recording
-
-
-def _tells(recording: Recording) -> bool:
-    """Tell whether a recording has readings enough to tell a mistake from a chance fit."""
-    unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
-    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + SPARE)
-
-
-def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+def _swaps(recording: Recording, terms: int) -> Iterator[Rereading]:
     """Two beams exchanged before one plane; exchanged everywhere they would only change names.
 
     Without that plane the others fit far better, and their beams tell which two were exchanged.
@@ -163,7 +120,7 @@ def _swaps(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effo
                 f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
             )
             rows = recording.plane_of_station == plane
-            yield words, partial(_swapped, rows=rows, i=i, j=j), "quick"
+            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick")
 
 
 def _swapped(recording: Recording, rows: BoolArray, i: int, j: int) -> Recording:
@@ -172,7 +129,7 @@ def _swapped(recording: Recording, rows: BoolArray, i: int, j: int) -> Recording
     return replace(recording, ranges=ranges)
 
 
-def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[tuple[str, Undone, Effort]]:
+def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
     """Two beams exchanged at the stations at which readings of both were rejected, or about there.
 
     Where two beams are exchanged from some station on, and each is found by the other half of the
@@ -204,12 +161,10 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[tuple[str,
                 f"the readings of beams {names[i]} and {names[j]} look swapped at {len(where)} "
                 f"stations, {stations[where[0]]} to {stations[where[-1]]}"
             )
-            yield words, partial(_swapped, rows=rows, i=i, j=j), "quick"
+            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick")
 
 
-def _second_plates(
-    recording: Recording, rejected: BoolArray
-) -> Iterator[tuple[str, Undone, Effort]]:
+def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
     """Yield planes of which every reading from some station on, or up to it, was rejected."""
     lost: BoolArray = np.asarray((rejected | np.isnan(recording.ranges)).all(axis=1))
     for plane, name in enumerate(recording.plane_names):
@@ -218,14 +173,14 @@ def _second_plates(
         if not LEAST_REJECTED <= len(out) < len(own):
             continue
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
-        yield (
+        yield Rereading(
             _of_another_plane(name, recording.station_names[first]),
             partial(_parted, names=(name,), split=int(first)),
             "quick",
         )
 
 
-def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
+def _unit_changes(recording: Recording) -> Iterator[Rereading]:
     """Lengths that have another unit from some station on: they differ by a large factor throughout.
 
     They are all ranges, the ranges of one beam, or the positions.
@@ -240,10 +195,10 @@ def _unit_changes(recording: Recording) -> Iterator[tuple[str, Undone, Effort]]:
     for what, own in beams:
         for words, factor in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
             whole = np.where(own, factor[:, None], 1.0)
-            yield words, partial(_scaled, ranges=whole), "quick"
+            yield Rereading(words, partial(_scaled, ranges=whole), "quick")
     distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
     for words, factor in _changes_of(distance, "the positions", recording):
-        yield words, partial(_scaled, positions=factor[:, None]), "quick"
+        yield Rereading(words, partial(_scaled, positions=factor[:, None]), "quick")
 
 
 def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tuple[str, FloatArray]]:
@@ -264,7 +219,7 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
             yield words, np.where(rows, metres, 1.0)
 
 
-def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+def _mixed_labels(recording: Recording, terms: int) -> Iterator[Rereading]:
     """One label for two positions of the plate, or two labels exchanged from some station on.
 
     A plane whose stations do not fit by themselves, while those of others do, holds stations of
@@ -294,15 +249,15 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[tuple[str, Undon
         words = f"the labels {' and '.join(names)} look exchanged from station {station} on"
         if len(names) == 1:
             words = _of_another_plane(names[0], station)
-        yield words, partial(undone, names=names, split=late), "normal"
+        yield Rereading(words, partial(undone, names=names, split=late))
 
 
-def _on_the_way(recording: Recording, terms: int) -> Iterator[tuple[str, Undone, Effort]]:
+def _on_the_way(recording: Recording, terms: int) -> Iterator[Rereading]:
     """Yield that readings were taken on the way to the next station, or from the last.
 
     Near the right part of the way the misfit is quadratic in it: a parabola through three tells it.
     """
-    one = _one_beam(recording)
+    one, _ = one_beam(recording)
     values = {0.0: misfit(one, terms, "glance")}
     for share in SHARES:
         values[share] = misfit(_moved_on(one, share), terms, "glance")
@@ -322,7 +277,7 @@ def _on_the_way(recording: Recording, terms: int) -> Iterator[tuple[str, Undone,
     words = (
         f"readings look as if taken {where} station: the hand was not at rest, or they came late"
     )
-    yield words, partial(_moved_on, share=best), "normal"
+    yield Rereading(words, partial(_moved_on, share=best))
 
 
 def _moved_on(recording: Recording, share: float) -> Recording:
@@ -343,7 +298,7 @@ def _moved_on(recording: Recording, share: float) -> Recording:
 def _misfit_of_planes(recording: Recording, planes: tuple[int, ...], terms: int) -> float | None:
     """Return the misfit of some planes alone; None where they have too few readings to tell."""
     part = recording.part(np.isin(recording.plane_of_station, planes))
-    return misfit(part, terms, "glance") if _tells(part) else None
+    return misfit(part, terms, "glance") if tells(part) else None
 
 
 def _best_split(part: Recording, undone: Callable[..., Recording], terms: int) -> int | None:
@@ -394,15 +349,7 @@ def _relabelled(recording: Recording, names: tuple[str, ...], split: int) -> Rec
     return replace(recording, plane_labels=labels)
 
 
-def misfit(recording: Recording, terms: int, effort: Effort) -> float:
-    """Return the mean squared residual in parts of the variance of the readings: no unit matters."""
-    readings, _ = sorted_readings(recording)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    rms = find_start(readings, None, terms, effort=effort).tried[0][1]
-    return float(rms**2) / max(float(np.nanvar(recording.ranges)), 1e-300)
-
-
-def _turned(change: Callable[[Rotation], Rotation]) -> Undone:
+def _turned(change: Callable[[Rotation], Rotation]) -> Change:
     def undone(recording: Recording) -> Recording:
         R = change(Rotation.from_matrix(recording.world_R_hand)).as_matrix()
         return replace(recording, world_R_hand=R)
@@ -411,8 +358,7 @@ def _turned(change: Callable[[Rotation], Rotation]) -> Undone:
 
 
 def _inverted(recording: Recording) -> Recording:
-    R = np.swapaxes(recording.world_R_hand, 1, 2)
-    t = -np.einsum("mij,mj->mi", R, recording.world_t_hand)
+    R, t = inverted(recording.world_R_hand, recording.world_t_hand)
     return replace(recording, world_R_hand=R, world_t_hand=t)
 
 
@@ -426,17 +372,12 @@ def _scaled(
     return replace(recording, world_t_hand=t, ranges=d)
 
 
-def _reordered(order: tuple[int, ...], signs: tuple[int, ...]) -> Undone:
+def _reordered(order: tuple[int, ...], signs: tuple[int, ...]) -> Change:
     def undone(recording: Recording) -> Recording:
         t = recording.world_t_hand[:, list(order)] * np.array(signs, dtype=float)
         return replace(recording, world_t_hand=t)
 
     return undone
-
-
-def _scalar_first(rotation: Rotation) -> Rotation:
-    q = rotation.as_quat()
-    return Rotation.from_quat(np.column_stack((q[:, 1:], q[:, :1])))
 
 
 def _shifted(recording: Recording, rows: int) -> Recording:
@@ -454,24 +395,28 @@ def _permuted(rotation: Rotation, order: tuple[int, int, int]) -> Rotation:
     return Rotation.from_quat(rotation.as_quat()[:, [*order, 3]])
 
 
-def _numbers(written: Numbers, read: Numbers, factor: float = 1.0) -> Undone:
-    """Undo that three numbers were `read` as another thing than `written`, or without a `factor`."""
+def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
+    """Say that rotations of one convention were read in another, and return what undoes that."""
 
-    def change(rotation: Rotation) -> Rotation:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of gimbal lock: another hypothesis, or none, will fit
-            found = rotation.as_rotvec() if read == "vector" else rotation.as_euler(read)
-        if written == "vector":
-            return Rotation.from_rotvec(factor * found)
-        return Rotation.from_euler(written, factor * found)
+    def undone(recording: Recording) -> Recording:
+        x = numbers_of(recording.world_R_hand, recording.world_t_hand, read)
+        R, _ = poses_of(x, written)
+        return replace(recording, world_R_hand=R)
 
-    return _turned(change)
+    if written.rotation == read.rotation:
+        units = {"deg": "degrees", "rad": "radians"}
+        words = f"look like {units[written.angles]} taken as {units[read.angles]}"
+        return f"the rotations ({read.rotation_words}) {words}", undone
+    both = []
+    for one in (written, read):
+        controller = next((name for name, f in FORMATS.items() if f.rotation == one.rotation), "")
+        both.append(f"{one.rotation_words}{controller and f' ({controller})'}")
+    return f"the rotations look like {both[0]} read as {both[1]}", undone
 
 
-HYPOTHESES: dict[str, Undone] = {
-    "the poses look inverted (hand_T_world instead of world_T_hand)": _inverted,
+HYPOTHESES: dict[str, Change] = {
+    f"the poses look inverted: {INVERTED}": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
-    "the quaternions look like qw qx qy qz written as qx qy qz qw": _turned(_scalar_first),
     **{
         f"the {name} of the quaternions look negated": _turned(partial(_signed, signs=signs))
         for name, signs in {"qx": (-1, 1, 1), "qy": (1, -1, 1), "qz": (1, 1, -1)}.items()
@@ -510,25 +455,21 @@ HYPOTHESES: dict[str, Undone] = {
             "z, x, y coordinates": (2, 0, 1),
         }.items()
     },
-    "the rotation vectors look like degrees taken as radians": _numbers("vector", "vector", DEG),
-    "the angles about x, y, z look like degrees taken as radians": _numbers("xyz", "xyz", DEG),
-    "the rotation vectors look like radians taken as degrees": _numbers(
-        "vector", "vector", 1.0 / DEG
-    ),
-    "the angles about x, y, z look like radians taken as degrees": _numbers(
-        "xyz", "xyz", 1.0 / DEG
+    **dict(
+        _read_as(Convention(written, angles=unit), Convention(read, angles=other))
+        for written, unit, read, other in (
+            ("wxyz", "rad", "xyzw", "rad"),
+            ("rotvec", "deg", "rotvec", "rad"),
+            ("xyz", "deg", "xyz", "rad"),
+            ("rotvec", "rad", "rotvec", "deg"),
+            ("xyz", "rad", "xyz", "deg"),
+            ("ZYX", "rad", "xyz", "rad"),
+            ("xyz", "rad", "XYZ", "rad"),
+            ("XYZ", "rad", "xyz", "rad"),
+            ("rotvec", "rad", "xyz", "rad"),
+        )
     ),
     "the ranges look one row late": partial(_shifted, rows=1),
     "the ranges look one row early": partial(_shifted, rows=-1),
-    "the first and the third angle look exchanged (KUKA A B C read as FANUC W P R, or so)": _numbers(
-        "ZYX", "xyz"
-    ),
-    "the angles of fixed axes x, y, z look as if read as those of moving axes": _numbers(
-        "xyz", "XYZ"
-    ),
-    "the angles of moving axes x, y, z look as if read as those of fixed axes": _numbers(
-        "XYZ", "xyz"
-    ),
-    "the rotation vectors look as if read as angles about x, y, z": _numbers("vector", "xyz"),
 }
 """Mistakes in words, and what undoes them."""

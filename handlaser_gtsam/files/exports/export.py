@@ -8,6 +8,7 @@ from ...checks import require_count, require_kind, require_names, require_number
 from ...data.recording import LARGEST
 from ...data.station_list import StationList
 from ...errors import InputError, NotConvergedError
+from ...model.conventions import FORMATS as POSE_FORMATS
 from ...quantities import IN_MM
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
@@ -15,7 +16,6 @@ from ...text import A_NAME, name_fault, shown
 from ..calibration_file import CalibrationFile
 from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
-from ..logs.conventions import FORMATS as POSE_FORMATS
 from ..writing import path_of, write_bytes
 from .beams import exported_beams
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...data.station_list import StationList
+from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
-from ..logs.conventions import FORMATS, spelled_columns
-from ..logs.poses import numbers_of
 from .names import comment_text
 from .rendering import fixed, number, rendered
 

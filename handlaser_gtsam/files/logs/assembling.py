@@ -1,185 +1,126 @@
 """Stations and readings become a recording."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray
 from ...data.recording import Recording
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
-from .averaging import Averaged, Samples, averaged
+from ...text import count
+from .averaging import Averaged, averaged
 from .format import LogFormat
+from .format_checks import convention_of
 from .held import held_poses
-from .motion import Pair
+from .joining import Stations
+from .lag import Lag
+from .motion import Raw
 from .planes import intervals, planes_of
 from .poses import hand_poses
 from .report import LogReport
-from .suspicion import Raw, refuse_wrong_convention
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stationed:
-    """Stations of a log, whatever it was.
-
-    Attributes
-    ----------
-    path : Path
-    raw : Raw
-        Poses as the log has them, and how they become those of stations.
-    names : S labels
-    planes : S labels, or None
-    times : (S,) or None
-        [s]
-    begin : float
-        The time at which the log begins [s].
-    beams : B names
-    samples : Samples
-    codes : callable
-        The warnings of codes for no reading at the stations (S,) that are in the recording.
-    ignored : names
-        Of columns or topics that were not used.
-    warnings : tuple of CalibrationWarning
-    lines : texts
-        How it was read, for a person.
-    """
-
-    path: Path
-    raw: Raw
-    names: Sequence[str]
-    planes: Sequence[str] | None
-    times: FloatArray | None
-    begin: float
-    beams: tuple[str, ...]
-    samples: Samples
-    codes: Callable[[BoolArray], tuple[CalibrationWarning, ...]]
-    ignored: tuple[str, ...]
-    warnings: tuple[CalibrationWarning, ...]
-    lines: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What is known of the sensors: their range, and the standard deviation of a reading [m]."""
-
-    sensor: Sensor
-    sigma: float | None = None
+from .suspicion import refuse_wrong_convention
 
 
 def assembled(
-    log: Stationed, given: LogFormat, known: Known, lag: tuple[float, float | None]
+    log: Stations, given: LogFormat, sensor: Sensor, range_sigma: float | None
 ) -> LogReport:
     """Return the recording of stations, once their poses are believed.
 
     Parameters
     ----------
-    log, given, known
-    lag : (float, float or None)
-        How much later readings are stamped than poses, and its standard deviation if estimated [s].
+    log, given, sensor
+    range_sigma : float, optional
+        Standard deviation of a reading, if it is known [m].
 
     Raises
     ------
     InputError
         No planes, no readings, or poses that mean something else.
     """
-    report, chosen = _report(log, given, known, lag)
-    held = held_poses(report.recording)
-    doubts = refuse_wrong_convention(
-        report.recording,
-        log.raw,
-        np.flatnonzero(chosen),
-        given.range_units,
-        log.path,
-        as_stated=given.as_stated,
-    )
-    if not held and not doubts:
-        return report
-    warnings = (*report.recording.warnings, *held, *doubts)
-    return replace(report, recording=replace(report.recording, warnings=warnings))
-
-
-def _report(
-    log: Stationed, given: LogFormat, known: Known, lag: tuple[float, float | None]
-) -> tuple[LogReport, np.ndarray]:
-    """Return the recording of stations, and which of them (S,) are in it."""
-    mean = averaged(log.samples, (len(log.names), len(log.beams)), given.average, known.sigma)
+    poses, readings, path = log.poses, log.readings, log.poses.table.path
+    assert poses.poses is not None
+    mean = averaged(readings.ranges, log.station, len(log.names), given.average, range_sigma)
     if given.range_sigma_from_scatter and mean.scatter is None:
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
-        raise InputError(found, "repeated readings, or the sigma itself", log.path)
+        raise InputError(found, "repeated readings, or the sigma itself", path)
     planes, chosen, warnings = _planes(log, given)
-    warnings = (*log.codes(chosen), *warnings)
+    if readings.codes is not None:
+        counted = (log.station >= 0) & chosen[log.station]
+        warnings = (*readings.codes.warnings(counted), *warnings)
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean.ranges).all(axis=1)
         chosen = chosen & ~unread
         if not chosen.any():
-            raise InputError("no reading at any station", "readings at the time of poses", log.path)
+            raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    poses = hand_poses(*log.raw.poses(), log.raw.convention, given.tool, given.base)
-    both = (*log.warnings, *warnings)
-    recording = _recording(log, poses, planes, chosen, mean, both, known.sensor)
-    scatter_of = {
-        beam: float(value)
-        for beam, value in zip(log.beams, mean.scatter_of, strict=True)
-        if not np.isnan(value)
-    }
-    readings = int((~np.isnan(recording.ranges)).sum())
-    counts = ", ".join(
-        f"{count} {what}{'' if count == 1 else 's'}"
-        for count, what in (
-            (len(recording.station_names), "station"),
-            (len(recording.beam_names), "beam"),
-            (len(recording.plane_names), "plane"),
-            (readings, "reading"),
-        )
-    )
-    lines = (counts, *log.lines, *_lag_lines(*lag), *_average_lines(mean, given))
-    beside = tuple(path for path in given.files if path is not None)
-    return LogReport(recording, mean.scatter, scatter_of, *lag, lines, beside), chosen
-
-
-def _recording(
-    log: Stationed,
-    poses: Pair,
-    planes: list[str],
-    chosen: np.ndarray,
-    mean: Averaged,
-    warnings: tuple[CalibrationWarning, ...],
-    sensor: Sensor,
-) -> Recording:
+    raw = Raw(poses.poses, convention_of(given), given.inverted, log.way)
+    R, t = hand_poses(*raw.poses(), raw.convention, given.tool, given.base)
+    both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
-    return Recording(
-        poses[0][rows],
-        poses[1][rows],
+    recording = Recording(
+        R[rows],
+        t[rows],
         mean.ranges[rows],
         tuple(planes[i] for i in rows.tolist()),
-        log.beams,
+        readings.beams,
         tuple(log.names[i] for i in rows.tolist()),
-        log.ignored,
+        tuple(dict.fromkeys(name for one in both for name in one.ignored)),
         None if mean.samples is None else mean.samples[rows],
-        warnings,
+        (*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
         min(0.0, sensor.range_min),
     )
+    doubts = held_poses(recording)
+    doubts += refuse_wrong_convention(
+        recording, raw, rows, given.range_units, path, as_stated=given.as_stated
+    )
+    if doubts:
+        recording = replace(recording, warnings=(*recording.warnings, *doubts))
+    texts = (_counts(recording), poses.words, log.words)
+    return LogReport(
+        recording,
+        mean.scatter,
+        {
+            beam: float(value)
+            for beam, value in zip(readings.beams, mean.scatter_of, strict=True)
+            if not np.isnan(value)
+        },
+        log.lag.value,
+        log.lag.sigma or None,
+        (*filter(None, texts), *_lag_lines(log.lag), *_average_lines(mean, given)),
+        tuple(path for path in given.files if path is not None),
+    )
+
+
+def _counts(recording: Recording) -> str:
+    counts = {
+        "station": len(recording.station_names),
+        "beam": len(recording.beam_names),
+        "plane": len(recording.plane_names),
+        "reading": int((~np.isnan(recording.ranges)).sum()),
+    }
+    return ", ".join(count(number, what) for what, number in counts.items())
 
 
 def _planes(
-    log: Stationed, given: LogFormat
-) -> tuple[list[str], np.ndarray, tuple[CalibrationWarning, ...]]:
+    log: Stations, given: LogFormat
+) -> tuple[Sequence[str], BoolArray, tuple[CalibrationWarning, ...]]:
     """Return the plane of each station, which have one, and a warning of those that have none."""
-    every = np.ones(len(log.names), dtype=bool)
-    found = intervals(given)
-    if found:
-        which = planes_of(found, log.names, log.times, log.begin)
+    every, stated = np.ones(len(log.names), dtype=bool), intervals(given)
+    if stated:
+        times = log.poses.times
+        begin = 0.0 if times is None else float(times.min())
+        which = planes_of(stated, log.names, log.times, begin)
         chosen = which >= 0
         if not chosen.any():
-            raise InputError("no station in any range of planes", "ranges with stations", log.path)
-        warnings: tuple[CalibrationWarning, ...] = ()
-        if not chosen.all():
-            out = int((~chosen).sum())
-            warnings = (_left_out(out, len(which), "are in no range of a plane"),)
-        return [found[i].plane if i >= 0 else "" for i in which.tolist()], chosen, warnings
+            raise InputError(
+                "no station in any range of planes", "ranges with stations", log.poses.table.path
+            )
+        out = int((~chosen).sum())
+        warnings = (_left_out(out, len(which), "are in no range of a plane"),) if out else ()
+        return [stated[i].plane if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
     if log.planes is None:
@@ -187,9 +128,9 @@ def _planes(
             f"{len(log.names)} stations, and no column of planes",
             "--plane NAME if all stations look at one plane, --plane-column for its name, or "
             "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)",
-            log.path,
+            log.poses.table.path,
         )
-    return list(log.planes), every, ()
+    return log.planes, every, ()
 
 
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
@@ -197,12 +138,13 @@ def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
 
 
-def _lag_lines(lag: float, sigma: float | None) -> Iterator[str]:
-    later = "later" if lag >= 0.0 else "earlier"
-    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
-    if sigma is not None:
-        yield f"readings are stamped {much} {later} than poses, estimated to {1e3 * sigma:.2g} ms"
-    elif lag:
+def _lag_lines(lag: Lag) -> Iterator[str]:
+    later = "later" if lag.value >= 0.0 else "earlier"
+    much = f"{1e3 * abs(lag.value):.4g} ms" if abs(lag.value) < 1.0 else f"{abs(lag.value):.4f} s"
+    if lag.sigma:
+        sigma = f"{1e3 * lag.sigma:.2g} ms"
+        yield f"readings are stamped {much} {later} than poses, estimated to {sigma}"
+    elif lag.value:
         yield f"readings are taken to be stamped {much} {later} than poses"
 
 

@@ -25,21 +25,6 @@ LEAST = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Readings one by one: station (N,), beam (N,), value (N,) [m]."""
-
-    station: IntArray
-    beam: IntArray
-    value: FloatArray
-
-    @classmethod
-    def of_rows(cls, station: IntArray, d: FloatArray) -> "Samples":
-        """Return the readings of a table d (M, B) whose rows belong to stations (M,), -1 for none."""
-        row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
-        return cls(station[row], beam.astype(np.intp), d[row, beam])
-
-
-@dataclass(frozen=True, slots=True)
 class Averaged:
     """Means or medians.
 
@@ -65,26 +50,31 @@ class Averaged:
 
 
 def averaged(
-    given: Samples, shape: tuple[int, int], how: Average, sigma: float | None = None
+    d: FloatArray, station: IntArray, stations: int, how: Average, sigma: float | None = None
 ) -> Averaged:
     """Average the readings of each of S stations and B beams.
 
     Parameters
     ----------
-    given : Samples
-    shape : (S, B)
+    d : (M, B)
+        Readings [m]; NaN where there is none.
+    station : (M,)
+        Of each row; -1 for none.
+    stations : int
     how : {"mean", "median"}
     sigma : float, optional
         Standard deviation of a reading, if it is known [m]: what of it does not scatter is common
         to all readings of a station, and is not averaged away.
     """
+    shape = stations, d.shape[1]
     ranges, none = np.full(shape, np.nan), np.full(shape[1], np.nan)
-    key = given.station * shape[1] + given.beam
+    row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
+    key, value = station[row] * shape[1] + beam, d[row, beam]
     if not len(key) or np.bincount(key).max() == 1:
-        ranges.ravel()[key] = given.value
+        ranges.ravel()[key] = value
         return Averaged(ranges, None, None, none, 0)
-    order = np.lexsort((given.value, key))
-    key, value = key[order], given.value[order]
+    order = np.lexsort((value, key))
+    key, value = key[order], value[order]
     start = np.flatnonzero(np.diff(key, prepend=-1))
     count = np.diff(np.append(start, len(key)))
     middle = _middles(value, start, count, how)
@@ -93,7 +83,7 @@ def averaged(
     off = value - middle[group]
     held = np.maximum.reduceat(np.abs(off), start) <= HELD
     several = (count > 1) & ~held
-    beam = key[start] % shape[1]
+    beam = key[start] % shape[1]  # of each group
     each = [_scatter(off, count, group, several & (beam == b), how) for b in range(shape[1])]
     scatter = _scatter(off, count, group, several, how)
     samples = np.ones(shape)

@@ -1,45 +1,71 @@
-"""Bags as recordings: stations are the moments at which the hand stands."""
+"""Messages of a bag, one by one: poses of the hand, and readings of beams.
 
-from collections.abc import Sequence
-from dataclasses import fields
+Of ROS 1, ROS 2 and MCAP bags alike, through rosbags. Nothing but the numbers that are needed stays in
+memory: 64 bytes a pose, 16 bytes a reading.
+"""
+
+import math
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import polars as pl
 
-from ...arrays import FloatArray, IntArray
-from ...errors import InputError
-from .assembling import Known, Stationed, assembled
-from .averaging import Samples
-from .bag_messages import METADATA, BagContent, read_bag
-from .conventions import FORMATS
+from ...arrays import FloatArray
+from ...data.recording import LARGEST
+from ...errors import CalibrationWarning, HandlaserError, InputError
+from ...model.conventions import LENGTHS
+from ...solvers.progress import tell
+from ...text import A_NAME, name_fault, shown, some
+from ..table import Table
 from .format import LogFormat
-from .frames import between
-from .lag import Lag, estimated_lag
-from .motion import Rows, bracketed
-from .planes import planes_in_time
-from .report import LogReport
-from .stands import Stands, Track, find_stands
-from .suspicion import Raw
+from .frames import Frames, Stamped
+from .packed import limit_chunks, refuse_bag_bomb
+from .rows import LogRows
 
-BAGS = (".bag", ".mcap", ".db3")
-OF_TABLES = (
-    *(
-        "pose_format",
-        "rotation",
-        "units",
-        "angles",
-        "pose_columns",
-        "plane_column",
-        "station_column",
-    ),
-    *("time_column", "beam_column", "range_column", "header", "delimiter", "decimal", "sheet"),
-    *("readings", "readings_station_column", "readings_time_column", "time_units"),
-    "readings_time_units",
-)
-"""Fields that say nothing of a bag,"""
-OF_BAGS = ("pose_topic", "frames", "receive_time")
-"""and of a table."""
+RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
+POSE = "geometry_msgs/msg/PoseStamped"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+STATIC = "/tf_static"
+ROS1 = ".bag"
+"""The ending of a ROS 1 bag."""
+METADATA = "metadata.yaml"
+"""Which every folder of a ROS 2 bag has."""
+BAGS = (ROS1, ".mcap", ".db3")
+RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
+A_PART = 20_000
+"""So many messages are read between two signs of life."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beam:
+    """A beam of a bag, and what it read.
+
+    Attributes
+    ----------
+    name, topic : str
+    ray : int or None
+        Of a `LaserScan`.
+    numbers : array
+        Time [s] and reading [m], one after the other; only what the sensor says is one.
+    """
+
+    name: str
+    topic: str
+    ray: int | None
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def rows(self) -> FloatArray:
+        """Return times and readings (N, 2) in the order of time."""
+        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 2)
+        return x if (np.diff(x[:, 0]) >= 0.0).all() else x[np.argsort(x[:, 0], kind="stable")]
 
 
 def is_bag(path: Path) -> bool:
@@ -47,137 +73,262 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in BAGS
 
 
-def refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path) -> None:
-    """Refuse fields that are stated and say nothing of a kind of log.
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a bag; whatever rosbags says against it is an InputError.
 
     Raises
     ------
     InputError
     """
-    plain = {one.name: one.default for one in fields(LogFormat)}
-    for name in names:
-        if getattr(given, name) != plain[name]:
-            option = f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}, which says nothing of {what}", "a log without it", path)
+    if path.is_dir() and not (path / METADATA).is_file():
+        found = f"no bag that can be read (a folder without {METADATA})"
+        raise InputError(found, "a log, or the folder of a bag", path)
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise InputError(
+            "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
+        ) from error
+    try:
+        if path.suffix.lower() != ROS1:
+            refuse_bag_bomb(path)
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            limit_chunks(reader, path)
+            yield reader
+    except (HandlaserError, MemoryError):
+        raise
+    except Exception as error:  # the readers of rosbags have no common root
+        what = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+        raise InputError(
+            f"no bag that can be read ({what})", "a ROS 1, ROS 2 or MCAP bag", path
+        ) from error
 
 
-def describe_bag(path: Path, given: LogFormat, known: Known) -> LogReport:
-    """Read a bag.
+def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
+    """Return the poses and the readings of a bag, in the order of time.
 
     Raises
     ------
     InputError
+        Topics that are not there or not of their type, or no poses or readings in them.
     """
-    if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
-        refuse_stated(given, OF_TABLES, "a bag", path)
-    content = read_bag(path, given)
-    begin = float(content.track.time[0])
-    lag = _lag(content, given, begin) if given.estimate_lag else Lag(given.lag_s, 0.0)
-    log = _stations(path, content, given, begin, lag.value)
-    return assembled(log, given, known, (lag.value, lag.sigma if given.estimate_lag else None))
-
-
-def _stations(
-    path: Path, content: BagContent, given: LogFormat, begin: float, lag: float
-) -> Stationed:
-    """Return the stations of a bag."""
-    if given.interpolate:
-        time, R, t, samples = _moving(content, given, lag)
-        words = f"{len(time)} moments with readings, each with a pose between its neighbours"
-    else:
-        stands = find_stands(content.track, given)
-        time = stands.times
-        R, t = stand_poses(content.track, stands)
-        samples = _standing(content, stands, lag)
-        words = stands.words
-    numbers = np.hstack((t, Rotation.from_matrix(R).as_quat()))
-    every = Rows(np.arange(len(numbers), dtype=np.intp))
-    return Stationed(
-        path,
-        Raw(numbers, FORMATS["ros"], given.inverted, every),
-        [str(i + 1) for i in range(len(time))],
-        None,
-        time,
-        begin,
-        tuple(beam.name for beam in content.beams),
-        samples,
-        lambda _: (),
-        content.unused,
-        content.warnings,
-        (f"poses from {content.poses_from}", words, f"times count from {begin:.3f} s"),
+    with opened(path) as reader:
+        topics = {one.topic: one.msgtype for one in reader.connections}
+        publishers = Counter(one.topic for one in reader.connections)
+        beams = _beams(topics, given, path)
+        poses = _pose_topics(topics, given, path)
+        frames = Frames(*given.frames) if given.frames else None
+        stamped = Stamped()
+        wanted = list(dict.fromkeys([*poses, *(beam.topic for beam in beams)]))
+        wanted.sort(key=lambda topic: not topic.endswith(STATIC))
+        for message, topic, received in _messages(reader, wanted, topics, path):
+            when = received if given.receive_time else None
+            if topic not in poses:
+                of_topic = [beam for beam in beams if beam.topic == topic]
+                _read(message, of_topic, when, received, given)
+            elif frames is None:
+                stamped.add(
+                    _time(message, when, received), message.pose.position, message.pose.orientation
+                )
+            else:
+                static = topic.endswith(STATIC)
+                for transform in message.transforms:
+                    frames.add(_time(transform, when, received), transform, static=static)
+    for beam in beams:
+        if not len(beam.numbers):
+            raise InputError(
+                f"no reading of beam {beam.name} within the limits of its messages, on {beam.topic}",
+                "at least one, or the other topics by --range-columns",
+                path,
+            )
+    if frames is None and not len(stamped.numbers):
+        raise InputError(f"no pose on topic {poses[0]}", "poses of the hand", path)
+    x = stamped.rows() if frames is None else frames.rows()
+    way = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
+    words = f"poses from {way}; times count from {x[0, 0]:.3f} s"
+    unused = tuple(name for name in topics if name not in wanted and not name_fault(name))
+    nothing = np.full((len(x), 0), np.nan)
+    several = [*(poses if frames is None else []), *(beam.topic for beam in beams)]
+    return (
+        LogRows(
+            _lines(path, len(x)),
+            (),
+            nothing,
+            x[:, 1:],
+            times=x[:, 0],
+            ignored=unused,
+            warnings=_publishers(publishers, several),
+            words=words,
+        ),
+        _readings(beams, path),
     )
 
 
-def stand_poses(track: Track, stands: Stands) -> tuple[FloatArray, FloatArray]:
-    """Return the mean pose of each stand: (S, 3, 3), (S, 3)."""
-    R, t = np.empty((len(stands.first), 3, 3)), np.empty((len(stands.first), 3))
-    for i, (a, b) in enumerate(zip(stands.first.tolist(), stands.last.tolist(), strict=True)):
-        rows = slice(a, b + 1)
-        p = track.position[rows]
-        t[i] = p[0] + (p - p[0]).mean(axis=0)
-        R[i] = Rotation.from_quat(track.quaternion[rows]).mean().as_matrix()
-    return R, t
+def _lines(path: Path, count: int) -> Table:
+    """Return a table without cells, whose rows have the numbers from 1 on."""
+    return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
 
-def _standing(content: BagContent, stands: Stands, lag: float) -> Samples:
-    """Return the readings in stands."""
-    parts = []
-    for number, beam in enumerate(content.beams):
-        x = beam.rows()
-        station = stands.stand_of(x[:, 0] - lag)
-        inside = station >= 0
-        parts.append((station[inside], number, x[inside, 1]))
-    return _samples(parts)
+def _readings(beams: tuple[Beam, ...], path: Path) -> LogRows:
+    """Return the readings of beams, with one row for each moment.
 
-
-def _samples(parts: list[tuple[IntArray, int, FloatArray]]) -> Samples:
-    return Samples(
-        np.concatenate([station for station, _, _ in parts]),
-        np.concatenate([np.full(len(station), number) for station, number, _ in parts]),
-        np.concatenate([d for _, _, d in parts]),
-    )
-
-
-def _moving(
-    content: BagContent, given: LogFormat, lag: float
-) -> tuple[FloatArray, FloatArray, FloatArray, Samples]:
-    """Return times of poses, poses and readings of every moment at which a beam read something."""
-    if given.tolerance_s is None:
-        raise InputError(
-            "--interpolate without a tolerance", "--tolerance-s: how far poses may be apart"
-        )
-    track = content.track
-    rows = []
-    for beam in content.beams:
-        x = beam.rows()
-        rows.append(x[bracketed(track.time, x[:, 0] - lag, given.tolerance_s)])
-    time = np.unique(np.concatenate([x[:, 0] for x in rows]))
-    if not len(time):
-        raise InputError(
-            "no reading with poses within the tolerance before and after it",
-            "one clock (--receive-time), a larger --tolerance-s, or --lag-s",
-        )
-    parts = [
-        (np.searchsorted(time, x[:, 0]).astype(np.intp), number, x[:, 1])
-        for number, x in enumerate(rows)
-    ]
-    poses = np.column_stack((track.time, track.position, track.quaternion))
-    turn, t = between(poses, time - lag)
-    return time - lag, turn.as_matrix(), t, _samples(parts)
-
-
-def _lag(content: BagContent, given: LogFormat, begin: float) -> Lag:
-    """Return how much later readings are stamped than poses."""
-    rows = [beam.rows() for beam in content.beams]
+    A second reading of a beam at the same moment gets a row of its own.
+    """
+    rows = [beam.rows() for beam in beams]
     time = np.concatenate([x[:, 0] for x in rows])
-    d = np.full((len(time), len(rows)), np.nan)
+    again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
+    order = np.lexsort((again, time))
+    new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
+    row = np.empty(len(time), dtype=np.intp)
+    row[order] = np.cumsum(new) - 1
+    d = np.full((int(new.sum()), len(beams)), np.nan)
     first = 0
     for number, x in enumerate(rows):
-        d[first : first + len(x), number] = x[:, 1]
+        d[row[first : first + len(x)], number] = x[:, 1]
         first += len(x)
-    order = np.argsort(time, kind="stable")
+    times = time[order][new]
+    return LogRows(_lines(path, len(d)), tuple(beam.name for beam in beams), d, times=times)
 
-    def plane_of(moments: FloatArray) -> IntArray:
-        return planes_in_time(content.track, moments, given, begin)
 
-    return estimated_lag(content.track, time[order], d[order], plane_of, given.lag_s)
+def _messages(
+    reader: Any, wanted: Sequence[str], topics: Mapping[str, str], path: Path
+) -> Iterator[tuple[Any, str, int]]:
+    """Yield messages of the wanted topics, each with its topic and the time of receipt [ns].
+
+    Of a ROS 1 bag topic by topic: rosbags keeps one unpacked chunk and goes through topics in the order
+    of time, which in a bag that was written topic by topic unpacks a chunk for every message.
+    """
+    connections = [one for one in reader.connections if one.topic in wanted]
+    for one in connections:
+        if one.msgtype != topics[one.topic]:
+            found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
+            raise InputError(found, "one type on one topic", path)
+    groups = [connections]
+    if path.suffix.lower() == ROS1:
+        groups = [[one for one in connections if one.topic == topic] for topic in wanted]
+    total, frame_of = sum(one.msgcount for one in connections), dict[str, str]()
+    messages = chain.from_iterable(map(reader.messages, groups))
+    for count, (one, received, data) in enumerate(messages):
+        if count % A_PART == 0:
+            tell("read", count // A_PART, total // A_PART + 1, "part of the bag")
+        message = reader.deserialize(data, one.msgtype)
+        if one.msgtype not in TRANSFORMS:  # several publishers of tf are usual
+            frame = message.header.frame_id
+            first = frame_of.setdefault(one.topic, frame)
+            if frame != first:
+                raise InputError(
+                    f"messages in the frames {shown(first)} and {shown(frame)} on topic {one.topic}",
+                    "one publisher of one frame; record each on a topic of its own",
+                    path,
+                )
+        yield message, one.topic, received
+
+
+def _publishers(publishers: Counter[str], topics: list[str]) -> tuple[CalibrationWarning, ...]:
+    """Return a warning for every topic that has several publishers of one frame."""
+    return tuple(
+        CalibrationWarning(
+            "several-publishers",
+            f"{publishers[topic]} publishers on topic {topic}, all of whose messages were read; if "
+            "they are not one node that was started again, record each on a topic of its own",
+            {"publishers": publishers[topic]},
+        )
+        for topic in dict.fromkeys(topics)
+        if publishers[topic] > 1
+    )
+
+
+def _time(message: Any, when: int | None, received: int) -> float:
+    """Return the stamp of a header [s]; when it was received if that is wanted, or all there is."""
+    stamp = message.header.stamp
+    if when is None and (stamp.sec or stamp.nanosec):
+        return float(stamp.sec + 1e-9 * stamp.nanosec)
+    return 1e-9 * received
+
+
+def _read(
+    message: Any, beams: list[Beam], when: int | None, received: int, given: LogFormat
+) -> None:
+    """Add what beams read, if it is a reading."""
+    unit, time = LENGTHS[given.range_units], _time(message, when, received)
+    for beam in beams:
+        if beam.ray is None:
+            least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
+        else:
+            if beam.ray >= len(message.ranges):
+                found = f"a scan of {len(message.ranges)} rays on {beam.topic}"
+                raise InputError(found, f"ray {beam.ray}, of beam {beam.name}")
+            least, most, d = message.range_min, message.range_max, float(message.ranges[beam.ray])
+            delay = beam.ray * message.time_increment
+        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST
+        if known and (d > 0.0 or least < 0.0):
+            beam.numbers.extend((time + delay, unit * d))
+
+
+def _beams(topics: dict[str, str], given: LogFormat, path: Path) -> tuple[Beam, ...]:
+    """Return the beams that are stated, or all `Range` topics."""
+    found = [_beam(text) for text in given.range_columns]
+    if not found:
+        found = [
+            Beam(topic.strip("/").replace("/", "_"), topic, None)
+            for topic, kind in topics.items()
+            if kind == RANGE
+        ]
+    if not found:
+        scans = [topic for topic, kind in topics.items() if kind == SCAN]
+        hint = f", as --range-columns 'left={scans[0]}[0]'" if scans else ""
+        raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}", path)
+    for beam in found:
+        kind = RANGE if beam.ray is None else SCAN
+        if topics.get(beam.topic) != kind:
+            known = [topic for topic, one in topics.items() if one == kind]
+            raise InputError(
+                f"topic {shown(beam.topic)} of type {topics.get(beam.topic, 'none')}",
+                f"a topic of {kind}: {some(known, 8) or 'there is none'}"
+                + ("; a ray of a LaserScan is TOPIC[INDEX]" if beam.ray is None else ""),
+                path,
+            )
+        fault = name_fault(beam.name).rstrip(",")
+        if fault or [one.name for one in found].count(beam.name) > 1:
+            raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}", path)
+        if [(one.topic, one.ray) for one in found].count((beam.topic, beam.ray)) > 1:
+            ray = "" if beam.ray is None else f"[{beam.ray}]"
+            raise InputError(f"several beams of {beam.topic}{ray}", "one beam of each", path)
+    return tuple(found)
+
+
+def _beam(text: str) -> Beam:
+    """Return the beam of `BEAM=TOPIC`, `BEAM=TOPIC[INDEX]`, or without its name."""
+    name, equals, topic = text.partition("=")
+    topic = topic.strip() if equals else text.strip()
+    ray = RAY.fullmatch(topic)
+    where = ray["topic"] if ray else topic
+    plain = topic.strip("/").replace("/", "_")
+    return Beam(name.strip() if equals else plain, where, int(ray["index"]) if ray else None)
+
+
+def _pose_topics(topics: dict[str, str], given: LogFormat, path: Path) -> list[str]:
+    """Return the topics of the hand's poses."""
+    transforms = [topic for topic, kind in topics.items() if kind in TRANSFORMS]
+    poses = [topic for topic, kind in topics.items() if kind == POSE]
+    if given.frames:
+        if not transforms:
+            raise InputError("no topic of tf", "tf2_msgs/TFMessage, for --frames", path)
+        return transforms
+    if given.pose_topic:
+        if given.pose_topic not in poses:
+            known = some(poses, 8) or "there is none"
+            raise InputError(
+                f"no topic {shown(given.pose_topic)} of {POSE}", f"one of: {known}", path
+            )
+        return [given.pose_topic]
+    if len(poses) != 1:
+        expected = "--pose-topic, which of them" if poses else f"one of {POSE}"
+        also = "; or --frames WORLD,HAND of tf" if transforms else ""
+        found = (
+            f"{len(poses)} topics of {POSE} ({some(poses, 8)})" if poses else f"no topic of {POSE}"
+        )
+        raise InputError(found, expected + also, path)
+    return poses

@@ -8,9 +8,9 @@ import polars as pl
 from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import CalibrationWarning
+from ...model.conventions import TIME_UNITS, Convention
 from ...text import A_NAME, name_fault
 from ..table import NUMBER, Table, column_numbers
-from .conventions import TIME_UNITS, Convention
 from .format import LogFormat
 from .format_checks import convention_of
 from .poses import faults

@@ -1,13 +1,13 @@
 """Which column of a log is what: by its usual name, or as the user says."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from ...errors import InputError
+from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
-from .conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
 from .format import LogFormat
 from .format_checks import convention_of
 
@@ -46,13 +46,13 @@ class Columns:
     plane, station, time : str
     """
 
-    pose: tuple[str, ...]
-    beams: dict[str, str]
-    beam: str
-    range: str
-    plane: str
-    station: str
-    time: str
+    pose: tuple[str, ...] = ()
+    beams: Mapping[str, str] = field(default_factory=dict)
+    beam: str = ""
+    range: str = ""
+    plane: str = ""
+    station: str = ""
+    time: str = ""
 
     @property
     def used(self) -> set[str]:

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 from ...checks import require_bool, require_number, require_word
 from ...errors import ArgumentError, InputError
+from ...model.conventions import EULER, FORMATS, Convention, spelled_columns
 from ...text import name_fault, shown
 from ..writing import path_of
-from .conventions import EULER, FORMATS, Convention, spelled_columns
 
 if TYPE_CHECKING:
     from .format import LogFormat

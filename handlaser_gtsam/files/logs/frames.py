@@ -12,7 +12,6 @@ from ...data.recording import LARGEST
 from ...errors import InputError
 from ...text import shown, some
 from .motion import Between
-from .stands import Track
 
 WIDTH = 8
 """Numbers of a stamped pose: time, position, quaternion."""
@@ -53,11 +52,6 @@ class Stamped:
             worst = float(length[~(np.abs(length - 1.0) <= 1e-3)][0])
             raise InputError(f"a pose with a quaternion of length {worst:.6g}", "length 1")
         return x
-
-
-def track_of_rows(x: FloatArray) -> Track:
-    """Return stamped poses (M, 8) as a track."""
-    return Track(x[:, 0], x[:, 1:4], x[:, 4:])
 
 
 class Frames:
@@ -111,8 +105,8 @@ class Frames:
             found.append(self.parent[found[-1]])
         return found
 
-    def track(self) -> Track:
-        """Return the hand in the world, at the times of the frame on the way that is sent most often.
+    def rows(self) -> FloatArray:
+        """Return the hand in the world (M, 8), at the times of the frame on the way sent most often.
 
         Raises
         ------
@@ -139,12 +133,12 @@ class Frames:
         time = base[(base >= begin) & (base <= end)]
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")
-        p, q = np.empty((len(time), 3)), np.empty((len(time), 4))
+        x = np.empty((len(time), WIDTH))
         for first in range(0, len(time), AT_ONCE):
             part = slice(first, first + AT_ONCE)
             R, t = self._hand_in_world(rows, time[part])
-            p[part], q[part] = t, R.as_quat()
-        return Track(time, p, q)
+            x[part] = np.column_stack((time[part], t, R.as_quat()))
+        return x
 
     def _hand_in_world(
         self, rows: dict[str, FloatArray], time: FloatArray
@@ -160,12 +154,7 @@ class Frames:
         if name in self.static:
             last = np.repeat(x[-1:], len(time), axis=0)
             return Rotation.from_quat(last[:, 4:]), last[:, 1:4]
-        return between(x, time)
-
-
-def between(x: FloatArray, time: FloatArray) -> tuple[Rotation, FloatArray]:
-    """Return stamped poses (M, 8) at times (N,) between them."""
-    return Between.at(x[:, 0], time).of_quaternions(x[:, 4:], x[:, 1:4])
+        return Between.at(x[:, 0], time).of_quaternions(x[:, 4:], x[:, 1:4])
 
 
 def _chain(poses: list[tuple[Rotation, FloatArray]], count: int) -> tuple[Rotation, FloatArray]:

@@ -1,18 +1,18 @@
 """Poses and readings put together: of one table, or of two tables by station."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
-from .averaging import Samples
+from ...model.conventions import poses_of
 from .format import LogFormat
 from .format_checks import convention_of
-from .motion import Means, Rows, Way
-from .poses import poses_of
+from .lag import Lag
+from .motion import Means, Way
 from .rows import LogRows
 
 SAME_STATION_M, SAME_STATION_RAD = 1e-3, np.radians(0.1)
@@ -20,12 +20,14 @@ SAME_STATION_M, SAME_STATION_RAD = 1e-3, np.radians(0.1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joined:
-    """Stations with their readings.
+class Stations:
+    """Stations of a log, with their poses and readings.
 
     Attributes
     ----------
-    way : Rows, Means or Between
+    poses, readings : LogRows
+        One and the same of a table that has both.
+    way : Means or Between
         How stations get their poses from the rows of poses.
     names : S labels
     planes : S labels, or None
@@ -33,23 +35,26 @@ class Joined:
         [s]
     station : (M,)
         Of each row of readings, -1 for none.
-    samples : Samples
     warnings : tuple of CalibrationWarning
     words : str
         How it was done, for a person.
+    lag : Lag
+        How much later readings are stamped than poses.
     """
 
+    poses: LogRows
+    readings: LogRows
     way: Way
     names: list[str]
     planes: list[str] | None
     times: FloatArray | None
     station: IntArray
-    samples: Samples
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
+    lag: Lag = field(default_factory=Lag)
 
 
-def one_table(rows: LogRows, given: LogFormat) -> Joined:
+def one_table(rows: LogRows, given: LogFormat) -> Stations:
     """Return the stations of a table that has poses and readings.
 
     Raises
@@ -60,21 +65,20 @@ def one_table(rows: LogRows, given: LogFormat) -> Joined:
     if rows.columns.range and rows.stations is None:
         expected = "a column station, or its name by --station-column"
         raise InputError("a long table without stations", expected, rows.table.path)
-    if rows.stations is None or first_repeated(rows.stations) is None:
-        every = np.arange(len(rows.names), dtype=np.intp)
-        samples = Samples.of_rows(every, rows.ranges)
-        return Joined(Rows(every), rows.names, rows.planes, rows.times, every, samples)
-    names, group = groups(rows.stations)
+    names, group = groups(rows.names)
     way = Means.of_groups(group)
+    if len(names) == len(group):
+        return Stations(rows, rows, way, names, rows.planes, rows.times, group)
     first = way.row[way.start]
     _require_same_pose(rows, way, given)
-    return Joined(
+    return Stations(
+        rows,
+        rows,
         way,
         names,
         _planes_at(rows, group, first),
         None if rows.times is None else rows.times[first],
         group,
-        Samples.of_rows(group, rows.ranges),
         words=f"{len(group)} rows of {len(names)} stations",
     )
 
@@ -116,7 +120,7 @@ def _planes_at(rows: LogRows, group: IntArray, first: IntArray) -> list[str] | N
     return planes
 
 
-def by_station(poses: LogRows, readings: LogRows) -> Joined:
+def by_station(poses: LogRows, readings: LogRows) -> Stations:
     """Return stations of a table of poses with the readings of another of the same labels.
 
     Raises
@@ -143,13 +147,14 @@ def by_station(poses: LogRows, readings: LogRows) -> Joined:
             readings.table.path,
         )
     every = np.arange(len(poses.stations), dtype=np.intp)
-    return Joined(
-        Rows(every),
+    return Stations(
+        poses,
+        readings,
+        Means.of_groups(every),
         poses.stations,
         poses.planes if poses.planes is not None else _planes_of_readings(readings, station, every),
         poses.times,
         station,
-        Samples.of_rows(station, readings.ranges),
         unmatched(int((station < 0).sum()), len(station), "have a station without a pose"),
         f"{len(every)} poses and {len(station)} rows of readings, joined by station",
     )

@@ -1,20 +1,20 @@
 """Poses and readings of two tables put together by time."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import InputError
-from .averaging import Samples
-from .conventions import TIME_UNITS
+from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from .format import LogFormat
 from .format_checks import convention_of
-from .joining import SAME_STATION_M, SAME_STATION_RAD, Joined, groups, unmatched
+from .joining import SAME_STATION_M, SAME_STATION_RAD, Stations, groups, unmatched
 from .lag import Lag, estimated_lag
-from .motion import Between, Rows, Way, bracketed, nearest
+from .motion import Between, Means, Way, bracketed, nearest
 from .planes import intervals, planes_in_time, planes_of
-from .poses import poses_of
 from .rows import LogRows
 from .stands import Track, find_stands
 
@@ -22,10 +22,10 @@ UNIT_OFF = 0.15
 """Spans of one recording agree within a factor of three, which is so much of a power of a thousand."""
 
 
-def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> Joined:
-    """Return stations of two tables in time; `lag` [s] is how much later readings are stamped.
+def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
+    """Return stations of poses and readings in time.
 
-    Both tables may be one, whose readings then belong to the poses of earlier rows.
+    Both may stand in one table, whose readings then belong to the poses of earlier rows if they lag.
 
     The rows of the shorter table are the stations. To each row of readings belongs the nearest pose, or
     one between two; to a row of poses all readings within the tolerance.
@@ -34,9 +34,15 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> 
     ------
     InputError
     """
-    assert poses.times is not None
     assert readings.times is not None
-    wanted = readings.times - lag
+    lag = lag_of(poses, readings, given) if given.estimate_lag else Lag(given.lag_s)
+    stations = _at_lag(poses, readings, given, readings.times - lag.value)
+    return replace(stations, lag=lag)
+
+
+def _at_lag(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
+    """Return the stations where readings belong to poses at `wanted` times (M,) [s]."""
+    assert poses.times is not None
     if given.stands:
         return _standing(poses, readings, given, wanted)
     if given.tolerance_s is None:
@@ -52,7 +58,8 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat, lag: float) -> 
     row, off = nearest(poses.times, wanted)
     near = off <= given.tolerance_s
     _require_any(near, poses, readings, wanted)
-    return _at_readings(Rows(row[near]), readings, wanted, near, poses, row, "the nearest pose")
+    way = Means(row[near], np.arange(near.sum(), dtype=np.intp))
+    return _at_readings(way, poses, readings, wanted, near, row, "the nearest pose")
 
 
 def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
@@ -79,24 +86,24 @@ def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
         poses.table.refuse(wrong, poses.columns.time, expected, found)
 
 
-def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
+def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
     assert poses.times is not None
     near = bracketed(poses.times, wanted, tolerance)
     row = nearest(poses.times, wanted)[0]
     _require_any(near, poses, readings, wanted, "poses before and after it within the tolerance")
     way = Between.at(poses.times, wanted[near])
-    return _at_readings(way, readings, wanted, near, poses, row, "a pose between its neighbours")
+    return _at_readings(way, poses, readings, wanted, near, row, "a pose between its neighbours")
 
 
 def _at_readings(
     way: Way,
+    poses: LogRows,
     readings: LogRows,
     wanted: FloatArray,
     near: BoolArray,
-    poses: LogRows,
     row: IntArray,
     words: str,
-) -> Joined:
+) -> Stations:
     """Return the rows of readings that have a pose, as stations; `wanted` are times of poses (N,)."""
     kept = np.flatnonzero(near)
     names, planes = readings.names, readings.planes
@@ -111,19 +118,20 @@ def _at_readings(
         )
     station = np.full(len(near), -1, dtype=np.intp)
     station[kept] = np.arange(len(kept))
-    return Joined(
+    return Stations(
+        poses,
+        readings,
         way,
         chosen,
         None if planes is None else [planes[i] for i in kept.tolist()],
         wanted[kept],
         station,
-        Samples.of_rows(station, readings.ranges),
         unmatched(len(near) - len(kept), len(near), "have no pose within the tolerance"),
         f"{len(kept)} rows of readings, each with {words}",
     )
 
 
-def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Joined:
+def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
     """Return the rows of poses as stations, with all readings around them."""
     assert poses.times is not None
     row, off = nearest(poses.times, wanted)
@@ -135,20 +143,20 @@ def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: fl
     if planes is None and readings.planes is not None:
         closest = nearest(wanted, poses.times)[0] if (np.diff(wanted) >= 0.0).all() else every
         planes = [readings.planes[i] for i in closest.tolist()]
-    return Joined(
-        Rows(every),
+    return Stations(
+        poses,
+        readings,
+        Means.of_groups(every),
         poses.names,
         planes,
         poses.times,
         station,
-        Samples.of_rows(station, readings.ranges),
-        (),
-        f"{len(every)} poses, each with the readings within {tolerance:g} s: {int(near.sum())} of "
-        f"{len(near)} rows",
+        words=f"{len(every)} poses, each with the readings within {tolerance:g} s: "
+        f"{int(near.sum())} of {len(near)} rows",
     )
 
 
-def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Joined:
+def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
     """Return the moments at which the hand stands as stations."""
     track = track_of(poses, given)
     stands = find_stands(track, given)
@@ -167,19 +175,20 @@ def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: Float
     elif readings.planes is not None:
         closest = nearest(wanted, stands.times)[0]
         planes = [readings.planes[i] for i in closest.tolist()]
-    return Joined(
+    return Stations(
+        poses,
+        readings,
         stands.means,
         [str(i + 1) for i in range(len(stands.begin))],
         planes,
         stands.times,
         station,
-        Samples.of_rows(station, readings.ranges),
-        (),
-        f"{stands.words}; {int((station >= 0).sum())} of {len(station)} rows of readings are in them",
+        words=f"{stands.words}; {int((station >= 0).sum())} of {len(station)} rows of readings are in "
+        "them",
     )
 
 
-def lag_of_tables(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
+def lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
     """Return how much later readings are stamped than poses, from their motion.
 
     Raises
@@ -211,6 +220,8 @@ def track_of(poses: LogRows, given: LogFormat) -> Track:
     """Return the poses of rows in time."""
     assert poses.poses is not None
     assert poses.times is not None
+    if convention_of(given).meaning == FORMATS["ros"].meaning:
+        return Track(poses.times, poses.poses[:, :3], poses.poses[:, 3:])
     R, t = poses_of(poses.poses, convention_of(given))
     return Track(poses.times, t, Rotation.from_matrix(R).as_quat())
 

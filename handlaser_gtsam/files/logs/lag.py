@@ -72,10 +72,20 @@ AT_MOST = 1500
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """A lag, its standard deviation, and by how much it varies in the recording [s]."""
+    """A lag [s].
 
-    value: float
-    sigma: float
+    Attributes
+    ----------
+    value : float
+        How much later readings are stamped than poses of the same moment.
+    sigma : float
+        Its standard deviation; zero where it is stated.
+    varies : float
+        By how much it varies in the recording.
+    """
+
+    value: float = 0.0
+    sigma: float = 0.0
     varies: float = 0.0
 
 

@@ -1,29 +1,17 @@
 """Poses of rows become poses of stations: means of rows, or between two of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
+from ...model.conventions import Convention, inverted, poses_of
 
 Pair = tuple[FloatArray, FloatArray]
 """Rotations (M, 3, 3) and positions (M, 3) [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Each station has the pose of one row."""
-
-    row: IntArray
-
-    def place(self, R: FloatArray, t: FloatArray) -> Pair:
-        """Return the poses of stations from those of rows."""
-        return R[self.row], t[self.row]
-
-    def narrowed(self, stations: IntArray) -> "tuple[IntArray, Rows]":
-        """Return the rows that some stations need, and how they get their poses from these."""
-        return self.row[stations], Rows(np.arange(len(stations), dtype=np.intp))
+AT_ONCE = 200_000
+"""Rows whose poses are computed at once: a matrix of each and its copies take some 300 bytes a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +28,11 @@ class Means:
 
     row: IntArray
     start: IntArray
+
+    @property
+    def stations(self) -> int:
+        """How many stations there are."""
+        return len(self.start)
 
     @classmethod
     def of_groups(cls, group: IntArray) -> "Means":
@@ -91,6 +84,11 @@ class Between:
     row: IntArray
     part: FloatArray
 
+    @property
+    def stations(self) -> int:
+        """How many stations there are."""
+        return len(self.row)
+
     @classmethod
     def at(cls, times: FloatArray, wanted: FloatArray) -> "Between":
         """Return where wanted times (S,) lie between increasing times (M,), at the ends if outside."""
@@ -102,15 +100,11 @@ class Between:
 
     def place(self, R: FloatArray, t: FloatArray) -> Pair:
         """Return the poses of stations from those of rows."""
-        following = np.minimum(self.row + 1, len(t) - 1)
-        first, last = R[self.row], R[following]
-        turn = Rotation.from_matrix(np.swapaxes(first, 1, 2) @ last).as_rotvec()
-        step = Rotation.from_rotvec(self.part[:, None] * turn).as_matrix()
-        w = self.part[:, None]
-        return first @ step, (1.0 - w) * t[self.row] + w * t[following]
+        rotation, position = self.of_quaternions(Rotation.from_matrix(R).as_quat(), t)
+        return rotation.as_matrix(), position
 
     def of_quaternions(self, q: FloatArray, p: FloatArray) -> tuple[Rotation, FloatArray]:
-        """Return the same of quaternions (M, 4), scalar last, and positions (M, 3)."""
+        """Return the poses of stations from quaternions (M, 4), scalar last, and positions (M, 3)."""
         following = np.minimum(self.row + 1, len(p) - 1)
         w, first = self.part[:, None], Rotation.from_quat(q[self.row])
         step = (first.inv() * Rotation.from_quat(q[following])).as_rotvec()
@@ -123,8 +117,43 @@ class Between:
         return rows, Between(even, self.part[stations])
 
 
-Way = Rows | Means | Between
+Way = Means | Between
 """How stations get their poses from rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """Poses as they are written, and how they become the poses of stations.
+
+    Attributes
+    ----------
+    numbers : (M, k)
+        Of every row.
+    convention : Convention
+    inverted : bool
+        Whether they are taken as hand_T_world.
+    way : Means or Between
+    """
+
+    numbers: FloatArray
+    convention: Convention
+    inverted: bool
+    way: Way
+
+    def narrowed(self, stations: IntArray) -> "Raw":
+        """Return what is needed of some stations."""
+        rows, way = self.way.narrowed(stations)
+        return replace(self, numbers=self.numbers[rows], way=way)
+
+    def poses(self) -> Pair:
+        """Return rotations and positions of stations."""
+        if len(self.numbers) > AT_ONCE and self.way.stations > 1:
+            stations = np.arange(self.way.stations, dtype=np.intp)
+            parts = np.array_split(stations, -(-len(self.numbers) // AT_ONCE))
+            each = [self.narrowed(part).poses() for part in parts if len(part)]
+            return np.concatenate([R for R, _ in each]), np.concatenate([t for _, t in each])
+        R, t = poses_of(self.numbers, self.convention)
+        return self.way.place(*(inverted(R, t) if self.inverted else (R, t)))
 
 
 def nearest(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -1,13 +1,16 @@
 """Limits on what packed files unpack to: a file of some kilobytes can hold gigabytes of zeros."""
 
+import bz2
 import mmap
 import re
 import sqlite3
 import zipfile
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from ...errors import InputError
 
@@ -170,3 +173,38 @@ def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: b
 MCAP = b"\x89MCAP0\r\n"
 MCAP_MESSAGE, MCAP_CHUNK = 5, 6
 """Kinds of records (https://mcap.dev/spec)."""
+
+
+def limit_chunks(reader: Any, path: Path) -> None:
+    """Let the chunks of a ROS 1 bag that is open unpack to no more than is plausible of a log.
+
+    A block of bzip2 does not state its size, so nothing can be refused before it is unpacked. Each
+    chunk of rosbags carries the function that unpacks it; here it becomes one that stops at the limit.
+    """
+    allowance = Allowance(path)
+    for one in reader.readers:
+        chunks = getattr(one, "chunks", {})  # ROS 2 has none
+        for place, chunk in chunks.items():
+            chunks[place] = chunk._replace(
+                decompressor=partial(_unpacked, allowance, chunk.decompressor)
+            )
+
+
+def _unpacked(allowance: Allowance, unpack: Callable[[bytes], bytes], data: bytes) -> bytes:
+    """Return the content of a chunk; raises InputError where it is too large, as `Allowance.take`."""
+    if data.startswith(b"BZh"):
+        unpacker: Any = bz2.BZ2Decompressor()
+    elif data.startswith(b"\x04\x22\x4d\x18"):
+        import lz4.frame
+
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+    else:
+        return unpack(data)
+    allowance.take(len(data), 0)
+    parts: list[bytes] = []
+    while not unpacker.eof:
+        parts.append(unpacker.decompress(b"" if parts else data, A_PART))
+        allowance.take(0, len(parts[-1]))
+        if not parts[-1] and unpacker.needs_input:
+            raise ValueError("a chunk that ends too early")
+    return b"".join(parts)

@@ -1,17 +1,15 @@
-"""Numbers of poses become rotations and positions; signs that the numbers mean something else."""
+"""Signs that the numbers of poses mean something else, and the poses of the tool and the base."""
 
 import math
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
+from ...model.conventions import FORMATS, LENGTHS, Convention, called, inverted, matrices, poses_of
 from ..recording_csv import QUATERNION_TOLERANCE
-from .conventions import ANGLES, FORMATS, LENGTHS, QUATERNIONS, Convention, called
 
 MATRIX_TOLERANCE = 1e-3
 """And so may every entry of R'R; the nearest rotation is taken."""
@@ -45,59 +43,6 @@ class Fault:
     doubt: bool = False
 
 
-def poses_of(x: FloatArray, convention: Convention) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (M, 3, 3) and positions (M, 3) [m] of the numbers x (M, k) of poses.
-
-    The numbers have no fault; rotations that are nearly orthonormal are made so.
-    """
-    length = LENGTHS[convention.units]
-    if convention.is_matrix:
-        T = _matrices(x, convention)
-        U, _, V = np.linalg.svd(T[:, :3, :3])
-        return np.asarray(U @ V), length * T[:, :3, 3]
-    return _rotation(x[:, 3:], convention).as_matrix(), length * x[:, :3]
-
-
-def numbers_of(R: FloatArray, t: FloatArray, convention: Convention) -> FloatArray:
-    """Return the numbers (M, k) of rotations (M, 3, 3) and positions (M, 3) [m]: `poses_of` undone."""
-    kind, length, angle = convention.rotation, LENGTHS[convention.units], ANGLES[convention.angles]
-    rotation = Rotation.from_matrix(R)
-    if convention.is_matrix:
-        T = np.tile(np.eye(4), (len(R), 1, 1))
-        T[:, :3, :3], T[:, :3, 3] = R, t / length
-        return (np.swapaxes(T, 1, 2) if kind == "matrix-columns" else T).reshape(-1, 16)
-    if kind in QUATERNIONS:
-        turn = rotation.as_quat(canonical=True, scalar_first=kind == "wxyz")
-    elif kind == "rotvec":
-        turn = rotation.as_rotvec() / angle
-    else:
-        with warnings.catch_warnings():
-            # Of gimbal lock, where the third angle is free, and zero.
-            warnings.simplefilter("ignore")
-            turn = rotation.as_euler(kind) / angle  # type: ignore[call-overload]  # checked above
-    return np.hstack((t / length, turn))
-
-
-def _rotation(numbers: FloatArray, convention: Convention) -> Rotation:
-    kind, angle = convention.rotation, ANGLES[convention.angles]
-    if kind in ("xyzw", "wxyz"):
-        return Rotation.from_quat(numbers, scalar_first=kind == "wxyz")
-    if kind == "rotvec":
-        return Rotation.from_rotvec(angle * numbers)
-    return Rotation.from_euler(kind, angle * numbers)
-
-
-def _matrices(x: FloatArray, convention: Convention) -> FloatArray:
-    """Return (M, 4, 4)."""
-    rows = x.shape[1] // 4
-    by_columns = convention.rotation == "matrix-columns"
-    T = np.tile(np.eye(4), (len(x), 1, 1))
-    T[:, :rows] = (
-        np.swapaxes(x.reshape(-1, 4, rows), 1, 2) if by_columns else x.reshape(-1, rows, 4)
-    )
-    return T
-
-
 def faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     """Yield what cannot be, or can hardly be, of the numbers x (M, k) under a convention."""
     if convention.is_matrix:
@@ -123,7 +68,7 @@ def _quaternion_faults(q: FloatArray) -> Iterator[Fault]:
 
 
 def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
-    T = _matrices(x, convention)
+    T = matrices(x, convention)
     other = "matrix" if convention.rotation == "matrix-columns" else "matrix-columns"
     transposed = (T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1)
     row = T[transposed.argmax(), 3]
@@ -174,7 +119,7 @@ def _position_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     which = slice(0, 3)
     t = x[:, :3]
     if convention.is_matrix:
-        which, t = slice(0, x.shape[1]), _matrices(x, convention)[:, :3, 3]
+        which, t = slice(0, x.shape[1]), matrices(x, convention)[:, :3, 3]
     size = np.abs(t).max(axis=1)
     other = _others(replace(convention, units="mm" if convention.units == "m" else "m"))
     far = size * LENGTHS[convention.units] > FARTHEST
@@ -208,12 +153,6 @@ def _others(other: Convention) -> str:
     ]
     words = f"then state {called(other)}"
     return words + (f", or --pose-format {'|'.join(alike)} if it is one of those" if alike else "")
-
-
-def inverted(R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inverse of poses (M, 3, 3), (M, 3)."""
-    S = np.swapaxes(R, 1, 2)
-    return S, -np.einsum("mij,mj->mi", S, t)
 
 
 def hand_poses(

@@ -1,30 +1,38 @@
 """Logs as recordings: what a user calls."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...arrays import BoolArray
 from ...checks import require_kind
 from ...data.recording import Recording
-from ...errors import CalibrationWarning, InputError
+from ...errors import InputError
 from ...model.sensor import Sensor
 from ...text import shown
 from ..recording_csv import POSE, read_recording
 from ..table import read_table
 from ..writing import path_of
-from .assembling import Known, Stationed, assembled
-from .bags import OF_BAGS, describe_bag, is_bag, refuse_stated
+from .assembling import assembled
+from .bags import METADATA, is_bag, read_bag
 from .columns import columns_of, formats_in
 from .format import LogFormat
-from .format_checks import convention_of
-from .joining import Joined, by_station, one_table
-from .joining_time import by_time, lag_of_tables, refuse_other_units
+from .joining import Stations, by_station, one_table
+from .joining_time import by_time, refuse_other_units
 from .report import LogReport
-from .rows import LogRows, rows_of
-from .suspicion import Raw
+from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
+
+OF_TABLES = (
+    *("pose_format", "rotation", "units", "angles", "pose_columns", "plane_column"),
+    *("station_column", "time_column", "beam_column", "range_column", "header", "delimiter"),
+    *("decimal", "sheet", "readings", "readings_station_column", "readings_time_column"),
+    *("time_units", "readings_time_units"),
+)
+"""Fields that say nothing of a bag."""
+OF_BAGS = ("pose_topic", "frames", "receive_time")
+"""Fields that say nothing of a table."""
 
 
 def read_log(
@@ -71,19 +79,14 @@ def describe_log(
     """
     path = path_of(path)
     given = LogFormat() if given is None else given
+    sensor = Sensor() if sensor is None else sensor
     require_kind("given", given, LogFormat)
-    if sensor is not None:
-        require_kind("sensor", sensor, Sensor)
-    known = Known(sensor or Sensor(), range_sigma)
+    require_kind("sensor", sensor, Sensor)
     if not path.exists():
         raise InputError("no such file", "a log", path)
     try:
-        if is_bag(path):
-            return describe_bag(path, given, known)
-        refuse_stated(given, OF_BAGS, "a table", path)
-        books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
-        refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
-        return _of_tables(path, given, known)
+        stations = _of_bag(path, given) if is_bag(path) else _of_tables(path, given, sensor)
+        return assembled(stations, given, sensor, range_sigma)
     except InputError as error:
         if error.path is not None:
             raise
@@ -125,10 +128,10 @@ def _is_recording(path: Path, given: LogFormat) -> bool:
     except InputError:
         return False
     names = set(table.frame.columns)
-    if not names.issuperset(("plane", *POSE)) or given.readings is not None:
+    if not names.issuperset(("plane", *POSE)):
         return False
     try:
-        columns_of(table, given)
+        columns_of(table, given, readings=given.readings is None)
     except InputError:
         return True
     return False
@@ -149,86 +152,48 @@ def _hint(error: InputError) -> str:
     return f"; or --pose-format {'|'.join(formats)}, whose columns are there" if formats else ""
 
 
-def _of_tables(path: Path, given: LogFormat, known: Known) -> LogReport:
-    both = given.readings is None
-    poses = rows_of(read_log_table(path, given), given, known.sensor, readings=both)
-    if both and not (given.stands or given.interpolate or given.lag_s or given.estimate_lag):
-        return _report(path, poses, poses, one_table(poses, given), given, known, (0.0, None))
-    if both:
+def _of_bag(path: Path, given: LogFormat) -> Stations:
+    if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
+        _refuse_stated(given, OF_TABLES, "a bag", path)
+    poses, readings = read_bag(path, given)
+    return by_time(poses, readings, replace(given, stands=not given.interpolate))
+
+
+def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
+    _refuse_stated(given, OF_BAGS, "a table", path)
+    books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
+    _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
+    poses = rows_of(read_log_table(path, given), given, sensor, readings=given.readings is None)
+    if given.readings is None:
+        in_time = given.stands or given.interpolate or given.lag_s or given.estimate_lag
+        if not in_time:
+            return one_table(poses, given)
         rows = poses.in_time()
-        return _in_time(path, rows, rows, given, known)
-    second = replace(given, header=()) if given.pose_format == "tum" or given.header else given
+        return by_time(rows, rows, given)
     second = replace(
-        second,
+        given,
+        header=() if given.pose_format == "tum" else given.header,
         pose_format="",
         rotation="",
         time_units=given.readings_time_units or given.time_units,
     )
-    table = read_log_table(given.readings or path, second)
+    table = read_log_table(given.readings, second)
     timed = replace(given, time_units=second.time_units)
-    readings = rows_of(table, timed, known.sensor, poses=False)
+    readings = rows_of(table, timed, sensor, poses=False)
     if given.plane_column and not (poses.columns.plane or readings.columns.plane):
         expected = "the name of a column of either, as its header has it"
         raise InputError(f"no column {shown(given.plane_column)} in both files", expected, path)
     if poses.stations is not None and readings.stations is not None and not given.stands:
-        joined = by_station(poses, readings)
-        return _report(path, poses, readings, joined, given, known, (0.0, None))
-    return _in_time(path, poses.in_time(), readings.in_time(), given, known)
-
-
-def _in_time(
-    path: Path, poses: LogRows, readings: LogRows, given: LogFormat, known: Known
-) -> LogReport:
+        return by_station(poses, readings)
+    poses, readings = poses.in_time(), readings.in_time()
     refuse_other_units(poses, readings, given)
-    lag: tuple[float, float | None] = (given.lag_s, None)
-    if given.estimate_lag:
-        found = lag_of_tables(poses, readings, given)
-        lag = found.value, found.sigma
-    return _report(
-        path, poses, readings, by_time(poses, readings, given, lag[0]), given, known, lag
-    )
+    return by_time(poses, readings, given)
 
 
-def _report(
-    path: Path,
-    poses: LogRows,
-    readings: LogRows,
-    joined: Joined,
-    given: LogFormat,
-    known: Known,
-    lag: tuple[float, float | None],
-) -> LogReport:
-    assert poses.poses is not None
-    both = (poses,) if readings is poses else (poses, readings)
-
-    def codes(chosen: BoolArray) -> tuple[CalibrationWarning, ...]:
-        assert readings.codes is not None
-        counted = (joined.station >= 0) & chosen[joined.station]
-        return readings.codes.warnings(counted)
-
-    log = Stationed(
-        path,
-        Raw(poses.poses, convention_of(given), given.inverted, joined.way),
-        joined.names,
-        joined.planes,
-        joined.times,
-        0.0 if poses.times is None else float(poses.times.min()),
-        readings.beams,
-        joined.samples,
-        codes,
-        tuple(dict.fromkeys(name for rows in both for name in rows.ignored)),
-        (*(warning for rows in both for warning in rows.warnings), *joined.warnings),
-        tuple(line for line in (_words(given), joined.words) if line),
-    )
-    return assembled(log, given, known, lag)
-
-
-def _words(given: LogFormat) -> str:
-    name = given.pose_format or given.rotation or "ros"
-    text = f"poses of {name}: {convention_of(given).words}"
-    text += ", inverted" if given.inverted else ""
-    if given.tool:
-        text += "; the hand is the flange, for the tool is taken off"
-    if given.base:
-        text += "; the world is the robot's frame, for the base is added"
-    return text
+def _refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path) -> None:
+    """Refuse fields that are stated and say nothing of a kind of log."""
+    plain = LogFormat()
+    for name in names:
+        if getattr(given, name) != getattr(plain, name):
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}, which says nothing of {what}", "a log without it", path)

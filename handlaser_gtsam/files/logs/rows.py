@@ -1,21 +1,22 @@
 """The rows of one table: poses, readings, and what else stands beside them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import polars as pl
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import CalibrationWarning, InputError
+from ...model.conventions import LENGTHS
 from ...model.sensor import Sensor
 from ...text import some
 from ..range_cells import code_warnings, range_numbers
 from ..table import Table
 from .cells import labels, pose_numbers, refuse_thousands, times
 from .columns import Columns, columns_of
-from .conventions import LENGTHS
 from .format import LogFormat
+from .format_checks import convention_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,34 +48,41 @@ class Codes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogRows:
-    """What stands in the rows of a table; None where it has no such column.
+    """What stands in the rows of a table, or in messages of a bag; None where there is no such thing.
 
     Attributes
     ----------
     table : Table
-    columns : Columns
-    poses : (M, k) or None
-        The numbers of poses.
+        Where the rows stand; without cells for a bag.
     beams : names
     ranges : (M, B)
         [m]; of a long table each row has one reading.
+    poses : (M, k) or None
+        The numbers of poses.
     planes, stations : M labels, or None
     times : (M,) or None
         [s]
     codes : Codes, or None
+    columns : Columns
+    ignored : names
+        Of columns or topics that are not used.
     warnings : tuple of CalibrationWarning
+    words : str
+        How poses are written, for a person.
     """
 
     table: Table
-    columns: Columns
-    poses: FloatArray | None
     beams: tuple[str, ...]
     ranges: FloatArray
-    planes: list[str] | None
-    stations: list[str] | None
-    times: FloatArray | None
-    codes: Codes | None
-    warnings: tuple[CalibrationWarning, ...]
+    poses: FloatArray | None = None
+    planes: list[str] | None = None
+    stations: list[str] | None = None
+    times: FloatArray | None = None
+    codes: Codes | None = None
+    columns: Columns = field(default_factory=Columns)
+    ignored: tuple[str, ...] = ()
+    warnings: tuple[CalibrationWarning, ...] = ()
+    words: str = ""
 
     @property
     def names(self) -> list[str]:
@@ -82,12 +90,6 @@ class LogRows:
         if self.stations is not None:
             return self.stations
         return [str(line) for line in (self.table.lines - self.table.header_line).tolist()]
-
-    @property
-    def ignored(self) -> tuple[str, ...]:
-        """Columns that are not used."""
-        used = self.columns.used
-        return tuple(name for name in self.table.frame.columns if name not in used)
 
     def in_time(self) -> "LogRows":
         """Return the rows in the order of their times, with a warning where they are not.
@@ -140,31 +142,39 @@ def rows_of(
         lengths = [columns.range] if columns.range else list(columns.beams.values())
         refuse_thousands(table, [*columns.pose, *lengths])
     numbers: FloatArray | None = None
-    warnings = table.warnings
+    doubts: tuple[CalibrationWarning, ...] = ()
     if poses:
-        numbers, found = pose_numbers(table, columns.pose, given)
-        warnings = (*warnings, *found)
+        numbers, doubts = pose_numbers(table, columns.pose, given)
     beams: tuple[str, ...] = ()
     ranges = np.full((len(table.frame), 0), np.nan)
     codes: Codes | None = None
     if readings:
         beams, ranges, codes = _readings(table, columns, given, sensor)
+    stated = given.plane or given.plane_ranges or given.plane_file is not None
     return LogRows(
         table,
-        columns,
-        numbers,
         beams,
         ranges,
-        labels(table, columns.plane) if columns.plane and not _planes_stated(given) else None,
-        labels(table, columns.station) if columns.station else None,
-        times(table, columns.time, given) if columns.time else None,
-        codes,
-        warnings,
+        numbers,
+        planes=labels(table, columns.plane) if columns.plane and not stated else None,
+        stations=labels(table, columns.station) if columns.station else None,
+        times=times(table, columns.time, given) if columns.time else None,
+        codes=codes,
+        columns=columns,
+        ignored=tuple(name for name in table.frame.columns if name not in columns.used),
+        warnings=(*table.warnings, *doubts),
+        words=_pose_words(given) if poses else "",
     )
 
 
-def _planes_stated(given: LogFormat) -> bool:
-    return bool(given.plane or given.plane_ranges or given.plane_file is not None)
+def _pose_words(given: LogFormat) -> str:
+    text = f"poses of {given.pose_format or given.rotation or 'ros'}: {convention_of(given).words}"
+    text += ", inverted" if given.inverted else ""
+    if given.tool:
+        text += "; the hand is the flange, for the tool is taken off"
+    if given.base:
+        text += "; the world is the robot's frame, for the base is added"
+    return text
 
 
 def _readings(

@@ -2,25 +2,41 @@
 
 A small part of the log is solved at a glance as it is stated, and, where that leaves residuals above a
 hundredth of the spread of the readings, under every other convention with as many numbers a pose, with
-inverted poses, and with the other unit of ranges. Compared is the rms residual, and where that says
-nothing the one below which 70 % of the readings are, so that outliers do not hide a better convention.
-A convention is named where it fits much better, and well.
+inverted poses, and with the other unit of ranges. The rms residual is compared, and where that shows
+nothing the residual below which 70 % of the readings are, so that outliers do not hide a better
+convention. A convention is named where it fits much better, and well.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import IntArray
+from ...data.ordering import sorted_readings
 from ...data.recording import Recording
 from ...errors import CalibrationWarning, HandlaserError, InputError
-from ...results.file_mistakes import MUCH_BETTER
-from .conventions import ANGLES, FORMATS, LENGTHS, Convention, called
-from .motion import Pair, Way
-from .poses import faults, inverted, poses_of
-from .robust_fit import Measure, misfit_at_a_glance, robust_misfit
+from ...model.conventions import (
+    ANGLES,
+    FORMATS,
+    INVERTED,
+    LENGTHS,
+    Convention,
+    called,
+)
+from ...model.equation import plausible_range_errors, residuals_or_infinite
+from ...model.losses import Loss
+from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
+from ...results.warnings import FAR_BEAM
+from ...solvers.refine import Scale, refine_many
+from ...starts import Effort, find_start
+from ...starts.directions import subset_starts
+from ...starts.growing import grow
+from ...starts.robust import least_scale
+from .motion import Raw
+from .poses import faults
 
 FITS = 1e-4
 """A mean squared residual below this part of the variance of the readings needs no other convention."""
@@ -28,47 +44,22 @@ BETTER, BETTER_ROBUST = 4.0, 6.25
 """A convention is named where it lowers the squared residual by this factor. The first accused none of
 180 right logs, a third of which had a fifth of their readings wrong; 4 for the second one of 150."""
 WELL = 2.5e-3
-"""And leaves at most so much of it: in a log that fits in no way, the best way says nothing."""
-FAR_BEAM = 3.0
-"""A beam farther from the hand's origin than this [m] is no robot's; see `results.warnings`."""
-LEAST = 24
-"""Fewer readings of one beam tell no convention from another,"""
-SPARE = 10
-"""and neither do so few beyond the unknowns."""
+"""A convention is named where it leaves at most this part of the variance: of a log that fits in no way
+the best way says nothing."""
+LEAST, LEAST_SPARE = 24, 10
+"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
+than for other mistakes, because the other convention must fit well, too."""
 MOST = 60
-"""So many stations are looked at."""
+"""Stations that are looked at; more take longer than reading the log."""
 TERMS = 2
-"""Range-error terms: where they count, a wrong convention does not look like them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Raw:
-    """Poses as they are written, and how they become those of stations.
-
-    Attributes
-    ----------
-    numbers : (M, k)
-        Of every row.
-    convention : Convention
-    inverted : bool
-        Whether they are taken as hand_T_world.
-    way : Rows, Means or Between
-    """
-
-    numbers: FloatArray
-    convention: Convention
-    inverted: bool
-    way: Way
-
-    def narrowed(self, stations: IntArray) -> "Raw":
-        """Return what is needed of some stations."""
-        rows, way = self.way.narrowed(stations)
-        return replace(self, numbers=self.numbers[rows], way=way)
-
-    def poses(self) -> Pair:
-        """Return rotations and positions of stations."""
-        R, t = poses_of(self.numbers, self.convention)
-        return self.way.place(*(inverted(R, t) if self.inverted else (R, t)))
+"""Range-error terms: with both, a wrong convention does not look like a range error."""
+GOOD, QUANTILE = 0.7, 1.0364
+"""The part of the readings that must be good, and the quantile of the absolute residuals there in
+standard deviations of Gaussian noise."""
+CANDIDATES, SUBSETS, TRIED = 6, 8, 200
+"""Starts from all readings, starts from parts of the stations, and the directions tried for these."""
+STEPS = 30
+"""Steps that refine a start; ten more with range errors."""
 
 
 def refuse_wrong_convention(
@@ -96,10 +87,12 @@ def refuse_wrong_convention(
     ------
     InputError
     """
-    some = _some(recording)
-    if some is None:
+    part, rows = one_beam(recording, MOST, LEAST_SPARE)
+    if len(rows) < LEAST or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
-    part, raw = some[0], raw.narrowed(chosen[some[1]])
+    raw = raw.narrowed(chosen[rows])
+    R, t = raw.poses()  # of the hand as the log has it, whatever the tool and the base
+    part = replace(part, world_R_hand=R, world_t_hand=t, warnings=())
     found = _better(part, raw, range_units)
     if found is None:
         return ()
@@ -119,85 +112,75 @@ def refuse_wrong_convention(
 
 def _better(part: Recording, raw: Raw, range_units: str) -> tuple[float, str] | None:
     """Return by what squared factor another convention fits better, and which; None where none does."""
-    for measure, least in ((misfit_at_a_glance, BETTER), (robust_misfit, BETTER_ROBUST)):
-        now = _misfit(part, raw.poses(), measure)
+    for measure, least in ((_at_a_glance, BETTER), (_robustly, BETTER_ROBUST)):
+        try:
+            now = measure(part, "glance")
+        except HandlaserError:
+            now = np.inf
         if now <= FITS:  # as it is; or, by the second measure, but for outliers
             return None
+        near = partial(measure, reach=FAR_BEAM)
         best, words = min(
-            (_misfit(part, other.poses(), measure, factor, FAR_BEAM), words)
-            for other, factor, words in _alternatives(raw, range_units)
+            misfits(part, _alternatives(raw, range_units), near), default=(np.inf, "")
         )
-        ratio = now / max(best, 1e-30)
-        if ratio >= least and best <= WELL:
-            return ratio, words
+        if best <= min(now / least, WELL):
+            return now / best, words
     return None
 
 
-def _some(recording: Recording) -> tuple[Recording, IntArray] | None:
-    """Return the readings of one beam at a few stations, and which; None where they are too few."""
-    seen = ~np.isnan(recording.ranges)
-    beam = int(np.argmax(seen.sum(axis=0)))
-    rows = np.flatnonzero(seen[:, beam])
-    planes, count = np.unique(recording.plane_of_station[rows], return_counts=True)
-    largest = planes[np.argsort(-count, kind="stable")][: MOST // 10]
-    rows = rows[np.isin(recording.plane_of_station[rows], largest)]
-    if len(rows) > MOST:
-        rows = rows[np.linspace(0, len(rows) - 1, MOST).round().astype(np.intp)]
-    if len(rows) < max(LEAST, 7 + 3 * len(largest) + SPARE):
-        return None
-    others = np.ones((len(rows), seen.shape[1]), dtype=bool)
-    others[:, beam] = False
-    part = recording.part(rows)
-    keep = part.beam_names.index(recording.beam_names[beam])
-    drop = np.ones(part.ranges.shape, dtype=bool)
-    drop[:, keep] = False
-    return part.without(drop), rows
+def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
+    return misfit(recording, TERMS, effort, reach)
 
 
-def _misfit(
-    part: Recording, poses: Pair, measure: Measure, factor: float = 1.0, reach: float = np.inf
-) -> float:
-    """Return the squared residual in parts of the variance; infinite where nothing is found."""
-    R, t = poses
-    ranges = factor * part.ranges
-    try:
-        changed = replace(part, world_R_hand=R, world_t_hand=t, ranges=ranges, warnings=())
-        return measure(changed, TERMS, reach)
-    except HandlaserError:
-        return np.inf
+def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
+    """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian."""
+    readings, _ = sorted_readings(recording)
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    rng = np.random.default_rng(0)
+    starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).found]
+    starts = starts[:CANDIDATES]
+    starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
+    rule = Scale(least_scale(readings, None), GOOD)
+    loose = refine_many(starts, readings, 0, STEPS, Loss("cauchy"), rule)
+    usable = [one.parameters for one in loose if one is not None]
+    tight = refine_many(usable, readings, TERMS, STEPS // 3, Loss("cauchy"), rule)
+    residuals = [
+        float(np.quantile(np.abs(residuals_or_infinite(one.parameters, readings)), GOOD))
+        for one in tight
+        if one is not None
+        and np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
+        and plausible_range_errors(one.parameters, readings)
+    ]
+    best = min(residuals, default=np.inf) / QUANTILE
+    return float(best**2) / max(readings.spread() ** 2, 1e-300)
 
 
-def _alternatives(raw: Raw, range_units: str) -> Iterator[tuple[Raw, float, str]]:
-    """Yield other meanings of the same numbers, the factor of the ranges, and how they are stated."""
-    yield (
-        replace(raw, inverted=not raw.inverted),
-        1.0,
-        (
-            "the poses are not inverted: without --inverted"
-            if raw.inverted
-            else "the poses are hand_T_world (base in hand): --inverted"
-        ),
-    )
+def _alternatives(raw: Raw, range_units: str) -> Iterator[Rereading]:
+    """Yield other meanings of the same numbers, in words of how they are stated."""
+
+    def poses(other: Raw, recording: Recording) -> Recording:
+        R, t = other.poses()
+        return replace(recording, world_R_hand=R, world_t_hand=t)
+
+    words = f"the poses are {INVERTED}: --inverted"
+    if raw.inverted:
+        words = "the poses are not inverted: without --inverted"
+    yield Rereading(words, partial(poses, replace(raw, inverted=not raw.inverted)), "glance")
     other = "m" if range_units == "mm" else "mm"
     factor = LENGTHS[other] / LENGTHS[range_units]
-    yield raw, factor, f"the ranges are {other}: --range-units {other}"
-    for convention in _others(raw.convention, raw.numbers):
-        yield (
-            replace(raw, convention=convention),
-            1.0,
-            (f"the poses are {convention.words}: {called(convention)}"),
-        )
-
-
-def _others(stated: Convention, x: FloatArray) -> Iterator[Convention]:
-    """Yield conventions of other meaning under which the numbers x (M, k) can be poses."""
-    seen = {stated.meaning}
+    yield Rereading(
+        f"the ranges are {other}: --range-units {other}",
+        lambda recording: replace(recording, ranges=factor * recording.ranges),
+        "glance",
+    )
+    seen = {raw.convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
         for units in LENGTHS:
             for angles in ANGLES:
                 one = Convention(rotation, units, angles)
-                if one.meaning in seen or x.shape[1] not in one.numbers:
+                if one.meaning in seen or raw.numbers.shape[1] not in one.numbers:
                     continue
                 seen.add(one.meaning)
-                if not any(fault.wrong.any() for fault in faults(x, one)):
-                    yield one
+                if not any(fault.wrong.any() for fault in faults(raw.numbers, one)):
+                    words = f"the poses are {one.words}: {called(one)}"
+                    yield Rereading(words, partial(poses, replace(raw, convention=one)), "glance")

@@ -12,7 +12,7 @@ from ...data.recording import LARGEST
 from ...errors import ArgumentError, InputError
 from ...planning.route import Plan
 from ...text import shown
-from ..logs.bag_messages import METADATA
+from ..logs.bags import METADATA
 from ..rig_toml import Rig
 
 MOST_COMMAND = 2000

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ...estimation.options import CalibrationOptions
-from ..logs.bag_messages import METADATA
-from ..logs.bags import BAGS
+from ..logs.bags import BAGS, METADATA
 from ..writing import path_of
 
 RECORDING, RIG = "recording.csv", "rig.toml"

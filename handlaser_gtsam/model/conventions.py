@@ -11,12 +11,17 @@ the controllers, as collected in the table of the how-to page (docs/logs.md).
 """
 
 import re
+import warnings
 from dataclasses import dataclass
 
-from ...checks import require_word
-from ...errors import InputError
-from ...quantities import DEG, MM
-from ...text import shown
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..checks import require_word
+from ..errors import InputError
+from ..quantities import DEG, MM
+from ..text import shown
 
 QUATERNIONS, MATRICES = ("xyzw", "wxyz"), ("matrix", "matrix-columns")
 LENGTHS = {"m": 1.0, "mm": MM}
@@ -25,6 +30,8 @@ ANGLES = {"rad": 1.0, "deg": DEG}
 """Units of angle [rad]."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""
+INVERTED = "hand_T_world (base in hand)"
+"""Poses that are inverted, in words."""
 EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
 """Three axes of which neighbours differ."""
 MATRIX_NUMBERS = (12, 16)
@@ -89,9 +96,12 @@ class Convention:
     def words(self) -> str:
         """The meaning for a person."""
         angles = f", {self.angles}" if self.has_angles else ""
-        return (
-            f"{self.units}{angles}, {ROTATION_WORDS.get(self.rotation, f'angles {self.rotation}')}"
-        )
+        return f"{self.units}{angles}, {self.rotation_words}"
+
+    @property
+    def rotation_words(self) -> str:
+        """What the numbers of a rotation are, for a person."""
+        return ROTATION_WORDS.get(self.rotation, f"angles {self.rotation}")
 
 
 ROTATION_WORDS = {
@@ -203,3 +213,60 @@ def spelled_columns(rotation: str) -> tuple[tuple[str, ...], ...]:
     if len(set(rotation.lower())) == len(rotation):
         return _columns(" ".join(f"r{axis}" for axis in rotation.lower()))
     return ()
+
+
+def poses_of(x: FloatArray, convention: Convention) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (M, 3, 3) and positions (M, 3) [m] of the numbers x (M, k) of poses.
+
+    The numbers have no fault; rotations that are nearly orthonormal are made so.
+    """
+    length = LENGTHS[convention.units]
+    if convention.is_matrix:
+        T = matrices(x, convention)
+        U, _, V = np.linalg.svd(T[:, :3, :3])
+        return np.asarray(U @ V), length * T[:, :3, 3]
+    turn, kind, angle = x[:, 3:], convention.rotation, ANGLES[convention.angles]
+    if kind in QUATERNIONS:
+        rotation = Rotation.from_quat(turn, scalar_first=kind == "wxyz")
+    elif kind == "rotvec":
+        rotation = Rotation.from_rotvec(angle * turn)
+    else:
+        rotation = Rotation.from_euler(kind, angle * turn)
+    return rotation.as_matrix(), length * x[:, :3]
+
+
+def numbers_of(R: FloatArray, t: FloatArray, convention: Convention) -> FloatArray:
+    """Return the numbers (M, k) of rotations (M, 3, 3) and positions (M, 3) [m]: `poses_of` undone."""
+    kind, length, angle = convention.rotation, LENGTHS[convention.units], ANGLES[convention.angles]
+    rotation = Rotation.from_matrix(R)
+    if convention.is_matrix:
+        T = np.tile(np.eye(4), (len(R), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = R, t / length
+        return (np.swapaxes(T, 1, 2) if kind == "matrix-columns" else T).reshape(-1, 16)
+    if kind in QUATERNIONS:
+        turn = rotation.as_quat(canonical=True, scalar_first=kind == "wxyz")
+    elif kind == "rotvec":
+        turn = rotation.as_rotvec() / angle
+    else:
+        with warnings.catch_warnings():
+            # Of gimbal lock, where the third angle is free, and zero.
+            warnings.simplefilter("ignore")
+            turn = rotation.as_euler(kind) / angle  # type: ignore[call-overload]  # checked above
+    return np.hstack((t / length, turn))
+
+
+def matrices(x: FloatArray, convention: Convention) -> FloatArray:
+    """Return homogeneous matrices (M, 4, 4) of the 12 or 16 numbers of each pose."""
+    rows = x.shape[1] // 4
+    by_columns = convention.rotation == "matrix-columns"
+    T = np.tile(np.eye(4), (len(x), 1, 1))
+    T[:, :rows] = (
+        np.swapaxes(x.reshape(-1, 4, rows), 1, 2) if by_columns else x.reshape(-1, rows, 4)
+    )
+    return T
+
+
+def inverted(R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the inverse of poses (M, 3, 3), (M, 3)."""
+    S = np.swapaxes(R, 1, 2)
+    return S, -np.einsum("mij,mj->mi", S, t)

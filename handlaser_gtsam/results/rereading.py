@@ -1,0 +1,102 @@
+"""Would the readings fit if the file were read another way? One comparison, for logs and recordings.
+
+Another way to read a file is a change of the recording, in words for the user. A start is found for the
+changed recording, and the residuals are compared. The result is a sentence, never a change of the data.
+Logs try the conventions in which poses are written, calibrations that do not fit the mistakes of
+`file_mistakes`.
+"""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import IntArray
+from ..data.ordering import sorted_readings
+from ..data.recording import Recording
+from ..errors import HandlaserError
+from ..starts import Effort, find_start
+
+MUCH_BETTER = 100.0
+"""Another way is taken to be the right one where it lowers the mean squared residual by this factor."""
+SPARE = 15
+"""Readings beyond the unknowns that tell another way from a chance fit."""
+
+Change = Callable[[Recording], Recording]
+"""Returns a recording as it would be if its file were read another way."""
+Measure = Callable[[Recording, Effort], float]
+"""Returns how badly a recording fits: its squared residual in parts of the squared spread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rereading:
+    """Another way to read a file.
+
+    Attributes
+    ----------
+    words : str
+        What the user would have to state or to correct.
+    change : callable
+    effort : {"glance", "quick", "normal", "thorough"}
+        Of the start that is looked for.
+    """
+
+    words: str
+    change: Change
+    effort: Effort = "normal"
+
+
+def misfits(
+    recording: Recording, others: Iterable[Rereading], measure: Measure
+) -> list[tuple[float, str]]:
+    """Return the misfit in each other way, never zero, and the words of that way."""
+    found = []
+    for other in others:
+        # Read another way, it may be no recording, or have no start.
+        with suppress(HandlaserError):
+            changed = measure(other.change(recording), other.effort)
+            found.append((max(changed, 1e-30), other.words))
+    return found
+
+
+def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.inf) -> float:
+    """Return the mean squared residual in parts of the variance of the readings: no unit matters.
+
+    It is infinite where a beam lies farther from the hand's origin than `reach` [m]: readings in a
+    wrong unit can fit a beam that is metres away.
+    """
+    readings, _ = sorted_readings(recording)
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    start = find_start(readings, None, terms, effort=effort)
+    if not np.linalg.norm(start.parameters.locations, axis=1).max() <= reach:
+        return np.inf
+    return float(start.tried[0][1] ** 2) / max(float(np.nanvar(recording.ranges)), 1e-300)
+
+
+def one_beam(
+    recording: Recording, most: int | None = None, spare: int = SPARE
+) -> tuple[Recording, IntArray]:
+    """Return the readings of the beam with most of them, and their stations; all where they are few.
+
+    A mistake in the poses or the units is the same for all beams, and one beam is the smallest problem
+    that shows it. Of more stations than `most`, some are taken, before the planes with most of them.
+    """
+    seen = ~np.isnan(recording.ranges)
+    others = np.ones(seen.shape, dtype=bool)
+    others[:, beam := int(np.argmax(seen.sum(axis=0)))] = False
+    rows = np.flatnonzero(seen[:, beam])
+    if most is not None:
+        planes, count = np.unique(recording.plane_of_station[rows], return_counts=True)
+        largest = planes[np.argsort(-count, kind="stable")][: most // 10]
+        rows = rows[np.isin(recording.plane_of_station[rows], largest)]
+        if len(rows) > most:
+            rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(np.intp)]
+    one = recording.without(others).part(rows)
+    return (one, rows) if tells(one, spare) else (recording, np.arange(len(seen), dtype=np.intp))
+
+
+def tells(recording: Recording, spare: int = SPARE) -> bool:
+    """Tell whether a recording has readings enough, `spare` more than unknowns, to judge another way."""
+    unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
+    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + spare)
