@@ -8,15 +8,15 @@
     beams = 4                     planes, stations: the same way
     k1 = 0.0                      k2_per_m: of every beam; k1_sigma, k2_sigma_per_m: drawn about them
     range_sigma_mm = 0.03         pose_translation_sigma_mm, pose_rotation_sigma_deg, pose_axes = "xyz"
-    redraw = true                 beams, planes and stations anew in every run
+    redraw = true                 beams, planes and stations in every run
 
-    [scenes.NAME]                 or of a module of one's own:
+    [scenes.NAME]                 or of a module of yours:
     function = "module:name"      called with a generator and the arguments
     arguments = { motion = 0.3 }  returns a Recording, and the Parameters that are true
 
     [treatments.NAME]
     solve = "calibrate"           or "reduction": noise as given, nothing searched for or rejected
-    noise = "scene"               as it was simulated, or a table as in a rig file; else not told
+    noise = "scene"               as it was simulated, or a table as in a rig file; else not stated
     range_error = "auto"          poses, outliers, loss: as the options of `handlaser calibrate`
 
 A function runs with the rights of who starts the study: declare those that you trust.

@@ -127,7 +127,8 @@ def run_study(
     digest = _digest(study)
     table = pl.DataFrame(schema=RUN_SCHEMA) if kept is None else kept
     if (table["study"] != digest).any():
-        raise InputError("runs of another study", "those of the same cases and seed, or none")
+        expected = "the table of the same cases and seed, or a file that is not there yet"
+        raise InputError("a table with runs of another study", expected)
     blocks: list[tuple[Case, tuple[int, int], list[int]]] = []
     scenes = list(dict.fromkeys(case.scene for case in study.cases))
     for case in study.cases:
@@ -137,7 +138,7 @@ def run_study(
         blocks += [(case, key, left[i : i + BLOCK]) for i in range(0, len(left), BLOCK)]
     total = study.runs * len(study.cases)
     finished = total - sum(len(runs) for *_, runs in blocks)
-    written, unwritten = time.monotonic(), False
+    written = time.monotonic()
     with told_to(progress), closing(run_blocks(solve_runs, blocks, executor)) as results:
         tell("study")
         tell("study", finished, total, "runs")
@@ -145,13 +146,12 @@ def run_study(
             for rows in results:
                 table = table.vstack(rows.with_columns(study=pl.lit(digest)))
                 finished += rows.height
-                unwritten = True
                 tell("study", finished, total, "runs")
                 if keep is not None and time.monotonic() - written > PERIOD:
                     keep(table)
-                    written, unwritten = time.monotonic(), False
+                    written = time.monotonic()
         finally:
-            if keep is not None and unwritten:
+            if keep is not None:
                 keep(table)
     table = table.filter(pl.col("run") < study.runs)
     return pl.concat(_of_case(table, case).sort("run") for case in study.cases)
