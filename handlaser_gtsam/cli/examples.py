@@ -49,8 +49,8 @@ EXAMPLES = {
         "handlaser watch recording.csv --rig rig.toml \\\n    --port 9000 --open",
     ),
 }
-"""What a person copies, by verb; those of `watch` run until they are stopped. The files are
-those of examples/gripper and examples/study."""
+"""What a person copies, by verb; `watch` runs until it is stopped. The files stand in
+examples/gripper and examples/study."""
 
 
 def epilog(verb: str) -> str:

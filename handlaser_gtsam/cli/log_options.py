@@ -17,7 +17,7 @@ PANEL = "Options for logs"
 
 
 class Log:
-    """How a log is written, where it is no recording in CSV; its signature is that of the options."""
+    """How a log is written, where it is no recording in CSV; its signature has the options."""
 
     def __init__(self, **given: object) -> None:
         self._given = given

@@ -1,4 +1,4 @@
-"""The options of a verb's help in sections: those of logs stand by themselves, at the end."""
+"""The options of a verb's help in sections, what most people need first."""
 
 from typing import Any
 

@@ -59,7 +59,7 @@ def watch(
 ) -> None:
     """Show a page that follows a recording as it grows: verdict, beams, planes, next station.
 
-    It is calibrated anew whenever it changes. Ctrl-C ends.
+    It is calibrated again whenever it changes. Ctrl-C ends.
 
     Exit codes: 2 bad input, or a port that is in use; 130 stopped by Ctrl-C.
     """

@@ -14,7 +14,7 @@ def columns() -> int:
 
 
 def text_width() -> int:
-    """Return the columns of text: those of the screen, but at most `WIDTH`."""
+    """Return the columns of text: as many as the screen has, but at most `WIDTH`."""
     from ..results.lines import WIDTH  # loads NumPy, which the help does without
 
     return min(columns(), WIDTH)

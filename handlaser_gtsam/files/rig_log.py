@@ -20,7 +20,7 @@ ONE_OF = (
     ("pose_topic", "frames"),
     ("stands", "interpolate"),
 )
-"""Fields that exclude each other: where a user states one, those of the rig file do not count."""
+"""Fields that exclude each other: where a user states one, the rig file's do not count."""
 OPTION = re.compile(r"--([a-z][a-z-]*)")
 NAMES = tuple(one.name for one in fields(LogFormat))
 

@@ -34,13 +34,13 @@ CLOSE_SHARE = 1e-3
 UNIT_GAP = 3.0
 """Readings that differ by this factor on both sides of a station, without overlap, have two units."""
 SPLITS = 9
-"""So many evenly spaced stations are tried as the first of a second plate; then the best is refined."""
+"""Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
 MOST_PAIRS = 3
 """Most pairs of planes tried for exchanged labels, where one has too few readings to tell by itself."""
 MOST_SWAPS = 40
 """Pairs of beams, times planes, that are tried: more would take longer than the calibration."""
 GROUPS = 4
-"""Planes are left out in so many groups to find the one before which beams look swapped."""
+"""Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
 
 def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
@@ -222,8 +222,8 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
 def _mixed_labels(recording: Recording, terms: int) -> Iterator[Rereading]:
     """One label for two positions of the plate, or two labels exchanged from some station on.
 
-    A plane whose stations do not fit by themselves, while those of others do, holds stations of
-    another plane.
+    A plane whose stations do not fit by themselves, while the stations of other planes do, holds
+    stations of another plane.
     """
     planes = range(len(recording.plane_names))
     alone = [_misfit_of_planes(recording, (p,), terms) for p in planes]

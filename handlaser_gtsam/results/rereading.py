@@ -97,6 +97,6 @@ def one_beam(
 
 
 def tells(recording: Recording, spare: int = SPARE) -> bool:
-    """Tell whether a recording has `spare` readings more than unknowns, enough to judge another way."""
+    """Tell whether readings are enough, `spare` more than unknowns, to judge another way."""
     unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
     return bool((~np.isnan(recording.ranges)).sum() >= unknowns + spare)

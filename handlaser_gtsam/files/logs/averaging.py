@@ -20,9 +20,6 @@ from ...data.stations import HELD, worth_of_mean
 from ...quantities import MEDIAN_TO_SIGMA
 from .format import Average
 
-LEAST = 3
-"""So many readings have a median that is not their mean."""
-
 
 @dataclass(frozen=True, slots=True)
 class Averaged:
@@ -86,8 +83,13 @@ def averaged(
     beam = key[start] % shape[1]  # of each group
     each = [_scatter(off, count, group, several & (beam == b), how) for b in range(shape[1])]
     scatter = _scatter(off, count, group, several, how)
+    number = count[several].astype(np.float64)
+    if how == "median":  # of two readings it is their mean
+        number = np.where(number >= 3.0, np.maximum(2.0 * number / math.pi, 1.0), number)
     samples = np.ones(shape)
-    samples.ravel()[key[start[several]]] = _worth(count[several], how, scatter, sigma)
+    samples.ravel()[key[start[several]]] = (
+        number if math.isnan(scatter) else worth_of_mean(number, scatter**2, sigma)
+    )
     return Averaged(
         ranges,
         samples if (samples != 1.0).any() else None,
@@ -95,14 +97,6 @@ def averaged(
         np.array(each),
         int(count[count > 1].sum()),
     )
-
-
-def _worth(count: IntArray, how: Average, scatter: float, sigma: float | None) -> FloatArray:
-    """Return how many independent readings the mean or median of so many is worth."""
-    number = count.astype(np.float64)
-    if how == "median":
-        number = np.where(number >= LEAST, np.maximum(2.0 * number / math.pi, 1.0), number)
-    return number if math.isnan(scatter) else worth_of_mean(number, scatter**2, sigma)
 
 
 def _middles(value: FloatArray, start: IntArray, count: IntArray, how: Average) -> FloatArray:

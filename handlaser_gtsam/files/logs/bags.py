@@ -40,8 +40,8 @@ METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
-A_PART = 20_000
-"""So many messages are read between two signs of life."""
+MESSAGES = 20_000
+"""Messages that are read between two signs of progress: less than a second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,8 +211,8 @@ def _messages(
     total, frame_of = sum(one.msgcount for one in connections), dict[str, str]()
     messages = chain.from_iterable(map(reader.messages, groups))
     for count, (one, received, data) in enumerate(messages):
-        if count % A_PART == 0:
-            tell("read", count // A_PART, total // A_PART + 1, "part of the bag")
+        if count % MESSAGES == 0:
+            tell("read", count // MESSAGES, total // MESSAGES + 1, "part of the bag")
         message = reader.deserialize(data, one.msgtype)
         if one.msgtype not in TRANSFORMS:  # several publishers of tf are usual
             frame = message.header.frame_id

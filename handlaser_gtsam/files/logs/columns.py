@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ...errors import InputError
-from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS, Convention
+from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
 from .format import LogFormat
@@ -95,12 +95,14 @@ def columns_of(
     if readings and given.beam_column:
         _require(table, given.beam_column, "beam_column")
         _require(table, given.range_column, "range_column")
+    elsewhere = given.plane_column not in ("", *names) and not (poses and readings)
     found = Columns(
         pose,
         beams,
         given.beam_column if readings else "",
         given.range_column if readings else "",
-        _plane_column(table, given, alone=poses and readings),
+        # Of two files, either may have the column that is stated.
+        "" if elsewhere else _named(table, "plane_column", given.plane_column, ("plane",)),
         _named(table, *station, ("station",)),
         _named(table, *time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
     )
@@ -123,13 +125,6 @@ def _check_once(table: Table, found: Columns) -> None:
         used[name] = what
 
 
-def _plane_column(table: Table, given: LogFormat, *, alone: bool) -> str:
-    """Return the column of planes; of two files either may have the one that is stated."""
-    if given.plane_column and not alone and given.plane_column not in table.frame.columns:
-        return ""
-    return _named(table, "plane_column", given.plane_column, ("plane",))
-
-
 def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     convention, names = convention_of(given), table.frame.columns
     if given.pose_columns:
@@ -148,7 +143,8 @@ def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
         return (*position, *rotation)
     others = formats_in(names)
     what = f"{given.pose_format or given.rotation or 'ros'}: {convention.words}"
-    looked = "position x, y, z" if rotation else _usual(convention)
+    usual = some(convention.columns[0], 8) if convention.columns else "no usual names"
+    looked = "position x, y, z" if rotation else usual
     hint = f"; these are columns as of --pose-format {'|'.join(others)}" if others else ""
     raise InputError(
         f"no columns of poses of {what} ({looked}) among {_short(names)}{hint}",
@@ -158,20 +154,14 @@ def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     )
 
 
-def _usual(convention: Convention) -> str:
-    first = convention.columns[0] if convention.columns else ()
-    return some(first, 8) or "no usual names"
-
-
 def formats_in(names: Sequence[str]) -> list[str]:
     """Return the formats whose columns of rotations are among some names."""
-    return [name for name, one in FORMATS.items() if _present(names, one)]
-
-
-def _present(names: Sequence[str], convention: Convention) -> bool:
-    """Tell whether columns of a rotation are there."""
     lower = {plain(name) for name in names}
-    return any(set(spelling) <= lower for spelling in convention.columns)
+    return [
+        name
+        for name, one in FORMATS.items()
+        if any(set(spelling) <= lower for spelling in one.columns)
+    ]
 
 
 def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:

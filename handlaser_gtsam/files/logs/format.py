@@ -30,9 +30,9 @@ class LogFormat:
         Instead of a pose format: xyzw, wxyz, rotvec, matrix, matrix-columns, or Euler angles as SciPy
         spells them (ZYX, xyz); with units, and with angles where there are any.
     units : {"m", "mm"}, optional
-        Of positions, if it is not that of the format.
+        Of positions, if not as in the format.
     angles : {"deg", "rad"}, optional
-        Of rotations, if it is not that of the format.
+        Of rotations, if not as in the format.
     inverted : bool
         Poses are hand_T_world (base in hand).
     tool : numbers

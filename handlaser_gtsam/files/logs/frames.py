@@ -11,12 +11,10 @@ from ...arrays import FloatArray
 from ...data.recording import LARGEST
 from ...errors import InputError
 from ...text import shown, some
-from .motion import Between
+from .motion import AT_ONCE, Between
 
-WIDTH = 8
+NUMBERS = 8
 """Numbers of a stamped pose: time, position, quaternion."""
-AT_ONCE = 50_000
-"""Poses that are composed at once, for the memory they take."""
 
 
 @dataclass(slots=True, eq=False)
@@ -37,7 +35,7 @@ class Stamped:
         InputError
             A quaternion that is none, or a position that is not finite.
         """
-        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, WIDTH)
+        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, NUMBERS)
         step = np.diff(x[:, 0])
         if (step <= 0.0).any():
             order = np.argsort(x[:, 0], kind="stable")
@@ -133,7 +131,7 @@ class Frames:
         time = base[(base >= begin) & (base <= end)]
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")
-        x = np.empty((len(time), WIDTH))
+        x = np.empty((len(time), NUMBERS))
         for first in range(0, len(time), AT_ONCE):
             part = slice(first, first + AT_ONCE)
             R, t = self._hand_in_world(rows, time[part])

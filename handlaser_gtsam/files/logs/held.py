@@ -1,4 +1,4 @@
-"""Poses that were not logged anew: stations that repeat a pose although the readings have moved on."""
+"""Poses that were not updated: stations that repeat a pose although the readings have changed."""
 
 import numpy as np
 

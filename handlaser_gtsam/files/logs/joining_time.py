@@ -19,7 +19,7 @@ from .rows import LogRows
 from .stands import Track, find_stands
 
 UNIT_OFF = 0.15
-"""Spans of one recording agree within a factor of three, which is so much of a power of a thousand."""
+"""Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
 
 def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
@@ -34,15 +34,13 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
     ------
     InputError
     """
-    assert readings.times is not None
     lag = lag_of(poses, readings, given) if given.estimate_lag else Lag(given.lag_s)
-    stations = _at_lag(poses, readings, given, readings.times - lag.value)
+    stations = _at_lag(poses, readings, given, readings.clock - lag.value)
     return replace(stations, lag=lag)
 
 
 def _at_lag(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
     """Return the stations where readings belong to poses at `wanted` times (M,) [s]."""
-    assert poses.times is not None
     if given.stands:
         return _standing(poses, readings, given, wanted)
     if given.tolerance_s is None:
@@ -53,9 +51,9 @@ def _at_lag(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatAr
     _refuse_two_poses_at_once(poses, given)
     if given.interpolate:
         return _between(poses, readings, wanted, given.tolerance_s)
-    if len(poses.times) < len(wanted):
+    if len(poses.clock) < len(wanted):
         return _around(poses, readings, wanted, given.tolerance_s)
-    row, off = nearest(poses.times, wanted)
+    row, off = nearest(poses.clock, wanted)
     near = off <= given.tolerance_s
     _require_any(near, poses, readings, wanted)
     way = Means(row[near], np.arange(near.sum(), dtype=np.intp))
@@ -64,9 +62,8 @@ def _at_lag(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatAr
 
 def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
     """Refuse two rows of one time (they stand in the order of time) at poses that differ."""
-    assert poses.times is not None
     assert poses.poses is not None
-    again = np.flatnonzero(np.diff(poses.times) == 0.0) + 1
+    again = np.flatnonzero(np.diff(poses.clock) == 0.0) + 1
     if not again.size:
         return
     (R, t), (S, s) = (
@@ -76,10 +73,10 @@ def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
     distance = np.linalg.norm(t - s, axis=1)
     far = (angle > SAME_STATION_RAD) | (distance > SAME_STATION_M)
     if far.any():
-        first, wrong = int(far.argmax()), np.zeros(len(poses.times), dtype=bool)
+        first, wrong = int(far.argmax()), np.zeros(len(poses.clock), dtype=bool)
         wrong[again[far]] = True
         found = (
-            f"the time {poses.times[again[first]]:.10g} s again, at a pose "
+            f"the time {poses.clock[again[first]]:.10g} s again, at a pose "
             f"{1e3 * distance[first]:.3g} mm and {np.degrees(angle[first]):.3g} deg away"
         )
         expected = "one pose at a time: finer stamps, or --stands"
@@ -87,11 +84,10 @@ def _refuse_two_poses_at_once(poses: LogRows, given: LogFormat) -> None:
 
 
 def _between(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
-    assert poses.times is not None
-    near = bracketed(poses.times, wanted, tolerance)
-    row = nearest(poses.times, wanted)[0]
+    near = bracketed(poses.clock, wanted, tolerance)
+    row = nearest(poses.clock, wanted)[0]
     _require_any(near, poses, readings, wanted, "poses before and after it within the tolerance")
-    way = Between.at(poses.times, wanted[near])
+    way = Between.at(poses.clock, wanted[near])
     return _at_readings(way, poses, readings, wanted, near, row, "a pose between its neighbours")
 
 
@@ -133,15 +129,14 @@ def _at_readings(
 
 def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
     """Return the rows of poses as stations, with all readings around them."""
-    assert poses.times is not None
-    row, off = nearest(poses.times, wanted)
+    row, off = nearest(poses.clock, wanted)
     near = off <= tolerance
     _require_any(near, poses, readings, wanted)
     station = np.where(near, row, -1).astype(np.intp)
-    every = np.arange(len(poses.times), dtype=np.intp)
+    every = np.arange(len(poses.clock), dtype=np.intp)
     planes = poses.planes
     if planes is None and readings.planes is not None:
-        closest = nearest(wanted, poses.times)[0] if (np.diff(wanted) >= 0.0).all() else every
+        closest = nearest(wanted, poses.clock)[0] if (np.diff(wanted) >= 0.0).all() else every
         planes = [readings.planes[i] for i in closest.tolist()]
     return Stations(
         poses,
@@ -149,7 +144,7 @@ def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: fl
         Means.of_groups(every),
         poses.names,
         planes,
-        poses.times,
+        poses.clock,
         station,
         words=f"{len(every)} poses, each with the readings within {tolerance:g} s: "
         f"{int(near.sum())} of {len(near)} rows",
@@ -196,10 +191,8 @@ def lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
     InputError
         The planes are not known in time, or the motion does not tell.
     """
-    assert readings.times is not None
-    assert poses.times is not None
-    track, begin = track_of(poses, given), float(poses.times[0])
-    stated, time, pose_times = intervals(given), readings.times, poses.times
+    track, begin = track_of(poses, given), float(poses.clock[0])
+    stated, time, pose_times = intervals(given), readings.clock, poses.clock
     by_row = stated and not given.stands and not stated[0].is_time
     of_poses = len(pose_times) < len(time) if by_row else readings.planes is None
     rows = poses if of_poses else readings
@@ -219,11 +212,10 @@ def lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> Lag:
 def track_of(poses: LogRows, given: LogFormat) -> Track:
     """Return the poses of rows in time."""
     assert poses.poses is not None
-    assert poses.times is not None
     if convention_of(given).meaning == FORMATS["ros"].meaning:
-        return Track(poses.times, poses.poses[:, :3], poses.poses[:, 3:])
+        return Track(poses.clock, poses.poses[:, :3], poses.poses[:, 3:])
     R, t = poses_of(poses.poses, convention_of(given))
-    return Track(poses.times, t, Rotation.from_matrix(R).as_quat())
+    return Track(poses.clock, t, Rotation.from_matrix(R).as_quat())
 
 
 def _require_any(
@@ -235,15 +227,13 @@ def _require_any(
     remedy: str = "a larger --tolerance-s, or --lag-s",
 ) -> None:
     """Refuse tables of which no reading has what it needs."""
-    assert poses.times is not None
-    assert readings.times is not None
     if near.any():
         return
-    off = nearest(poses.times, wanted)[1].min()
+    off = nearest(poses.clock, wanted)[1].min()
     raise InputError(
         f"no reading with {what}: the nearest pose is {off:.3g} s away (poses from "
-        f"{poses.times[0]:.10g} to {poses.times[-1]:.10g} s, readings from "
-        f"{readings.times.min():.10g} to {readings.times.max():.10g} s)",
+        f"{poses.clock[0]:.10g} to {poses.clock[-1]:.10g} s, readings from "
+        f"{readings.clock.min():.10g} to {readings.clock.max():.10g} s)",
         f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
         readings.table.path,
     )
@@ -259,9 +249,7 @@ def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> N
     InputError
         The spans differ so, and the unit of the second table is not stated by itself.
     """
-    assert poses.times is not None
-    assert readings.times is not None
-    spans = float(np.ptp(poses.times)), float(np.ptp(readings.times))
+    spans = float(np.ptp(poses.clock)), float(np.ptp(readings.clock))
     if min(spans) <= 0.0 or given.readings_time_units is not None or given.as_stated:
         return
     power = np.log10(spans[1] / spans[0]) / 3.0

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.readings import Readings
 from ...errors import InputError
+from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
 from ...solvers.levenberg import LevenbergOptions
 from ...solvers.many_problems import solve_together
@@ -35,38 +36,37 @@ from .motion import Between
 from .offsets import candidate_offsets, despiked
 from .stands import Track
 
-MOST = 0.5
+REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""
 COARSE, FINE = 0.04, 0.002
 """Steps of the search, and of the parabola at its end [s]."""
-WORST = 0.01
+WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
-BETWEEN = 1e-4
-"""What the way between two poses is off may move the minimum by so much [s]."""
+INTERPOLATED = 1e-4
+"""The interpolation between two poses may move the minimum by this much [s]."""
 BENT = 3.0
-"""A parabola through sums of squares bends by so many standard deviations of its curvature."""
+"""The curvature of a parabola, in its standard deviations, that shows a minimum."""
 UNEXPLAINED = 0.1
 """A larger part of the variance of readings than this says that they do not follow the motion."""
 UNLIKE = 3.0
-"""A calibration that leaves so many times the squares of the linear equation is none."""
-ALIKE = 4.0
+"""A calibration that leaves more than this factor of the squares of the linear equation is wrong."""
+AS_GOOD = 4.0
 """Another offset whose mean square is less than this factor of the least fits as well."""
-TERMS = 2
-"""Range-error terms of the calibration."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
-"""Readings count where the hand moves by so much within `MOST` before or after."""
+"""Readings count where the hand moves or turns by more than this within `REACH` before or after."""
 LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
-ROUNDS = 12
+MOST_MOVES = 12
 """The calibration moves on at most so often to where its minimum is."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
-LEAST = 264
+"""Of each calibration: a step of a thousandth of a standard deviation moves no minimum."""
+LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
-TINY = 1e-9
+NO_MOTION = 1e-9
 """A column shorter than this is of a hand that does not turn, or does not move."""
-AT_MOST = 1500
+MOST_READINGS = 1500
 """Readings of one plane and beam that are looked at, evenly spread."""
 
 
@@ -128,7 +128,7 @@ class _Candidate:
 
     def as_good_as(self, other: "_Candidate") -> bool:
         """Whether it leaves as little as another one, of readings that are not far fewer."""
-        least = ALIKE * other.squares / other.count
+        least = AS_GOOD * other.squares / other.count
         return self.squares < least * self.count and 2 * self.covered > other.covered
 
 
@@ -175,7 +175,7 @@ def estimated_lag(
             "a motion that does not tell the lag of the readings",
             "a log with stops, turns and changes of speed before a plane; or state --lag-s",
         )
-    if not lag.varies <= WORST:
+    if not lag.varies <= WORST_SIGMA:
         raise InputError(
             f"a lag that varies by some {1e3 * lag.varies:.0f} ms in the recording",
             "clocks that run alike and are not set meanwhile; or parts of the log by themselves",
@@ -196,14 +196,14 @@ def _chosen(found: list[_Candidate], near: float) -> tuple[_Candidate, list[_Can
     alike = [one for one in found if one.as_good_as(best)]
     if near:
         return min(alike, key=lambda one: abs(one.lag - near)), []
-    one_clock = abs(best.lag) <= MOST
-    return best, [] if one_clock else [one for one in alike if abs(one.lag - best.lag) > MOST]
+    one_clock = abs(best.lag) <= REACH
+    return best, [] if one_clock else [one for one in alike if abs(one.lag - best.lag) > REACH]
 
 
 def _coarse(
     track: Track, time: FloatArray, d: FloatArray, plane: IntArray, offset: float
 ) -> _Candidate:
-    """Return the best lag within `MOST` of an offset [s].
+    """Return the best lag within `REACH` of an offset [s].
 
     Raises
     ------
@@ -222,16 +222,16 @@ def _coarse(
     if not parts:
         raise InputError(
             "too few readings while the hand moves to estimate the lag",
-            f"some {LEAST} of one beam before one plane, with stops, turns and changes of speed; or "
-            "state --lag-s",
+            f"some {LEAST_READINGS} of one beam before one plane, with stops, turns and changes of "
+            "speed; or state --lag-s",
         )
-    steps = round(MOST / COARSE)
+    steps = round(REACH / COARSE)
     lags = offset + COARSE * np.arange(-steps, steps + 1)
     sums = np.array([_squares(track, parts, lag) for lag in lags])
     best = int(sums.argmin())
     if best in (0, len(lags) - 1):
         raise InputError(
-            f"no lag within {MOST:g} s at which readings follow the motion",
+            f"no lag within {REACH:g} s at which readings follow the motion",
             "clocks that agree better; or a rough --lag-s, from which the search begins",
         )
     lag, squares, step = float(lags[best]), float(sums[best]), COARSE
@@ -258,7 +258,7 @@ def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> Lag | None:
         return None
     shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
     fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
-    sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, BETWEEN]))
+    sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, INTERPOLATED]))
     return Lag(float(middle) + shift, sigma)
 
 
@@ -273,12 +273,13 @@ def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
     readings = _readings(track, parts, near)
     origins = readings.plane_means(readings.world_t_hand)
     start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
-    count = len(readings) - readings.unknowns(TERMS)
+    terms = RANGE_ERROR_TERMS["auto"]
+    count = len(readings) - readings.unknowns(terms)
     step, found = COARSE, None
-    for _ in range(ROUNDS):
+    for _ in range(MOST_MOVES):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
-        solved = solve_together(problems, [start] * 7, TERMS, 1.0, options=OPTIONS)
+        solved = solve_together(problems, [start] * 7, terms, 1.0, options=OPTIONS)
         cost = np.asarray(2.0 * solved.cost)
         if not np.isfinite(cost).all():
             return None
@@ -292,13 +293,13 @@ def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
         if step == FINE and abs(near - lags[3]) < FINE:
             break
         step = max(step / 4.0, FINE)
-    if found is None or step > FINE or found.sigma > WORST:
+    if found is None or step > FINE or found.sigma > WORST_SIGMA:
         return None
     at, later, sooner = (
         _readings(track, parts, found.value + shift).seen_from(origins)
         for shift in (0.0, FINE, -FINE)
     )
-    solved = solve_together([at], [start], TERMS, 1.0, options=OPTIONS)
+    solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
     if not 2.0 * solved.cost[0] <= UNLIKE * candidate.squares:
         return None
     e, after, before = (
@@ -316,7 +317,7 @@ def _variation(time: FloatArray, e: FloatArray, rate: FloatArray) -> float:
     edges = np.linspace(time.min(), time.max(), PIECES + 1)
     piece = np.searchsorted(edges[1:-1], time)
     told = np.bincount(piece, rate**2, PIECES)
-    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, TINY)
+    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, NO_MOTION)
     noise = PIECES * float(e @ e) / len(e)
     excess = (float(told @ off**2) - noise) / float(told.sum())
     return float(np.sqrt(max(excess, 0.0)))
@@ -346,7 +347,7 @@ def _parts(
 ) -> Iterator[_Part]:
     """Yield the readings of each plane and beam that tell something of a lag near an offset [s]."""
     moments = time - offset
-    inside = (moments - MOST >= track.time[0]) & (moments + MOST <= track.time[-1]) & (plane >= 0)
+    inside = (moments - REACH >= track.time[0]) & (moments + REACH <= track.time[-1]) & (plane >= 0)
     moves = _moves(track, moments)
     moves &= inside & _settled(time, plane, moves)
     for index in np.unique(plane[moves]).tolist():
@@ -358,9 +359,9 @@ def _parts(
         for beams in map(np.array, alike.values()):
             rows = np.flatnonzero(read[beams[0]])
             covered = len(rows) * len(beams)
-            if len(rows) > AT_MOST:
-                rows = rows[np.linspace(0, len(rows) - 1, AT_MOST).round().astype(np.intp)]
-            if len(rows) >= LEAST:
+            if len(rows) > MOST_READINGS:
+                rows = rows[np.linspace(0, len(rows) - 1, MOST_READINGS).round().astype(np.intp)]
+            if len(rows) >= LEAST_READINGS:
                 yield _Part(index, beams, time[rows], d[rows][:, beams], covered)
 
 
@@ -372,8 +373,8 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
     """
     order = np.argsort(time, kind="stable")
     stamps, label, moves = time[order], plane[order], moves[order]
-    first = np.searchsorted(stamps, stamps - MOST)
-    last = np.searchsorted(stamps, stamps + MOST, side="right") - 1
+    first = np.searchsorted(stamps, stamps - REACH)
+    last = np.searchsorted(stamps, stamps + REACH, side="right") - 1
     settled = (label[first] == label) & (label[last] == label)
     move = np.cumsum(np.diff(moves, prepend=False))  # moves have odd numbers
     begin, end = np.searchsorted(move, move), np.searchsorted(move, move, side="right") - 1
@@ -388,7 +389,7 @@ def _moves(track: Track, time: FloatArray) -> BoolArray:
     """Tell at which times (N,) the hand moves, a little before or after."""
     rows = [
         np.clip(np.searchsorted(track.time, time + shift), 0, len(track.time) - 1)
-        for shift in (-MOST, 0.0, MOST)
+        for shift in (-REACH, 0.0, REACH)
     ]
     moves = np.zeros(len(time), dtype=bool)
     for other in (rows[0], rows[2]):
@@ -407,7 +408,7 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
         turned, moved = R - R.mean(axis=0), position - position.mean(axis=0)
         for d in (part.d - part.d.mean(axis=0)).T:
             X = np.hstack((d[:, None] * turned, turned, moved, np.ones((len(d), 1)), d[:, None]))
-            X /= np.maximum(np.linalg.norm(X, axis=0), TINY)
+            X /= np.maximum(np.linalg.norm(X, axis=0), NO_MOTION)
             # Products of columns lose half of the digits, and take a hundredth of the time.
             G = X.T @ X
             known = np.linalg.pinv(G[:-1, :-1], rcond=1e-12, hermitian=True)

@@ -10,7 +10,7 @@ from ...model.conventions import Convention, inverted, poses_of
 
 Pair = tuple[FloatArray, FloatArray]
 """Rotations (M, 3, 3) and positions (M, 3) [m]."""
-AT_ONCE = 200_000
+AT_ONCE = 100_000
 """Rows whose poses are computed at once: a matrix of each and its copies take some 300 bytes a row."""
 
 
@@ -21,7 +21,7 @@ class Means:
     Attributes
     ----------
     row : (N,)
-        Rows, those of one station together.
+        Rows, station by station.
     start : (S,)
         Where each station begins among them.
     """
@@ -99,7 +99,7 @@ class Between:
         return cls(row.astype(np.intp), np.clip(part, 0.0, 1.0))
 
     def place(self, R: FloatArray, t: FloatArray) -> Pair:
-        """Return the poses of stations from those of rows."""
+        """Return the poses of stations from the poses of rows."""
         rotation, position = self.of_quaternions(Rotation.from_matrix(R).as_quat(), t)
         return rotation.as_matrix(), position
 

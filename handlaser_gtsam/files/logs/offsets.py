@@ -28,7 +28,7 @@ STEP = 0.02
 MOST_STEPS = 1_000_000
 """Longer recordings are taken in longer steps, for the memory they need."""
 HALF_WIDTH = 5
-"""Velocities are differences over twice so many steps: readings have noise."""
+"""Velocities are differences over twice this number of steps, because readings have noise."""
 CANDIDATES = 6
 """Most candidates of either kind: a motion that repeats has several."""
 LEAST_OVERLAP = 0.3
@@ -36,9 +36,9 @@ LEAST_OVERLAP = 0.3
 RESTS = 0.1
 """What is slower than such a part of the root mean square speed hardly moves."""
 CLIPPED = 4.0
-"""Rates beyond so many root mean squares are those of a change of planes."""
+"""Rates beyond this number of root mean squares come from a change of planes."""
 SPIKE = 10.0
-"""A reading is wild if it is off the median of five by so many times what nine in ten readings are."""
+"""A reading is wild if it is off the median of five by this factor of what nine in ten readings are."""
 
 
 def despiked(d: FloatArray) -> FloatArray:

@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 from ...errors import InputError
 
 ALWAYS = 1 << 26
-"""So many bytes may be unpacked from any file: one large message, or one small sheet."""
+"""Bytes that may be unpacked from any file: one large message, or one small sheet."""
 MOST_TIMES = 100
-"""Above that, a file may unpack to so many times its bytes; logs reach ten to twenty."""
+"""How many times its bytes a file may unpack to beside `ALWAYS`; logs reach ten to twenty."""
 A_PART = 1 << 22
 """Bytes that are unpacked at once."""
 

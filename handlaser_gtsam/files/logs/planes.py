@@ -17,7 +17,7 @@ from .format import LogFormat
 from .stands import Track, find_stands
 
 RANGE = re.compile(r"(?P<plane>.+?)=(?P<first>.+?)\.\.(?P<last>.+)", re.DOTALL)
-SECONDS = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*s\s*")
+SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
 EXPECTED = "PLANE=FIRST..LAST of stations, or of times with an s: A=1..12, or A=0s..12.5s"
 EPOCH = 1e8
 """Times beyond this [s] are counted from 1970; smaller ones from the beginning of the log."""
@@ -71,17 +71,10 @@ def _interval(plane: str, first: str, last: str) -> Interval:
     times = [SECONDS.fullmatch(end) for end in (first, last)]
     if not any(times):
         return Interval(plane, first, last)
-    numbers = [_seconds(one[1]) if one else math.nan for one in times]
+    numbers = [float(one[1]) if one else math.nan for one in times]
     if not numbers[0] < numbers[1]:
         raise InputError(f"plane {shown(plane)} from {shown(first)} to {shown(last)}", EXPECTED)
     return Interval(plane, numbers[0], numbers[1])
-
-
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _of_file(path: Path) -> list[Interval]:

@@ -16,7 +16,7 @@ MATRIX_TOLERANCE = 1e-3
 FARTHEST = 30.0
 """A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
 NEAREST = 5.0
-"""Positions that all stay within so many millimetres of the origin are metres."""
+"""Positions that all stay within this distance [mm] of the origin are in metres."""
 UNIT_WORDS = {"m": "metres", "mm": "millimetres"}
 TURN = 2.0 * math.pi * (1.0 + 1e-9)
 """A turn [rad], and what rounding adds to it."""
@@ -162,7 +162,7 @@ def hand_poses(
     tool: tuple[float, ...],
     base: tuple[float, ...],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses of the flange in the robot's frame from those of an active tool in an active base.
+    """Return poses of the flange in the robot's frame from poses of a tool in a base.
 
         robot_T_flange = robot_T_base  base_T_tool  inverse(flange_T_tool)
 

@@ -37,7 +37,7 @@ class Codes:
     where: BoolArray
 
     def part(self, rows: IntArray) -> "Codes":
-        """Return those of some rows."""
+        """Return the codes in some rows."""
         beams = [[of[i] for i in rows.tolist()] if len(of) > 1 else of for of in self.beams]
         return Codes([one[rows] for one in self.cells], beams, self.where[rows])
 
@@ -90,6 +90,12 @@ class LogRows:
         if self.stations is not None:
             return self.stations
         return [str(line) for line in (self.table.lines - self.table.header_line).tolist()]
+
+    @property
+    def clock(self) -> FloatArray:
+        """The times of rows that have some."""
+        assert self.times is not None
+        return self.times
 
     def in_time(self) -> "LogRows":
         """Return the rows in the order of their times, with a warning where they are not.

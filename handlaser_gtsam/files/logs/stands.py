@@ -16,16 +16,14 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
 from .format import LogFormat
-from .motion import Means
+from .motion import AT_ONCE, Means
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
 NOISE = 5.0
-"""So many standard deviations of noise are no motion: of 100,000 means one is off by more."""
+"""Standard deviations of noise that are no motion: of 100,000 means one is off by more."""
 QUIET, OF_QUIET = 0.25, 1.10
 """A quarter of the rows at least shows noise alone, and that quantile of its length in space."""
-AT_ONCE = 100_000
-"""Rows that are compared at once, for the memory they take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +157,7 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
 class _Means:
     """Mean poses of rows, which may differ by a length [m] and an angle [rad] beside their noise.
 
-    `sums` (M + 1, 7) are those of positions and quaternions before each row, `noise` (2,) the standard
+    `sums` (M + 1, 7) add positions and quaternions before each row, `noise` (2,) the standard
     deviations of a position [m] and of an angle [rad] along one axis.
     """
 

@@ -18,6 +18,7 @@ from ...arrays import IntArray
 from ...data.ordering import sorted_readings
 from ...data.recording import Recording
 from ...errors import CalibrationWarning, HandlaserError, InputError
+from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.conventions import (
     ANGLES,
     FORMATS,
@@ -46,19 +47,17 @@ BETTER, BETTER_ROBUST = 4.0, 6.25
 WELL = 2.5e-3
 """A convention is named where it leaves at most this part of the variance: of a log that fits in no way
 the best way says nothing."""
-LEAST, LEAST_SPARE = 24, 10
+LEAST_OF_BEAM, LEAST_SPARE = 24, 10
 """Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
 than for other mistakes, because the other convention must fit well, too."""
-MOST = 60
+MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
-TERMS = 2
-"""Range-error terms: with both, a wrong convention does not look like a range error."""
 GOOD, QUANTILE = 0.7, 1.0364
 """The part of the readings that must be good, and the quantile of the absolute residuals there in
 standard deviations of Gaussian noise."""
-CANDIDATES, SUBSETS, TRIED = 6, 8, 200
+WHOLE_STARTS, SUBSETS, TRIED = 6, 8, 200
 """Starts from all readings, starts from parts of the stations, and the directions tried for these."""
-STEPS = 30
+REFINEMENTS = 30
 """Steps that refine a start; ten more with range errors."""
 
 
@@ -87,8 +86,8 @@ def refuse_wrong_convention(
     ------
     InputError
     """
-    part, rows = one_beam(recording, MOST, LEAST_SPARE)
-    if len(rows) < LEAST or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    part, rows = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
+    if len(rows) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     raw = raw.narrowed(chosen[rows])
     R, t = raw.poses()  # of the hand as the log has it, whatever the tool and the base
@@ -129,7 +128,7 @@ def _better(part: Recording, raw: Raw, range_units: str) -> tuple[float, str] | 
 
 
 def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
-    return misfit(recording, TERMS, effort, reach)
+    return misfit(recording, RANGE_ERROR_TERMS["auto"], effort, reach)
 
 
 def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
@@ -138,12 +137,14 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     rng = np.random.default_rng(0)
     starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).found]
-    starts = starts[:CANDIDATES]
+    starts = starts[:WHOLE_STARTS]
     starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
     rule = Scale(least_scale(readings, None), GOOD)
-    loose = refine_many(starts, readings, 0, STEPS, Loss("cauchy"), rule)
+    loose = refine_many(starts, readings, 0, REFINEMENTS, Loss("cauchy"), rule)
     usable = [one.parameters for one in loose if one is not None]
-    tight = refine_many(usable, readings, TERMS, STEPS // 3, Loss("cauchy"), rule)
+    tight = refine_many(
+        usable, readings, RANGE_ERROR_TERMS["auto"], REFINEMENTS // 3, Loss("cauchy"), rule
+    )
     residuals = [
         float(np.quantile(np.abs(residuals_or_infinite(one.parameters, readings)), GOOD))
         for one in tight
@@ -156,7 +157,7 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
 
 
 def _alternatives(raw: Raw, range_units: str) -> Iterator[Rereading]:
-    """Yield other meanings of the same numbers, in words of how they are stated."""
+    """Yield other meanings of the same numbers, with the options that state them."""
 
     def poses(other: Raw, recording: Recording) -> Recording:
         R, t = other.poses()

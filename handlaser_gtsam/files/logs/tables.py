@@ -37,7 +37,7 @@ from .workbooks import read_sheet
 
 WORKBOOKS = (".xlsx", ".xlsm")
 OLD_BOOKS = (".xls", ".xlsb", ".ods")
-"""Workbooks in whose cells errors cannot be told from empty cells: they are refused."""
+"""Workbooks whose cells look the same with an error as when empty: they are refused."""
 PARQUET, LINES = (".parquet", ".pq"), (".jsonl", ".ndjson")
 BOOKS = (*WORKBOOKS, *OLD_BOOKS, *PARQUET)
 """Endings of files that are no lines of text,"""
@@ -46,7 +46,7 @@ FOREIGN = (*BOOKS, *LINES)
 MOST_CELLS = 100_000_000
 """More cells of a Parquet file do not fit into memory, at eight bytes each and several copies."""
 FIRST_LINES = 200
-"""So many lines tell separators apart."""
+"""Lines in which separators are counted: the beginning of a file shows which one it is."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")

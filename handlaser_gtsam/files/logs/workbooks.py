@@ -22,7 +22,7 @@ from .format import LogFormat
 from .packed import A_PART, refuse_zip_bomb
 
 EMPTY_CELLS = 2_000_000
-"""A sheet may have so many empty cells between others, at some 70 bytes each in memory."""
+"""Empty cells that a sheet may have between others, at some 70 bytes each in memory."""
 CELL = re.compile(rb'<(?:\w+:)?c\b[^>]*?\br="([A-Z]{1,3})(\d{1,7})"[^>/]*>')
 """A cell that is not empty."""
 ERROR = re.compile(
