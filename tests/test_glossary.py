@@ -11,7 +11,7 @@ from handlaser_gtsam.cli.study import COLUMNS, TITLES
 from handlaser_gtsam.results.calibration_fields import LABELS
 from handlaser_gtsam.results.description import rendering, screen
 from handlaser_gtsam.results.verdict import OPENING
-from handlaser_gtsam.results.wording import WORDING
+from handlaser_gtsam.results.systematic_words import WORDING
 
 PAGE = (ROOT / "docs" / "glossary.md").read_text()
 ENTRIES = re.findall(r"^\| (\*\*.*?) \| (.*) \|$", PAGE, flags=re.MULTILINE)

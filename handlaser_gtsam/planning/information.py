@@ -20,7 +20,7 @@ from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances, own_variances, whitening
-from ..results.alternatives import OF_READINGS, errors_of_readings
+from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations, read_back
