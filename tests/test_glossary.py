@@ -10,7 +10,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.results.calibration_fields import LABELS
 from handlaser_gtsam.results.description import rendering, screen
 from handlaser_gtsam.results.verdict import OPENING
-from handlaser_gtsam.results.wording import WORDING
+from handlaser_gtsam.results.systematic_words import WORDING
 
 PAGE = (ROOT / "docs" / "glossary.md").read_text()
 ENTRIES = re.findall(r"^\| (\*\*.*?) \| (.*) \|$", PAGE, flags=re.MULTILINE)

@@ -18,7 +18,7 @@ from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.verdict import verdict
-from handlaser_gtsam.results.wording import WORDING
+from handlaser_gtsam.results.systematic_words import WORDING
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
 

@@ -13,7 +13,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM
-from ..results.alternatives import OF_READINGS
+from ..results.systematic_columns import OF_READINGS
 from ..results.limits import Limits
 from .choice import CRITERIA, Criterion
 

@@ -18,7 +18,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..model.weighting import reading_sigmas, whitening
-from ..results.alternatives import OF_READINGS, errors_of_readings
+from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..validation.simulate import Stations, read_back
 from .belief import BEAM_SIZE, PLANE_SIZE, Belief
 

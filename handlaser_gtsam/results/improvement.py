@@ -16,7 +16,7 @@ from .limits import LimitCheck
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
 from .warnings import MANY_LEFT_OUT
-from .wording import WORDING
+from .systematic_words import WORDING
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""

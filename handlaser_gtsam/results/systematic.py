@@ -1,7 +1,7 @@
 r"""Systematic errors: tested for, and bounded where they cannot be seen.
 
 With e the whitened residuals, J the whitened Jacobian of all unknowns (pseudo-observations of a
-prior on k included), A the whitened column of an alternative (`alternatives`) and A_perp = A - J
+prior on k included), A the whitened column of an alternative (`systematic_columns`) and A_perp = A - J
 inv(J'J) J'A, a size a of that error makes e = A a + J x + noise, and
 
     z = A_perp'e / (sigma |A_perp|) ~ N(0, 1) if a = 0,    a^ = A_perp'e / A_perp'A_perp,
@@ -13,7 +13,7 @@ to r and v is the external reliability (Baarda, A testing procedure for use in g
 and a t distribution.
 
 All members of all families are tested together with Holm's correction, which needs no independence.
-Planes with more than `alternatives.MOST_SPLITS` splits are tested at so many of them.
+Planes with more than `systematic_columns.MOST_SPLITS` splits are tested at so many of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,9 +28,9 @@ from ..observability.wording import Names
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import Rows
-from .score_tests import ScoreTests, alike
+from .systematic_tests import ScoreTests, alike
 from .significance import FAMILY_LEVEL
-from .wording import WORDING, may_also_be
+from .systematic_words import WORDING, may_also_be
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

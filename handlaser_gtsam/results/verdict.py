@@ -13,7 +13,7 @@ from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import count, some
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
-from .wording import WORDING, may_also_be
+from .systematic_words import WORDING, may_also_be
 
 OPENING = {
     "usable": "Usable",

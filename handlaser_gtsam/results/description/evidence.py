@@ -11,7 +11,7 @@ from ...text import count, some
 from ..improvement import WELL_CONDITIONED
 from ..lines import small_mm
 from ..systematic import SystematicError
-from ..wording import size_in_words
+from ..systematic_words import size_in_words
 from .correlations import FLAGGED, MOST_BEAMS, correlations_of
 from .noise import noise_words, range_error_words
 from .tables import (

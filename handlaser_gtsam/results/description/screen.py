@@ -7,7 +7,7 @@ from ...quantities import IN_MM
 from ...text import count, some
 from ..lines import WIDTH, as_many, wrapped
 from ..systematic import SystematicError
-from ..wording import size_in_words
+from ..systematic_words import size_in_words
 from .description import Description
 from .evidence import moved
 from .rendering import PLAIN, full_table, text_lines, text_table

@@ -20,10 +20,10 @@ from ..model.distributions import (
     student_quantile,
     student_sf,
 )
-from .alternatives import alternatives
+from .systematic_columns import alternatives
 from .projection import WIDTH, Projection, Rows
 from .significance import FAMILY_LEVEL, holm
-from .wording import WORDING
+from .systematic_words import WORDING
 
 POWER = 0.8
 """Probability with which an error of the detectable size is found."""
