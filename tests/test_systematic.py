@@ -15,12 +15,12 @@ from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import Names
-from handlaser_gtsam.results.systematic_columns import DIRECTIONS, WHOLE
 from handlaser_gtsam.results.projection import linear_rows
-from handlaser_gtsam.results.systematic_tests import POWER, ScoreTests, alike, needed, two_sided
 from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
+from handlaser_gtsam.results.systematic_columns import DIRECTIONS, WHOLE
+from handlaser_gtsam.results.systematic_tests import POWER, ScoreTests, alike, needed, two_sided
 
 SIGMA = 1e-4
 TESTED = (*dict.fromkeys(WHOLE), "tool-displaced", "displaced", "beam-on-plane")

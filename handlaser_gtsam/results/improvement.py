@@ -15,8 +15,8 @@ from .calibration_fields import CalibrationData
 from .limits import LimitCheck
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
-from .warnings import MANY_LEFT_OUT
 from .systematic_words import WORDING
+from .warnings import MANY_LEFT_OUT
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""

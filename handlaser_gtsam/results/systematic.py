@@ -28,8 +28,8 @@ from ..observability.wording import Names
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import Rows
-from .systematic_tests import ScoreTests, alike
 from .significance import FAMILY_LEVEL
+from .systematic_tests import ScoreTests, alike
 from .systematic_words import WORDING, may_also_be
 
 

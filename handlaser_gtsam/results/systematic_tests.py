@@ -20,9 +20,9 @@ from ..model.distributions import (
     student_quantile,
     student_sf,
 )
-from .systematic_columns import alternatives
 from .projection import WIDTH, Projection, Rows
 from .significance import FAMILY_LEVEL, holm
+from .systematic_columns import alternatives
 from .systematic_words import WORDING
 
 POWER = 0.8
