@@ -2,9 +2,9 @@
 
 The first stations are judged at the most probable scales of noise and range errors. The calibration
 integrates over these scales, takes what the range errors of its beams have in common into account, and
-counts noise that is correlated in time; so its standard deviations differ from those of all stations at
-these scales by up to a tenth. All are multiplied by that factor, beam by beam, so that the last are the
-calibration's.
+counts noise that is correlated in time; so its standard deviations differ by up to a tenth from what
+all stations give at these scales. All are multiplied by that factor, beam by beam, so that the last are
+the calibration's.
 """
 
 from dataclasses import dataclass
