@@ -14,7 +14,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.losses import Loss
-from ..solvers.refine import Refined, Scale, refine_many
+from ..solvers.refine import LossScale, Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
 from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
@@ -96,7 +96,7 @@ class PlainJudge:
             return False
         unknowns = good.unknowns(self.terms)
         share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
-        rule = Scale(least_scale(good, self.range_sigma), max(share, 0.5))
+        rule = LossScale(least_scale(good, self.range_sigma), max(share, 0.5))
         most = refine_many([one.parameters], good, self.terms, STEPS, Loss("cauchy"), rule)[0]
         return most is not None and most.scale > SUSPICIOUS * max(one.range_sigma, rule.least)
 
@@ -209,7 +209,7 @@ def _robust(
     found = robust_search(readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma))
     if part.is_whole:
         return found
-    rule = Scale(least_scale(part.whole, sigma), MAJORITY)
+    rule = LossScale(least_scale(part.whole, sigma), MAJORITY)
     grown = [part.extended(candidate.parameters) for candidate in found[:SCREENED]]
     whole = refine_many(grown, part.whole, terms, STEPS, Loss("cauchy"), rule)
     return [Candidate(METHOD, one.parameters, 0.0, one.scale) for one in whole if one is not None]

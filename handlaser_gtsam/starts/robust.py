@@ -23,7 +23,7 @@ from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import Loss, LossName
-from ..solvers.refine import Refined, Scale, refine_many
+from ..solvers.refine import LossScale, Refined, refine_many
 from .directions import direction_starts, random_starts, subset_starts
 from .growing import PartialStart, grow
 from .search import Candidate, Judge, Round, search
@@ -134,26 +134,26 @@ class _RobustLoss:
 
     def refined(self, latest: Round) -> list[tuple[str, Refined]]:
         """Return all starts after both losses."""
-        rule, starts = Scale(self.least, latest.good), [start for _, start in latest.starts]
+        rule, starts = LossScale(self.least, latest.good), [start for _, start in latest.starts]
         loose = refine_many(starts, self.readings, 0, CAUCHY_STEPS, Loss("cauchy"), rule)
         pairs = zip(latest.starts, self._tight(loose, rule), strict=True)
         return [(method, one) for (method, _), one in pairs if one is not None]
 
     def mended(self, best: Sequence[Candidate], latest: Round) -> list[Refined | None]:
         """Return the best candidates with planes that more readings agree with."""
-        rule = Scale(self.least, latest.good)
+        rule = LossScale(self.least, latest.good)
         new = [
             mended(one.parameters, self.readings, MENDING * one.scale, self.rng)
             for one in best[:FIRST_MENDED]
         ]
         return self._tight(self._under("cauchy", new, rule), rule)
 
-    def _tight(self, loose: list[Refined | None], rule: Scale) -> list[Refined | None]:
+    def _tight(self, loose: list[Refined | None], rule: LossScale) -> list[Refined | None]:
         usable = [one.parameters for one in loose if one is not None]
         tight = iter(self._under("tukey", usable, rule))
         return [None if one is None else next(tight) for one in loose]
 
-    def _under(self, loss: LossName, at: list[Parameters], rule: Scale) -> list[Refined | None]:
+    def _under(self, loss: LossName, at: list[Parameters], rule: LossScale) -> list[Refined | None]:
         return refine_many(at, self.readings, self.terms, TUKEY_STEPS, Loss(loss), rule)
 
 

@@ -9,7 +9,7 @@ from ...data.parameters import Parameters
 from ...data.recording import Recording
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...model.losses import Loss
-from ...solvers.refine import Scale, refine_many
+from ...solvers.refine import LossScale, refine_many
 from ...starts import find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow
@@ -50,7 +50,7 @@ def robust_misfit(recording: Recording, terms: int, reach: float) -> float:
     starts = [one.parameters for one in find_start(readings, None, 0, effort="glance").found]
     starts = starts[:CANDIDATES]
     starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
-    rule = Scale(least_scale(readings, None), GOOD)
+    rule = LossScale(least_scale(readings, None), GOOD)
     loose = refine_many(starts, readings, 0, STEPS, Loss("cauchy"), rule)
     usable = [one.parameters for one in loose if one is not None]
     tight = refine_many(usable, readings, terms, STEPS // 3, Loss("cauchy"), rule)
