@@ -31,11 +31,17 @@ ROUNDING = 1e-9
 """A part below this is the rounding that long sums and solved systems leave of double precision."""
 NEGLIGIBLE = 1e-6
 """A part below this counts for nothing: it is above rounding, and no estimate is known so well."""
+EXACT = 1e-11
+"""Readings whose residuals are below this part of them show no noise: no sensor is so good."""
+UNIT_SIGMA = 1e-3
+"""Range sigma [m] that weights readings where nothing is known of it, as where they fit exactly."""
+REPRESENTATIVE_BEAMS = 30
+"""Beams, evenly chosen, that stand for more of them: time grows with their third power."""
 LARGEST_NUMBER = 1e12
 """Larger numbers [m, 1/m, 1] are refused: positions on Earth are smaller, and squares stay finite."""
 NUMBERS_AT_ONCE = 4_000_000
-"""Numbers of the largest intermediate array: 32 MB, beyond which a batch gains no more."""
+"""Numbers of the largest intermediate array, 32 MB: a batch that needs more is cut."""
 ROWS_AT_ONCE = 20_000
 """Rows of readings that are evaluated in one batch: more would leave the processor's cache."""
 MOST_ROUNDS = 20
-"""Rounds of an iteration that ends by itself when nothing changes; far more than it needs."""
+"""Rounds at most of an iteration that ends by itself, mostly within a few, when nothing changes."""

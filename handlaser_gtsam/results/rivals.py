@@ -10,11 +10,11 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
-from ..estimation.task import ROUNDING
 from ..model.equation import residuals, scene
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..observability.wording import Names
+from ..quantities import EXACT
 from ..solvers.refine import refine
 from ..starts.beam_minima import SAME, beam_minima
 
@@ -72,7 +72,7 @@ def rival_warnings(
         return
     e = residuals(scene(solution.parameters, used), used.distance)
     size = float(np.sqrt(e @ e / solution.redundancy))
-    if size <= ROUNDING * used.largest_range():
+    if size <= EXACT * used.largest_range():
         return
     sigma, listed = direction_sigmas(joint), {i: name for name, i in names.beams}
     for one in rivals(solution.parameters, used, max(solution.problem.terms), size):

@@ -13,7 +13,7 @@ from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..estimation.task import SETTLED
+from ..estimation.task import WEIGHTS_SETTLED
 from ..model.errors_in_variables import weighed
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
@@ -102,7 +102,7 @@ class BatchProblem:
             result = levenberg_marquardt(problem)
             at = read_parameters(problem, result.values)
             poses = None if poses is None else result.values
-            if not result.history or result.history[0].step < SETTLED:
+            if not result.history or result.history[0].step < WEIGHTS_SETTLED:
                 break
             if not self.config.weights_depend:
                 break

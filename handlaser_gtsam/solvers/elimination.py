@@ -12,13 +12,13 @@ from ..arrays import FloatArray
 from ..quantities import SINGULAR, TINY
 
 LARGE_MATRIX = 400
-"""With more unknowns, Cholesky factors and a few eigenvalues are used: all eigenvalues take seconds."""
+"""With more unknowns, Cholesky factors and a few eigenvalues take less time than all eigenvalues."""
 EIGENVALUE_TOLERANCE = 1e-2
 """Relative accuracy of the extreme eigenvalues of a large matrix; they only meet a bound."""
 EIGENVALUES_SOUGHT = (1, 16)
 """Smallest eigenvalues of a large matrix that are computed: more if the first are below the bound."""
 PIVOT_MARGIN = 1e3
-"""All eigenvalues exceed a bound where all pivots exceed it by this factor, for matrices met here."""
+"""Where all pivots exceed a bound by this factor, all eigenvalues exceed the bound."""
 
 
 @dataclass(frozen=True, slots=True)
