@@ -111,7 +111,7 @@ def least_observed(
     prior : RangeErrorPrior, optional
         Other solutions are sought without range errors where these have a prior.
     """
-    if len(readings) > excerpt.ENOUGH:
+    if len(readings) > excerpt.EXCERPT_READINGS:
         return parameters, found
     partial = random_starts(readings, RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, SWEPT)

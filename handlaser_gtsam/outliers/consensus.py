@@ -17,7 +17,7 @@ from ..model.losses import Loss
 from ..solvers.refine import LossScale, Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
-from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
+from ..starts.choice import POOR_START, fits_sigma, usable_terms
 from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import Candidate, Round, agreeing
@@ -100,7 +100,7 @@ class PlainJudge:
         most = refine_many([one.parameters], good, self.terms, STEPS, Loss("cauchy"), rule)[0]
         return most is not None and most.scale > SUSPICIOUS * max(one.range_sigma, rule.least)
 
-    def fits_well(self, one: Screening, part: float = POOR_FIT) -> bool:
+    def fits_well(self, one: Screening, part: float = POOR_START) -> bool:
         """Tell whether the readings kept fit the given sigma, or to a part of the readings' spread."""
         if self.range_sigma is not None:
             return one.range_sigma <= CONVINCING * self.range_sigma
@@ -205,7 +205,7 @@ def _robust(
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [part.restricted(parameters) for parameters in others]
-    known += [rival.parameters for rival in start.found[1 : RIVALS + 1]]
+    known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
     found = robust_search(readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma))
     if part.is_whole:
         return found

@@ -16,7 +16,8 @@ from ..model.losses import GAUSSIAN
 from ..observability.wording import Names
 from ..quantities import EXACT
 from ..solvers.refine import refine
-from ..starts.beam_minima import SAME, beam_minima
+from ..starts.beam_minima import beam_minima
+from ..starts.search import SAME_DIRECTION
 
 FIRST_LOOK = 100.0
 """A minimum for the planes as they are is looked at where its chi2 is larger by at most this,"""
@@ -45,7 +46,7 @@ def rivals(
     turned = np.linalg.norm(found.directions - solution.directions[:, None], axis=2)
     each = np.maximum(np.bincount(readings.beam, minlength=readings.beams) / found.readings, 1.0)
     worse = each[:, None] * (found.cost - found.now[:, None]) / range_sigma**2
-    worse = np.where(turned > SAME, worse, np.inf)
+    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
     least = worse.min(axis=1)
     for beam in np.argsort(least)[:TRIED].tolist():
         if least[beam] > FIRST_LOOK:

@@ -47,7 +47,7 @@ def robust_misfit(recording: Recording, terms: int, reach: float) -> float:
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     rng = np.random.default_rng(0)
-    starts = [one.parameters for one in find_start(readings, None, 0, effort="glance").found]
+    starts = [one.parameters for one in find_start(readings, None, 0, effort="glance").candidates]
     starts = starts[:CANDIDATES]
     starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
     rule = LossScale(least_scale(readings, None), GOOD)
