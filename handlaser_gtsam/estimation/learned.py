@@ -152,7 +152,12 @@ class ScaleProblem:
         length: float | None = None,
     ) -> None:
         self.known, self.members = known, members
-        self.at, self.readings, self.terms, self.scales = parameters, readings, terms, scales
+        self.parameters, self.readings, self.terms, self.scales = (
+            parameters,
+            readings,
+            terms,
+            scales,
+        )
         self.base, self.linearity = base, linearity
         self.length = length or readings.typical_range()
         self.k = parameters.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
@@ -233,7 +238,7 @@ class ScaleProblem:
 
     def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
         """Return the problem for a part of the readings, and of the beams if they are alike."""
-        readings, parameters = self.readings, self.at
+        readings, parameters = self.readings, self.parameters
         if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
             chosen = (
                 np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
@@ -244,7 +249,7 @@ class ScaleProblem:
             readings = replace(readings, beam=beam, beams=REPRESENTATIVE_BEAMS)
             parameters = parameters.part(chosen, np.arange(readings.planes))
         part = copy(self)
-        part.at, part.readings = parameters, part_of(readings)
+        part.parameters, part.readings = parameters, part_of(readings)
         part.k = (
             parameters.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
         )

@@ -86,7 +86,7 @@ def posterior(
     beams, planes = problem.beams(learned.points)
     unit = np.array([learned.length] * 3 + [1.0] * 3 + [1.0 / learned.length])
     unit = np.tile(unit[: 5 + learned.terms], problem.readings.beams)
-    bases = model.tangent_basis(problem.at.directions)
+    bases = model.tangent_basis(problem.parameters.directions)
     lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
     return Posterior(
@@ -114,7 +114,7 @@ def _moved(
     mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
     plane = mean * np.array([1.0, 1.0, problem.length])
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
-    return apply_step(problem.at, beam, plane, problem.rows.centres, problem.terms)
+    return apply_step(problem.parameters, beam, plane, problem.rows.centres, problem.terms)
 
 
 def _joint(
@@ -134,8 +134,8 @@ def _joint(
         mixture.covariance * np.outer(unit, unit),
         response * plane_unit[:, None] / unit,
         inverse * np.outer(plane_unit, plane_unit),
-        model.tangent_basis(problem.at.directions),
-        model.tangent_basis(problem.at.normals),
+        model.tangent_basis(problem.parameters.directions),
+        model.tangent_basis(problem.parameters.normals),
         problem.rows.centres,
     )
 
