@@ -37,6 +37,8 @@ UNIT_SIGMA = 1e-3
 """Range sigma [m] that weights readings where nothing is known of it, as where they fit exactly."""
 REPRESENTATIVE_BEAMS = 30
 """Beams, evenly chosen, that stand for more of them: time grows with their third power."""
+LARGEST_LENGTH = 1e6
+"""No robot reaches farther, and no sensor is worse [m]: squares of larger numbers lose every digit."""
 LARGEST_NUMBER = 1e12
 """Larger numbers [m, 1/m, 1] are refused: positions on Earth are smaller, and squares stay finite."""
 NUMBERS_AT_ONCE = 4_000_000

@@ -12,7 +12,12 @@ from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.observability.open_axes import open_axes
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.observability.wording import Names, open_parts, undetermined, weakest
+from handlaser_gtsam.observability.wording import (
+    BeamAndPlaneNames,
+    open_parts,
+    undetermined,
+    weakest,
+)
 from handlaser_gtsam.results.limits import Limits, checked
 from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.steps import apply_step
@@ -101,7 +106,7 @@ def test_a_block_that_is_open_by_itself_leaves_what_others_share():
 def test_many_open_beams_are_described_once():
     many = bench(1, beams=12)
     readings = recording_of(many, *motion("translations", 20), [0] * 20, 0.0).readings()
-    names = Names(tuple((f"b{i}", i) for i in range(12)), (("A", 0),))
+    names = BeamAndPlaneNames(tuple((f"b{i}", i) for i in range(12)), (("A", 0),))
     words = undetermined(open_parts(observability(many, readings, 0, 1e-5), many, names))
     assert words[0].startswith("beam b0: location")
     assert words[1] == "beams b1, b2, b3 and 8 more: the same, each along its own axes"
@@ -120,7 +125,7 @@ def test_range_errors_that_have_a_prior_are_never_undetermined(width):
 @pytest.mark.parametrize("planes", [2, 25, 60])
 def test_what_is_known_worst_is_named_however_many_planes_share_it(planes):
     recording, truth = simulated(layout=Layout(planes=planes))
-    names = Names(
+    names = BeamAndPlaneNames(
         tuple((name, i) for i, name in enumerate(recording.beam_names)),
         tuple((name, p) for p, name in enumerate(recording.plane_names)),
     )

@@ -6,8 +6,9 @@ from pathlib import Path
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
-from ..data.recording import LARGEST, Recording
+from ..data.recording import Recording
 from ..observability.motion import MotionCheck
+from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.measuring import spot
 from ..results.reports import Beam, Fit, NoiseComponent, Plane
@@ -82,7 +83,7 @@ def write_calibration(
     else:
         require_kind("calibration", calibration, Calibration)
         if reading is not None:
-            require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+            require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
         text = calibration_text(calibration, reading)
     write_text(path_of(path), text)
 

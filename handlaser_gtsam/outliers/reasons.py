@@ -11,7 +11,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
 from ..quantities import ROUNDING
 from .leverage import leverages
 from .range_ends import RangeEnd, range_ends
@@ -60,7 +60,11 @@ class Reasons:
 
 
 def reasons(
-    readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float, names: Names
+    readings: Readings,
+    kept: BoolArray,
+    parameters: Parameters,
+    range_sigma: float,
+    names: BeamAndPlaneNames,
 ) -> Reasons:
     """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m]."""
     beam_names, plane_names = names.sorted_beams(), names.sorted_planes()

@@ -9,9 +9,9 @@ from .. import model
 from ..arrays import FloatArray
 from ..checks import number_array, require_count, require_number
 from ..data.parameters import Parameters
-from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import ArgumentError, InputError
+from ..quantities import LARGEST_LENGTH
 from ..validation.simulate import plane_name
 
 STEEPEST_TILT = math.pi / 3.0
@@ -54,7 +54,7 @@ class Plate(Value):
         object.__setattr__(self, "point", vectors("a point of the plate", self.point, 1)[0])
         normal = directions("the normal of the plate", self.normal, 1)[0]
         object.__setattr__(self, "normal", normal)
-        require_number("within", self.within, 0.0, LARGEST, unit="m")
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
 
     def turned(self, tilt: float, side: float) -> "Plate":
@@ -92,7 +92,7 @@ class Placement:
     def __post_init__(self) -> None:
         require_count("planes", self.count, 1, MOST_PLANES)
         require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
-        require_number("within", self.within, 0.0, LARGEST, unit="m")
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
 
     def orientations(self, plate: Plate) -> list[Plate]:
@@ -155,7 +155,7 @@ def vectors(name: str, values: object, count: int | None = None) -> FloatArray:
     found = np.atleast_2d(number_array(name, values))  # type: ignore[arg-type]
     if found.ndim != 2 or found.shape[1] != 3 or (count is not None and len(found) != count):
         raise InputError(f"{name} of shape {found.shape}", "three numbers each")
-    if not (np.abs(found) <= LARGEST).all():
+    if not (np.abs(found) <= LARGEST_LENGTH).all():
         raise InputError(f"{name} with numbers that are not finite", "finite numbers")
     return found
 

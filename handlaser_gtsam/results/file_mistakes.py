@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
 from ..data.ordering import sorted_readings
-from ..data.recording import LARGEST, Recording
+from ..data.recording import Recording
 from ..errors import InputError
-from ..quantities import DEG, INCH, MM
+from ..quantities import DEG, INCH, LARGEST_LENGTH, MM
 from ..starts import Effort, find_start
 
 MUCH_BETTER = 100.0
@@ -421,7 +421,7 @@ def _scaled(
 ) -> Recording:
     """Return a recording in other units; as it is where that is beyond what a recording may hold."""
     t, d = positions * recording.world_t_hand, ranges * recording.ranges
-    if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
+    if np.abs(t).max() > LARGEST_LENGTH or np.nanmax(d) > LARGEST_LENGTH:
         return recording
     return replace(recording, world_t_hand=t, ranges=d)
 

@@ -13,7 +13,7 @@ from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
 from ..quantities import EXACT
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
@@ -65,7 +65,7 @@ def rivals(
 
 
 def rival_warnings(
-    used: Readings, solution: Solution, joint: JointCovariance | None, names: Names
+    used: Readings, solution: Solution, joint: JointCovariance | None, names: BeamAndPlaneNames
 ) -> Iterator[CalibrationWarning]:
     """Yield a warning of every mount that is nearly as probable, and not within what is stated."""
     known = joint is not None and solution.observability.full and solution.redundancy > 0
