@@ -1,11 +1,11 @@
-r"""What a beam may have moved between two times: process noise between its variables then and now.
+r"""Process noise of a beam that may have moved: between its variables before and now.
 
 The error of the direction has two rows, as many as there are degrees of freedom. With B the tangent
 basis of v_before it is
 
     e = B' v_now sqrt(2 / (1 + c)),    c = v_before . v_now,
 
-of which the length is that of v_now - v_before: for small turns, their angle.
+which is as long as v_now - v_before: for small turns, their angle.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,10 @@ import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.checks import require_number
-from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.quantities import LARGEST_LENGTH, SINGULAR
 
 from .keys import BeamKeys
-
-LEAST = 1e-12
-"""Of 1 + c: directions that are opposite have no shortest way from one to the other."""
 
 
 def beam_drift(
@@ -31,18 +28,18 @@ def beam_drift(
     direction_sigma: float,
     range_error_sigmas: Sequence[float] = (),
 ) -> tuple[gtsam.NonlinearFactor, ...]:
-    """Return the factors that tie a beam to what it was before.
+    """Return the factors that tie a beam to its earlier state.
 
     Parameters
     ----------
     before, now : BeamKeys
         With range errors of as many terms, or with the key of one that has not changed in common.
     location_sigma : float
-        Of each coordinate of the shift [m].
+        Sigma of each coordinate of the shift [m].
     direction_sigma : float
-        Of the turn about each axis across the beam [rad].
+        Sigma of the turn about each axis across the beam [rad].
     range_error_sigmas : one a term
-        Of the change of k1 [1] and k2 [1/m].
+        Sigmas of the change of k1 [1] and k2 [1/m].
 
     Raises
     ------
@@ -52,7 +49,7 @@ def beam_drift(
     """
     sigmas = (location_sigma, direction_sigma, *range_error_sigmas)
     for sigma in sigmas:
-        require_number("process noise", sigma, 0.0, MOST_SIGMA, above=True)
+        require_number("process noise", sigma, 0.0, LARGEST_LENGTH, above=True)
     shared = {before.location, before.direction} & {now.location, now.direction}
     if shared:
         names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in sorted(shared))
@@ -100,8 +97,9 @@ class _DirectionChange:
         before, now = (values.atUnit3(key) for key in factor.keys())  # noqa: SIM118
         v, basis, other = before.point3(), before.basis(), now.basis()
         e, c = basis.T @ now.point3(), float(v @ now.point3())
-        scale = np.sqrt(2.0 / max(1.0 + c, LEAST))
-        by_c = -0.5 * scale / max(1.0 + c, LEAST)
+        # Opposite directions have no shortest way from one to the other.
+        scale = np.sqrt(2.0 / max(1.0 + c, SINGULAR))
+        by_c = -0.5 * scale / max(1.0 + c, SINGULAR)
         if jacobians is not None:
             turned = np.outer([e[1], -e[0]], basis_turn(v, basis)) - c * np.eye(2)
             jacobians[0] = scale * turned + by_c * np.outer(e, e)  # type: ignore[index]

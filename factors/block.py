@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, frozen_indices
 from handlaser_gtsam.checks import number_array, require_number
-from handlaser_gtsam.data.noise import MOST_SIGMA
 from handlaser_gtsam.data.readings import Regressors
-from handlaser_gtsam.data.recording import LARGEST
 from handlaser_gtsam.errors import InputError, SolverError
 from handlaser_gtsam.model.weighting import Whitening
+from handlaser_gtsam.quantities import LARGEST_LENGTH
 
 from .evaluation import Evaluation, Share, beam_columns, evaluation, other_columns
 from .keys import BeamKeys, integer_key
@@ -38,7 +37,7 @@ class Shares(Protocol):
 class RangeBlock:
     """Readings of beams to one plane, callable as the error function of a `CustomFactor`.
 
-    Residual and Jacobians are those of `handlaser_gtsam.model`, the latter in GTSAM's tangent bases.
+    Residual and Jacobians come from `handlaser_gtsam.model`, the latter in GTSAM's tangent bases.
     It never refers to its factor: such a circle could not be collected.
 
     Parameters
@@ -151,8 +150,8 @@ class RangeBlock:
         if share is None and self.gathering is not None:
             share = self.gathering.share(self, values)
         if share is None:
-            at, columns = self.evaluate(values)
-            share = Share(at.white, at.rows(self.whitening), columns)
+            evaluated, columns = self.evaluate(values)
+            share = Share(evaluated.white, evaluated.rows(self.whitening), columns)
         if jacobians is not None:
             for slot, of_key in enumerate(share.columns):
                 jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]
@@ -182,18 +181,22 @@ class RangeBlock:
             np.full(rows, plane.distance()),
             np.array([k for _, k in errors])[of],
         )
-        at = model.linearize(x, self.measured, with_pose=self.pose is not None)
+        linear = model.linearize(x, self.measured, with_pose=self.pose is not None)
         v_basis = np.array([v.basis() for v in directions])[of]
-        blocks = [at.location, np.einsum("ni,nij->nj", at.direction, v_basis), at.range_error]
-        blocks += [at.normal @ plane.normal().basis(), at.offset[:, None]]
-        jacobian = np.hstack(blocks if self.pose is None else [*blocks, at.pose])
-        if not (np.isfinite(at.residual).all() and np.isfinite(jacobian).all()):
+        blocks = [
+            linear.location,
+            np.einsum("ni,nij->nj", linear.direction, v_basis),
+            linear.range_error,
+        ]
+        blocks += [linear.normal @ plane.normal().basis(), linear.offset[:, None]]
+        jacobian = np.hstack(blocks if self.pose is None else [*blocks, linear.pose])
+        if not (np.isfinite(linear.residual).all() and np.isfinite(jacobian).all()):
             raise SolverError("residual of a range factor is not finite; expected finite values")
         columns = []
         for beam, (terms, _) in enumerate(errors):
             columns += beam_columns(beam, terms)
         columns += other_columns(len(self.beams), with_pose=self.pose is not None)
-        return evaluation(at.residual, jacobian, self.whitening), tuple(columns)
+        return evaluation(linear.residual, jacobian, self.whitening), tuple(columns)
 
     def _poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         if self.pose is None:
@@ -211,15 +214,15 @@ def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
     InputError
     """
     rows = len(distance) if distance.ndim == 1 else 0
-    if rows == 0 or not (np.abs(distance) <= LARGEST).all():
+    if rows == 0 or not (np.abs(distance) <= LARGEST_LENGTH).all():
         raise InputError(
             f"readings {np.array2string(distance, threshold=5)}",
-            f"one or more finite ranges in metres, at most {LARGEST:.0f}",
+            f"one or more finite ranges in metres, at most {LARGEST_LENGTH:.0f}",
         )
     if R.shape != (rows, 3, 3) or t.shape != (rows, 3):
         raise InputError(f"{len(t)} hand poses", f"one for each of {rows} readings")
-    if not (np.abs(t).max() <= LARGEST and np.abs(R).max() < 2.0):
-        expected = f"rotation matrices, and positions in metres of at most {LARGEST:.0f}"
+    if not (np.abs(t).max() <= LARGEST_LENGTH and np.abs(R).max() < 2.0):
+        expected = f"rotation matrices, and positions in metres of at most {LARGEST_LENGTH:.0f}"
         raise InputError("a hand pose that is none", expected)
 
 
@@ -243,10 +246,10 @@ def positive_ranges(ranges: ArrayLike) -> FloatArray:
     InputError
     """
     d = np.atleast_1d(number_array("readings", ranges))
-    if d.size == 0 or not ((d > 0.0) & (d <= LARGEST)).all():
+    if d.size == 0 or not ((d > 0.0) & (d <= LARGEST_LENGTH)).all():
         raise InputError(
             f"readings {np.array2string(d, threshold=5)}",
-            f"one or more positive, finite ranges in metres, at most {LARGEST:.0f}",
+            f"one or more positive, finite ranges in metres, at most {LARGEST_LENGTH:.0f}",
         )
     return d
 
@@ -268,7 +271,7 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
 
 
 def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
-    """Return a noise model for so many readings; raises InputError where `noise` is none."""
+    """Return a noise model for `rows` readings; raises InputError where `noise` is none."""
     if isinstance(noise, gtsam.noiseModel.Base):
         if noise.dim() != rows:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
@@ -279,7 +282,7 @@ def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
             )
         return noise
     remedy = ", or a noise model of GTSAM"
-    require_number("range sigma", noise, 0.0, MOST_SIGMA, above=True, unit="m", remedy=remedy)
+    require_number("range sigma", noise, 0.0, LARGEST_LENGTH, above=True, unit="m", remedy=remedy)
     return gtsam.noiseModel.Isotropic.Sigma(rows, float(noise))
 
 

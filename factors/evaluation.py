@@ -7,12 +7,22 @@ import numpy as np
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.model.weighting import Whitening
 
-LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, 5), slice(5, 7)
-"""Columns of the variables of a beam in its row."""
-NORMAL, OFFSET, PLANE, POSE = slice(7, 9), 9, slice(7, 10), slice(10, 16)
-"""Columns of the plane and of the hand pose."""
-BEAM = 7
-"""Columns of one beam."""
+LOCATION_COLUMNS = slice(0, 3)
+"""Columns of a row by the location of its beam."""
+DIRECTION_COLUMNS = slice(3, 5)
+"""Columns of a row by the direction of its beam, along GTSAM's tangents."""
+RANGE_ERROR_COLUMNS = slice(5, 7)
+"""Columns of a row by the range error of its beam."""
+NORMAL_COLUMNS = slice(7, 9)
+"""Columns of a row by the normal of its plane, along GTSAM's tangents."""
+OFFSET_COLUMN = 9
+"""Column of a row by the offset of its plane."""
+POSE_COLUMNS = slice(10, 16)
+"""Columns of a row by its hand pose."""
+BEAM_WIDTH = RANGE_ERROR_COLUMNS.stop
+"""Number of columns by a beam."""
+PLANE_COLUMNS = slice(BEAM_WIDTH, POSE_COLUMNS.start)
+"""Columns of a row by the whole plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +45,15 @@ class Evaluation:
     white: FloatArray
 
     def rows(self, how: Whitening | None) -> FloatArray:
-        """Return whitened derivatives (N, 7 K + 3 or 9): of each of K beams, then plane and pose.
+        """Return whitened derivatives (N, 7 K + 3 or 9): by each of K beams, then plane and pose.
 
         They are the Jacobian itself, with K = 1, where all readings weigh the same.
         """
         if how is None:
             return self.jacobian
         take, near = how.coefficients(), how.gathered(self.jacobian)
-        beams = take[:, :, None] * near[:, :, :BEAM]
-        others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM:])
+        beams = take[:, :, None] * near[:, :, :BEAM_WIDTH]
+        others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM_WIDTH:])
         return np.hstack((beams.reshape(len(take), -1), others))
 
 
@@ -63,13 +73,13 @@ def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None
 
 def beam_columns(beam: int, terms: int) -> list[slice]:
     """Return the columns of location, direction and, if any, range error of a beam."""
-    first = BEAM * beam
+    first = BEAM_WIDTH * beam
     columns = [slice(first, first + 3), slice(first + 3, first + 5)]
     return columns + ([slice(first + 5, first + 5 + terms)] if terms else [])
 
 
 def other_columns(beams: int, *, with_pose: bool) -> list[slice]:
-    """Return the columns of the plane and, if any, the pose behind those of the beams."""
-    first = BEAM * beams
+    """Return the columns of the plane and, if any, the pose, which follow the beams."""
+    first = BEAM_WIDTH * beams
     plane, pose = slice(first, first + 3), slice(first + 3, first + 9)
     return [plane, pose] if with_pose else [plane]

@@ -1,6 +1,6 @@
 """Many blocks evaluated together as soon as somebody asks for many of them.
 
-iSAM2 owns its Values and decides itself which factors to linearise anew: two of them, or all. Within
+iSAM2 owns its Values and decides itself which factors to relinearise: two of them, or all. Within
 one update they are all linearised at the same Values. So blocks evaluate themselves at first, and once
 more than a few have been asked for, all of them are evaluated at once.
 """
@@ -17,8 +17,8 @@ from .block import RangeBlock
 from .evaluation import Share
 from .shared import SharedEvaluation
 
-FEW = 10
-"""Blocks that evaluate themselves before all are evaluated together."""
+FEW_BLOCKS = 10
+"""Blocks that evaluate themselves before all are evaluated together: for few that takes longer."""
 
 
 class Gathering:
@@ -30,14 +30,18 @@ class Gathering:
     def share(self, block: RangeBlock, values: gtsam.Values) -> Share | None:
         """Return the rows of `block`, or None where it is to evaluate itself."""
         self._asked += 1
-        if self._asked <= FEW or len(self.blocks) <= 2 * FEW:
+        if self._asked <= FEW_BLOCKS or len(self.blocks) <= 2 * FEW_BLOCKS:
             return None
         if not self._together:
             self._evaluate(values)
         return block.prepared
 
     def _evaluate(self, values: gtsam.Values) -> None:
-        whitenings = [_whitening(one) for one in self.blocks]
+        whitenings = []
+        for block in self.blocks:
+            rows = np.arange(len(block.distance))
+            plain = Whitening(np.ones((len(rows), 1, 1)), rows, np.zeros_like(rows), 1.0)
+            whitenings.append(plain if block.whitening is None else block.whitening)
         shared = SharedEvaluation(self.blocks, joined(whitenings))
         shared.hand_out(shared.evaluate(values))
         self._together = True
@@ -54,11 +58,3 @@ def gathered(blocks: Sequence[RangeBlock]) -> Iterator[None]:
     finally:
         for block in blocks:
             block.gathering = block.prepared = None
-
-
-def _whitening(block: RangeBlock) -> Whitening:
-    if block.whitening is not None:
-        return block.whitening
-    rows = np.arange(len(block.distance))
-    none = np.zeros(len(rows), dtype=np.intp)
-    return Whitening(np.ones((len(rows), 1, 1)), rows, none, 1.0)

@@ -43,8 +43,8 @@ class BeamKeys:
             if name != "range_error" or key is not None:
                 object.__setattr__(self, name, integer_key(key, name.replace("_", " ")))
         if len(set(self.variables)) < len(self.variables):
-            found = f"keys {list(self.variables)} of one beam"
-            raise InputError(found, f"different integers: {EXAMPLE}")
+            given = f"keys {list(self.variables)} of one beam"
+            raise InputError(given, f"different integers: {EXAMPLE}")
 
     @property
     def variables(self) -> tuple[int, ...]:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.quantities import LARGEST_NUMBER
 
-LEAST, MOST = 1e-30, 1e12
-"""Of sigmas and means: inverse squares of others overflow."""
+LEAST_PRIOR_SIGMA = 1e-30
+"""Smaller sigmas are refused: products of their inverse squares overflow."""
 
 
 def range_error_prior(
@@ -40,14 +41,21 @@ def range_error_prior(
         sigma = np.array(sigmas, dtype=np.float64).ravel()
         centre = np.zeros(sigma.size) if mean is None else np.array(mean, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
-        found = f"sigmas or a mean that are no arrays of numbers ({error})"
-        raise InputError(found, "numbers") from error
+        given = f"sigmas or a mean that are no arrays of numbers ({error})"
+        raise InputError(given, "numbers") from error
     if sigma.size not in (1, 2) or centre.size != sigma.size:
         raise InputError(
             f"{sigma.size} sigmas and {centre.size} means of a range error", "one or two of each"
         )
-    if not ((sigma >= LEAST) & (sigma <= MOST) & (np.abs(centre) <= MOST)).all():
-        found = f"range-error sigmas {sigma.tolist()} about {centre.tolist()}"
-        raise InputError(found, f"positive sigmas, {LEAST:g} to {MOST:g}, about smaller numbers")
+    if not (
+        (sigma >= LEAST_PRIOR_SIGMA)
+        & (sigma <= LARGEST_NUMBER)
+        & (np.abs(centre) <= LARGEST_NUMBER)
+    ).all():
+        given = f"range-error sigmas {sigma.tolist()} about {centre.tolist()}"
+        raise InputError(
+            given,
+            f"positive sigmas, {LEAST_PRIOR_SIGMA:g} to {LARGEST_NUMBER:g}, about smaller numbers",
+        )
     model = gtsam.noiseModel.Diagonal.Sigmas(sigma)
     return gtsam.PriorFactorVector(key, centre, model)

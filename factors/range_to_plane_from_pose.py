@@ -1,6 +1,6 @@
 r"""Ranges along a hand-mounted beam to one plane, from a hand pose that is itself a variable.
 
-The measurement equation is that of `range_to_plane`; the pose (R, t) = world_T_hand is a Pose3 of
+The measurement equation stands in `range_to_plane`; the pose (R, t) = world_T_hand is a Pose3 of
 the graph. Moving it on the right by (omega, u) changes the predicted range by
 
     ds/domega = -(x x n_H)' / (n_H . v),   ds/du = -n_H' / (n_H . v),   x = r + s v

@@ -21,13 +21,13 @@ from handlaser_gtsam.model.weighting import Whitening
 
 from .block import RangeBlock, range_error
 from .evaluation import (
-    DIRECTION,
-    LOCATION,
-    NORMAL,
-    OFFSET,
-    PLANE,
-    POSE,
-    RANGE_ERROR,
+    DIRECTION_COLUMNS,
+    LOCATION_COLUMNS,
+    NORMAL_COLUMNS,
+    OFFSET_COLUMN,
+    PLANE_COLUMNS,
+    POSE_COLUMNS,
+    RANGE_ERROR_COLUMNS,
     Evaluation,
     Share,
     beam_columns,
@@ -80,8 +80,8 @@ class SharedEvaluation:
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
         beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
         first = np.cumsum([0, *(len(block.beams) for block in blocks)])
-        own = zip(first[:-1], blocks, strict=True)
-        beam_of = beam_of[np.concatenate([a + block.beam_of for a, block in own])]
+        firsts = zip(first[:-1], blocks, strict=True)
+        beam_of = beam_of[np.concatenate([a + block.beam_of for a, block in firsts])]
         none = -1
         errors = [none if beam.range_error is None else beam.range_error for beam in beams]
         self.locations, location = _unique([beam.location for beam in beams])
@@ -100,7 +100,7 @@ class SharedEvaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
         now = self._variables(values)
         rows = len(self.distance)
-        jacobian = np.empty((POSE.stop if self._posed.size else PLANE.stop, rows)).T
+        jacobian = np.empty((POSE_COLUMNS.stop if self._posed.size else PLANE_COLUMNS.stop, rows)).T
         residual = np.empty(rows)
         for first in range(0, rows, SLAB):
             self._fill(residual, jacobian, slice(first, min(first + SLAB, rows)), now)
@@ -139,53 +139,60 @@ class SharedEvaluation:
             now.b.take(plane),
             gathered(now.k, self.range_error_of[rows]),
         )
-        at = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
-        residual[rows] = at.residual
+        linear = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
+        residual[rows] = linear.residual
         J = jacobian[rows]
-        J[:, LOCATION] = at.location
-        np.einsum("ni,nij->nj", at.direction, gathered(now.v_basis, direction), out=J[:, DIRECTION])
-        J[:, RANGE_ERROR] = at.range_error
-        np.einsum("ni,nij->nj", at.normal, gathered(now.n_basis, plane), out=J[:, NORMAL])
-        J[:, OFFSET] = at.offset
-        if len(at.pose):
-            J[:, POSE] = at.pose
+        J[:, LOCATION_COLUMNS] = linear.location
+        np.einsum(
+            "ni,nij->nj",
+            linear.direction,
+            gathered(now.v_basis, direction),
+            out=J[:, DIRECTION_COLUMNS],
+        )
+        J[:, RANGE_ERROR_COLUMNS] = linear.range_error
+        np.einsum(
+            "ni,nij->nj", linear.normal, gathered(now.n_basis, plane), out=J[:, NORMAL_COLUMNS]
+        )
+        J[:, OFFSET_COLUMN] = linear.offset
+        if len(linear.pose):
+            J[:, POSE_COLUMNS] = linear.pose
 
     def reach(self) -> float:
         """Return the largest coordinate of a known hand position plus the largest reading [m]."""
         return float(np.abs(self._t).max() + np.abs(self.distance).max())
 
     @contextmanager
-    def handed_out(self, at: Evaluation) -> Iterator[None]:
+    def handed_out(self, evaluation: Evaluation) -> Iterator[None]:
         """Let every block hand out its rows of `at` until the context ends."""
         try:
-            self.hand_out(at)
+            self.hand_out(evaluation)
             yield
         finally:
             for block in self.blocks:
                 block.prepared = None
 
-    def hand_out(self, at: Evaluation) -> None:
+    def hand_out(self, evaluation: Evaluation) -> None:
         """Let every block hand out its rows of `at` until somebody takes them back."""
         if not self._columns:
             self._columns = [
                 self._columns_of(block, rows)
                 for block, rows in zip(self.blocks, self.slices, strict=True)
             ]
-        white, derivatives = at.white, at.rows(self.whitening)
+        white, derivatives = evaluation.white, evaluation.rows(self.whitening)
         for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
             block.prepared = Share(white[rows], derivatives[rows], columns)
 
-    def squared_columns(self, at: Evaluation) -> dict[int, FloatArray]:
+    def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
         total: dict[int, FloatArray] = {}
         for keys, index, columns in (
-            (self.locations, self.location_of, LOCATION),
-            (self.directions, self.direction_of, DIRECTION),
-            (self.range_errors, self.range_error_of, RANGE_ERROR),
-            (self.planes, self.plane_of, PLANE),
-            (self.poses, self.pose_of, POSE),
+            (self.locations, self.location_of, LOCATION_COLUMNS),
+            (self.directions, self.direction_of, DIRECTION_COLUMNS),
+            (self.range_errors, self.range_error_of, RANGE_ERROR_COLUMNS),
+            (self.planes, self.plane_of, PLANE_COLUMNS),
+            (self.poses, self.pose_of, POSE_COLUMNS),
         ):
-            block = at.jacobian[:, columns]
+            block = evaluation.jacobian[:, columns]
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
             total |= {

@@ -1,15 +1,49 @@
-"""Units that people read and write. Inside everything is in SI units: m, rad, s.
+"""Units that people read and write, and the few bounds that many calculations share.
 
-x * MM is in metres where x is in millimetres, and x * IN_MM in millimetres where x is in metres.
+Inside everything is in SI units: m, rad, s. x * MM is in metres where x is in millimetres, and
+x * IN_MM in millimetres where x is in metres.
 """
 
 import math
 
-MM, INCH, DEG = 1e-3, 0.0254, math.pi / 180.0
-"""A millimetre and an inch [m], and a degree [rad]."""
-IN_MM, IN_DEG = 1e3, 180.0 / math.pi
-"""A metre in millimetres, and a radian in degrees."""
+MM = 1e-3
+"""A millimetre [m]."""
+INCH = 0.0254
+"""An inch [m]."""
+DEG = math.pi / 180.0
+"""A degree [rad]."""
+IN_MM = 1e3
+"""A metre in millimetres."""
+IN_DEG = 180.0 / math.pi
+"""A radian in degrees."""
 KNOWN = 0.1
 """What is known worse than to this part of its natural unit, the range or 1, is not determined."""
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over the median of its absolute values."""
+MAJORITY = 0.6
+"""A clear majority: a bare one may agree by chance."""
+
+TINY = 1e-300
+"""A divisor or the argument of a logarithm is at least this, so that the result stays finite."""
+SINGULAR = 1e-12
+"""An eigenvalue or a diagonal entry below this part of the largest is rounding and counts as zero."""
+ROUNDING = 1e-9
+"""A part below this is the rounding that long sums and solved systems leave of double precision."""
+NEGLIGIBLE = 1e-6
+"""A part below this counts for nothing: it is above rounding, and no estimate is known so well."""
+EXACT = 1e-11
+"""Readings whose residuals are below this part of them show no noise: no sensor is so good."""
+UNIT_SIGMA = 1e-3
+"""Range sigma [m] that weights readings where nothing is known of it, as where they fit exactly."""
+REPRESENTATIVE_BEAMS = 30
+"""Beams, evenly chosen, that stand for more of them: time grows with their third power."""
+LARGEST_LENGTH = 1e6
+"""No robot reaches farther, and no sensor is worse [m]: squares of larger numbers lose every digit."""
+LARGEST_NUMBER = 1e12
+"""Larger numbers [m, 1/m, 1] are refused: positions on Earth are smaller, and squares stay finite."""
+NUMBERS_AT_ONCE = 4_000_000
+"""Numbers of the largest intermediate array, 32 MB: a batch that needs more is cut."""
+ROWS_AT_ONCE = 20_000
+"""Rows of readings that are evaluated in one batch: more would leave the processor's cache."""
+MOST_ROUNDS = 20
+"""Rounds at most of an iteration that ends by itself, mostly within a few, when nothing changes."""

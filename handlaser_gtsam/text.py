@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 LONGEST_NAME = 200
 """Characters of the name of a beam, plane, station or column; longer ones are a fault of the file."""
-SHOWN = 80
+SHOWN_CHARACTERS = 80
 """Characters of a value that a message repeats."""
 
 
@@ -23,13 +23,13 @@ def printable(text: str) -> str:
 
 def shown(value: object) -> str:
     """Return a foreign value as a message repeats it: quoted if it is text, escaped, and cut short."""
-    if isinstance(value, str) and len(value) > SHOWN:
-        return f"{printable(repr(value[:SHOWN]))}... ({len(value)} characters)"
+    if isinstance(value, str) and len(value) > SHOWN_CHARACTERS:
+        return f"{printable(repr(value[:SHOWN_CHARACTERS]))}... ({len(value)} characters)"
     try:
         whole = printable(repr(value))
     except Exception:  # a foreign object may fail at anything, or be an integer of endless digits
         return f"a value of type {type(value).__name__}"
-    return whole if len(whole) <= 2 * SHOWN else whole[:SHOWN] + "..."
+    return whole if len(whole) <= 2 * SHOWN_CHARACTERS else whole[:SHOWN_CHARACTERS] + "..."
 
 
 def name_fault(name: object) -> str:
@@ -57,7 +57,7 @@ def count(number: int, noun: str) -> str:
 
 
 def shortened(name: str, most: int) -> str:
-    """Return a name of at most so many letters: numbers at the end, too, tell long names apart."""
+    """Return a name of at most `most` letters, with its end: numbers there tell long names apart."""
     if len(name) <= most:
         return name
     end = (most - 1) // 2
@@ -65,6 +65,6 @@ def shortened(name: str, most: int) -> str:
 
 
 def some(names: Sequence[str], most: int) -> str:
-    """Return at most so many names, and how many more there are."""
+    """Return at most `most` names, and how many more there are."""
     shown = ", ".join(names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -12,11 +12,16 @@ from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.observability.open_axes import open_axes
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.observability.wording import Names, open_parts, undetermined, weakest
+from handlaser_gtsam.observability.wording import (
+    BeamAndPlaneNames,
+    open_parts,
+    undetermined,
+    weakest,
+)
 from handlaser_gtsam.results.limits import Limits, checked
 from handlaser_gtsam.solvers.normal_equations import normal_equations
 from handlaser_gtsam.solvers.steps import apply_step
-from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, Stopping
+from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, StoppingRule
 from handlaser_gtsam.validation.scenes import Layout
 
 TRUTH = {"pure translations": 1, "one plane, one axis": 1, "two planes, no rotation": 2}
@@ -101,7 +106,7 @@ def test_a_block_that_is_open_by_itself_leaves_what_others_share():
 def test_many_open_beams_are_described_once():
     many = bench(1, beams=12)
     readings = recording_of(many, *motion("translations", 20), [0] * 20, 0.0).readings()
-    names = Names(tuple((f"b{i}", i) for i in range(12)), (("A", 0),))
+    names = BeamAndPlaneNames(tuple((f"b{i}", i) for i in range(12)), (("A", 0),))
     words = undetermined(open_parts(observability(many, readings, 0, 1e-5), many, names))
     assert words[0].startswith("beam b0: location")
     assert words[1] == "beams b1, b2, b3 and 8 more: the same, each along its own axes"
@@ -120,7 +125,7 @@ def test_range_errors_that_have_a_prior_are_never_undetermined(width):
 @pytest.mark.parametrize("planes", [2, 25, 60])
 def test_what_is_known_worst_is_named_however_many_planes_share_it(planes):
     recording, truth = simulated(layout=Layout(planes=planes))
-    names = Names(
+    names = BeamAndPlaneNames(
         tuple((name, i) for i, name in enumerate(recording.beam_names)),
         tuple((name, p) for p, name in enumerate(recording.plane_names)),
     )
@@ -145,29 +150,29 @@ def steps(stopping, decrements, damping=0.0, cost=50.0):
 
 def test_fast_steps_stop_by_what_is_left():
     """Quadratic convergence: the step of 1e-5 leaves about 1e-8 after one of 1e-2."""
-    stopping = Stopping(2e-7, 0.0, 0.0, 100)
+    stopping = StoppingRule(2e-7, 0.0, 0.0, 100)
     assert steps(stopping, [1.0, 1e-4, 1e-10]) == [None, None, "converged"]
 
 
 def test_slow_steps_do_not_stop_by_their_size():
     """Steps that shrink by one percent leave a hundred times their length."""
-    stopping = Stopping(2e-7, 0.0, 0.0, 100)
+    stopping = StoppingRule(2e-7, 0.0, 0.0, 100)
     lengths = 1e-6 * 0.99 ** np.arange(4)
     assert steps(stopping, [1.0, *(lengths**2)])[2:] == [None] * 3
 
 
 def test_a_damped_step_alone_is_no_arrival():
-    assert Stopping(2e-7, 0.0, 0.0, 100).arrived(1e-20, 0.1, 50.0) is None
+    assert StoppingRule(2e-7, 0.0, 0.0, 100).arrived(1e-20, 0.1, 50.0) is None
 
 
 def test_a_level_cost_ends_the_search():
-    stopping = Stopping(1e-12, 0.0, 0.0, 100)
+    stopping = StoppingRule(1e-12, 0.0, 0.0, 100)
     verdicts = [stopping.arrived(1e-9 * 0.999**i, 0.1, 50.0) for i in range(LEVEL_STEPS)]
     assert verdicts == [None] * (LEVEL_STEPS - 1) + ["the cost is level"]
 
 
 def test_failed_steps_restart_the_count():
-    stopping = Stopping(1e-12, 0.0, 0.0, 100)
+    stopping = StoppingRule(1e-12, 0.0, 0.0, 100)
     for _ in range(LEVEL_STEPS - 1):
         stopping.arrived(1e-9, 0.1, 50.0)
     assert stopping.arrived(None, 0.1, 50.0) is None
@@ -175,7 +180,7 @@ def test_failed_steps_restart_the_count():
 
 
 def test_rounding_is_an_arrival():
-    assert Stopping(1e-12, 0.0, 1e-15, 100).arrived(1e-16, 0.0, 1e-20) == "converged"
+    assert StoppingRule(1e-12, 0.0, 1e-15, 100).arrived(1e-16, 0.0, 1e-20) == "converged"
 
 
 @pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])

@@ -7,7 +7,7 @@ import pytest
 from helpers import codes, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.outliers.range_ends import CHANCE, range_ends
+from handlaser_gtsam.outliers.range_ends import END_CHANCE, range_ends
 
 SIGMA = 1e-3
 NONE = hl.CalibrationOptions("none")
@@ -55,7 +55,7 @@ def test_outliers_by_chance_look_so_as_rarely_as_stated():
     for _ in range(2000):
         out = rng.permutation(len(readings)) < rng.integers(2, len(readings) // 4)
         alarms += bool(range_ends(readings, out, rng.standard_normal(len(readings))))
-    assert alarms <= CHANCE * 2000
+    assert alarms <= END_CHANCE * 2000
 
 
 def test_one_reading_is_no_pattern():

@@ -18,8 +18,8 @@ from handlaser_gtsam.estimation.information import LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.range_error_grid import (
-    SPAN,
-    STEP,
+    SCALE_SPAN,
+    SCALE_STEP,
     RangeErrorGrid,
     refined_grid,
     widest_grid,
@@ -273,13 +273,13 @@ def prior_on_turned_axes(worst, best, alone, linearity=0.01):
 
 @pytest.mark.parametrize("linearity", [0.001, 0.01])
 def test_the_prior_of_the_scales_is_what_it_is_said_to_be(linearity):
-    cell = 3.0 * math.log(STEP)
+    cell = 3.0 * math.log(SCALE_STEP)
     angles = np.array([0.3, 0.2, 0.3, 0.4])
     aligned, both = (widest_grid(linearity, 2, 4, one) for one in (None, angles))
     for grid in (aligned, both):
         densities = (shared_prior, math.log(1.0 if grid is aligned else 0.5))
         turned = (prior_on_turned_axes, math.log(0.5))
-        rows = zip(grid.own, grid.common, grid.turned.tolist(), grid.log_prior, strict=True)
+        rows = zip(grid.individual, grid.common, grid.turned.tolist(), grid.log_prior, strict=True)
         for own, common, is_turned, value in list(rows)[::7]:
             density, share = turned if is_turned else densities
             expected = density(*np.log([*own, common]), linearity=linearity) + share + cell
@@ -356,7 +356,7 @@ def test_scales_of_range_errors_are_integrated_over(k):
     mixture = beams.mixture(learned.grid, learned.log_weight, np.eye(14))
     dense = Dense(truth, readings, 2)
     C = dense.covariance(np.full(2, 1e-4), np.zeros(6))
-    side = np.log(0.01) + np.linspace(-SPAN, SPAN, 13)
+    side = np.log(0.01) + np.linspace(-SCALE_SPAN, SCALE_SPAN, 13)
     alone = dense.posterior(C, 3.0 * 0.9**2 * np.eye(4))[2]
     angles = known_worst(alone[np.ix_(dense.at_k, dense.at_k)])
     assert np.tan(learned.grid.angles) == pytest.approx(np.tan(angles), abs=1e-3)
@@ -452,7 +452,7 @@ def test_scales_that_many_beams_tell_well_are_not_integrated_over(monkeypatch):
     truth, stations = SCENES["paper"](Layout(12, 4, 16), rng)
     recording = simulate(truth, stations, Errors(RANGE, TRANSLATION, 2.0 * ROTATION), rng)
     few = hl.calibrate(recording)
-    monkeypatch.setattr(learned, "MANY_BEAMS", 12)
+    monkeypatch.setattr(learned, "INTEGRATED_BEAMS", 12)
     all_ = hl.calibrate(recording)
     assert (len(few.learned.points), len(all_.learned.points)) == (7, 27)
     for one, other in zip(few.noise_estimate, all_.noise_estimate, strict=True):
@@ -537,9 +537,9 @@ def test_predictions_carry_the_noise_that_was_estimated():
 def test_scales_are_found_where_the_evidence_is_beyond_all_bounds():
     """Beside 1e19, which readings that fit nothing reach, differences of the prior are rounding."""
     grid = widest_grid(0.01, 2, 4)
-    fine = refined_grid(grid, np.full(len(grid.own), -1e19), 0.01)
-    assert np.isfinite(fine.own).all()
-    assert fine.near(np.full(len(fine.own), -1e19)).own.size
+    fine = refined_grid(grid, np.full(len(grid.individual), -1e19), 0.01)
+    assert np.isfinite(fine.individual).all()
+    assert fine.near(np.full(len(fine.individual), -1e19)).individual.size
 
 
 @pytest.mark.slow

@@ -209,7 +209,7 @@ def test_a_part_of_very_many_beams_or_stations_stands_for_the_whole(layout):
     readings = recording.readings()
     part = excerpt_of(readings)
     assert not part.is_whole
-    assert part.readings.beams == min(layout.beams, 32)
+    assert part.readings.beams == min(layout.beams, 30)
     assert len(part.readings) <= 6000
     e = model.residuals_or_infinite(part.restricted(truth), part.readings)
     assert np.abs(e).max() < 1e-9

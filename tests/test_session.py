@@ -317,7 +317,7 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
             assert (np.abs(integrated / scaled - 1.0)[:, :3] > 1e-4).any()
         if update.comparison is not None:
             messages.append(update.comparison.message)
-    assert any("scales learned anew" in words for words in messages)
+    assert any("scales learned again" in words for words in messages)
     found = session.recalibrate()
     assert found.largest < 0.01
     assert found.largest_sigma < 0.01
@@ -331,7 +331,7 @@ def test_scales_that_were_learned_from_fewer_planes_are_named():
     session = hl.Session(hl.Noise(), incremental=IncrementalOptions(compare_every=0))
     for index in range(5):
         session.add(plane(recording, index))
-    words = "planes: recalibrate() learns them anew"
+    words = "planes: recalibrate() learns them again"
     assert any(words in warning.message for warning in session.calibration().warnings)
     session.recalibrate()
     assert not any(words in warning.message for warning in session.calibration().warnings)
@@ -360,7 +360,7 @@ def test_an_estimate_that_has_left_the_batch_is_begun_anew():
         update = session.add(plane(recording, index))
         if update.comparison is not None:
             words.append(update.comparison.message)
-    assert any("begun anew from the batch solution" in one for one in words)
+    assert any("restarted from the batch solution" in one for one in words)
 
 
 def test_readings_beyond_the_limits_of_the_sensor_are_left_out():
@@ -494,11 +494,11 @@ def test_new_readings_are_judged_as_by_dense_matrices(incidence):
     for plane in state.contents.numbers:
         own = state.contents.planes[plane]
         fitted = fit_plane(state.config, own.used(), state.state.beams, own.origin)
-        columns, _ = jacobian_columns(fitted.at, fitted.readings, 2)
+        columns, _ = jacobian_columns(fitted.parameters, fitted.readings, 2)
         J = np.zeros((len(fitted.residual), 3, 7))
         J[np.arange(len(J)), fitted.readings.beam] = columns[:7].T
         rows = np.hstack((J.reshape(len(J), -1), columns[7:10].T))
-        lift = beams_lift(tangent_basis(fitted.at.directions), (2, 2, 2))
+        lift = beams_lift(tangent_basis(fitted.parameters.directions), (2, 2, 2))
         prior = np.linalg.inv(lift.T @ state.state.covariance @ lift)
         each = np.eye(len(rows))
         inverse = fitted.whitening.weighed(each) / fitted.whitening.sigma**2

@@ -14,7 +14,7 @@ from handlaser_gtsam.data.recording import Readings
 from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.observability.wording import Names
+from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.results.projection import linear_rows
 from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.results.significance import holm
@@ -138,7 +138,7 @@ def unit(x):
 
 
 def names_of(readings):
-    return Names(
+    return BeamAndPlaneNames(
         tuple((f"b{i}", i) for i in range(readings.beams)),
         tuple((f"p{p}", p) for p in range(readings.planes)),
     )

@@ -164,11 +164,11 @@ def _with_log(log_level: LogLevelOption = None) -> None:
 def metres(at_range_mm: float | None) -> float | None:
     """Return the reading of --at-range-mm in metres."""
     from ..checks import require_number
-    from ..data.recording import LARGEST
+    from ..quantities import LARGEST_LENGTH
 
     if at_range_mm is None:
         return None
-    require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST, 1e3 * LARGEST)
+    require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST_LENGTH, 1e3 * LARGEST_LENGTH)
     return 1e-3 * at_range_mm
 
 

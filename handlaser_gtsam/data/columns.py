@@ -2,8 +2,9 @@
 
 Two sensors never read the same. Their mounts differ, so that their readings differ from station to
 station as the hand turns, and their noise is independent. Columns d and d' are taken for one channel
-where, at nearly all stations at which both read, d' = a d to within the smaller of what rounding leaves
-and what two sensors could never do. Whose readings they are the recording cannot tell: it is refused.
+where, at nearly all stations at which both read, d' = a d to within the smaller of the rounding and of
+an agreement that two sensors could never reach. The recording does not show whose readings they are: it
+is refused.
 """
 
 from collections.abc import Iterator
@@ -12,30 +13,31 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError
+from ..quantities import ROWS_AT_ONCE
 from .recording import Recording
 
 NEARLY_ALL = 0.9
 """The part of the common stations at which two columns must read the same."""
-LEAST_STATIONS = 3
-"""Columns that share fewer stations may agree by chance."""
+BY_CHANCE = 3
+"""Fewer coincidences, of columns at a station or of a number in a table, may be chance."""
 ENOUGH_STATIONS = 8
-"""From so many on, agreement within rounding or a part of the noise is no accident either."""
+"""With this many common stations, agreement within rounding or a part of the noise is no chance."""
 RELATIVE = 2e-6
 """Readings that agree to this part are equal to rounding."""
 JITTER = 5e-7
-"""So are those that agree to this [m]."""
+"""Readings that agree within this [m] are equal to rounding."""
 PART_OF_SIGMA = 0.4
-"""The difference of two sensors has sqrt(2) sigma: within 0.4 sigma it stays once in four."""
-PART_OF_SPREAD, ROUNDED_PART = 2e-3, 5e-3
-"""A generous sigma, or coarse rounding, makes no columns alike that differ by more of their spread."""
-FINEST, COARSEST = 7, 2
-"""Decimals of metres to which a column may have been rounded."""
+"""The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
+PART_OF_SPREAD = 2e-3
+"""Columns that differ by more of their spread are not alike, however generous the sigma."""
+ROUNDED_PART = 5e-3
+"""Columns that differ by more of their spread are not alike, however coarse the rounding."""
+DECIMALS = range(2, 8)
+"""Decimals of metres to which a column may have been rounded, the coarsest first."""
 SAME_UNIT = 0.01
-"""Columns whose ratio is this near to one are in one unit."""
-FIRST_LOOK = 16
+"""Columns whose ratio differs from one by less are in one unit."""
+STATIONS_LOOKED_AT = 16
 """Stations at which all pairs are compared; only pairs that agree there are looked at further."""
-AT_ONCE = 4096
-"""Pairs that are compared at once."""
 
 
 class RepeatedColumnError(InputError):
@@ -48,7 +50,7 @@ class RepeatedColumnError(InputError):
     stations, common : int
         At how many stations they read the same, and at how many both read.
     factor : float
-        Unit of the second column over that of the first.
+        Unit of the second column over the unit of the first.
     """
 
     code = "column-twice"
@@ -79,7 +81,7 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
     d = recording.ranges
     for i, j in _candidates(d):
         both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
-        if len(both) < LEAST_STATIONS:
+        if len(both) < BY_CHANCE:
             continue
         a, b = d[both, i], d[both, j]
         factor = float(_factors(a[:, None], b[:, None])[0])
@@ -95,11 +97,11 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
     With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left. Pairs
     that share few of the stations looked at, though not of all, are left to `_agreeing`.
     """
-    step = max(len(d) // FIRST_LOOK, 1)
+    step = max(len(d) // STATIONS_LOOKED_AT, 1)
     x = d[::step]
     firsts, seconds = np.triu_indices(d.shape[1], 1)
-    for begin in range(0, len(firsts), AT_ONCE):
-        i, j = firsts[begin : begin + AT_ONCE], seconds[begin : begin + AT_ONCE]
+    for begin in range(0, len(firsts), ROWS_AT_ONCE):
+        i, j = firsts[begin : begin + ROWS_AT_ONCE], seconds[begin : begin + ROWS_AT_ONCE]
         a, b = x[:, i], x[:, j]
         a = np.where(np.isnan(b), np.nan, a)
         factor = _factors(a, b)
@@ -108,12 +110,12 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
         off = np.abs(b - factor * a)
         common = (~np.isnan(off)).sum(axis=0)
         alike = (off <= limit).sum(axis=0) >= 0.5 * common
-        alike |= (common < FIRST_LOOK // 2) & (step > 1)
+        alike |= (common < STATIONS_LOOKED_AT // 2) & (step > 1)
         yield from zip(i[alike].tolist(), j[alike].tolist(), strict=True)
 
 
 def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the unit (q,) of columns of b (M, q) over those of a; one where they are nearly equal."""
+    """Return the unit (q,) of columns of b (M, q) over the unit of a; 1 where they nearly agree."""
     size = np.abs(a)
     large = (size >= 0.1 * _medians(size)) & (size > 0.0)
     factor = _medians(np.divide(b, a, out=np.full(a.shape, np.nan), where=large))
@@ -141,7 +143,7 @@ def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) 
 
 def rounding(d: FloatArray) -> float:
     """Return half the last decimal of readings that were rounded [m]; zero where they were not."""
-    for decimals in range(COARSEST, FINEST + 1):
+    for decimals in DECIMALS:
         step = 10.0**-decimals
         if (np.abs(d - np.round(d, decimals)) < 1e-3 * step).all():
             return 0.5 * step

@@ -1,4 +1,4 @@
-"""What is known about the errors of sensor and robot, and what is expected of what is not."""
+"""The errors of sensor and robot that are known, and priors of those that are not."""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray, IntArray
 from ..checks import number_array, require_covariance, require_number
 from ..errors import InputError
+from ..quantities import LARGEST_LENGTH, ROUNDING
 from .value import Value
 
-LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e6
-"""No sensor is better or worse [m]; beyond, squares overflow."""
-ROUNDING = 1e-9
-"""Asymmetry and negative eigenvalues of a stated covariance, as a part of its variances."""
+LEAST_SIGMA = 1e-12
+"""No sensor is better than this [m]: inverse squares of smaller numbers overflow in products."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -30,15 +29,15 @@ class Noise(Value):
     pose_rotation_sigma : float, optional
         Standard deviation of the hand rotation about each axis [rad]; zero likewise.
     incidence_sigma : float
-        What the incidence angle adds to a reading [m]: at the angle a its variance is
+        Contribution of the incidence angle [m]: at the angle a a reading has the variance
         range_sigma^2 + (incidence_sigma tan a)^2, as for a spot of that half width.
     pose_covariance : (6, 6) or (M, 6, 6), optional
-        Instead of the two pose sigmas: of the hand pose, or of every station's in the order of the
-        recording, about and along its own axes (rx, ry, rz, x, y, z) [rad, m]: the hand frame, and the
-        order of `gtsam.Pose3`.
+        Instead of the two pose sigmas: covariance of the hand pose, or of the pose of every station in
+        the order of the recording, about and along the axes of the hand (rx, ry, rz, x, y, z)
+        [rad, m]: the order of `gtsam.Pose3`.
     pose_translation_prior, pose_rotation_prior : float
-        Scales of the half-Cauchy priors of the pose sigmas that are not given [m], [rad]: what an
-        industrial arm errs by.
+        Scales of the half-Cauchy priors of the pose sigmas that are not given [m], [rad]: errors of an
+        industrial arm.
 
     Raises
     ------
@@ -57,15 +56,15 @@ class Noise(Value):
 
     def __post_init__(self) -> None:
         if self.range_sigma is not None:
-            bounds, remedy = (LEAST_SIGMA, MOST_SIGMA), "; leave it out if unknown"
+            bounds, remedy = (LEAST_SIGMA, LARGEST_LENGTH), "; leave it out if unknown"
             require_number("range_sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
         for name in ("pose_translation_sigma", "pose_rotation_sigma"):
             value = getattr(self, name)
             if value is not None:
-                require_number(name, value, 0.0, MOST_SIGMA)
-        require_number("incidence_sigma", self.incidence_sigma, 0.0, MOST_SIGMA)
+                require_number(name, value, 0.0, LARGEST_LENGTH)
+        require_number("incidence_sigma", self.incidence_sigma, 0.0, LARGEST_LENGTH)
         for name in ("pose_translation_prior", "pose_rotation_prior"):
-            require_number(name, getattr(self, name), LEAST_SIGMA, MOST_SIGMA)
+            require_number(name, getattr(self, name), LEAST_SIGMA, LARGEST_LENGTH)
         if self.pose_covariance is not None:
             if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
@@ -95,15 +94,15 @@ class Noise(Value):
         """
         if self.pose_covariance is None:
             rotation = [(self.pose_rotation_sigma or 0.0) ** 2] * 3
-            one = np.diag([*rotation, *[(self.pose_translation_sigma or 0.0) ** 2] * 3])
+            covariance = np.diag([*rotation, *[(self.pose_translation_sigma or 0.0) ** 2] * 3])
         elif self.pose_covariance.ndim == 2:
-            one = self.pose_covariance
+            covariance = self.pose_covariance
         else:
             if len(self.pose_covariance) < stations:
-                found = f"{len(self.pose_covariance)} pose covariances"
-                raise InputError(found, f"{stations}, one a station")
+                given = f"{len(self.pose_covariance)} pose covariances"
+                raise InputError(given, f"{stations}, one a station")
             return self.pose_covariance
-        return np.broadcast_to(one, (stations, 6, 6))
+        return np.broadcast_to(covariance, (stations, 6, 6))
 
     def reordered(self, stations: IntArray) -> "Noise":
         """Return the same for a recording whose stations come in another order.
@@ -125,7 +124,7 @@ def _checked(covariance: ArrayLike) -> FloatArray:
     expected = "numbers, (6, 6) or (stations, 6, 6)"
     matrix = number_array("a pose covariance", covariance, expected)
     if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
-        found = f"a pose covariance of shape {matrix.shape}"
-        raise InputError(found, "shape (6, 6) or (stations, 6, 6)")
-    require_covariance("a pose covariance", matrix, MOST_SIGMA, ROUNDING)
+        shape = f"a pose covariance of shape {matrix.shape}"
+        raise InputError(shape, "shape (6, 6) or (stations, 6, 6)")
+    require_covariance("a pose covariance", matrix, LARGEST_LENGTH, ROUNDING)
     return matrix

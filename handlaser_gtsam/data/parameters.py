@@ -81,9 +81,9 @@ class Parameters(Value):
             object.__setattr__(self, name, number_array(name, getattr(self, name)))
         beams, planes = self.locations.shape[:1], self.offsets.shape[:1]
         shapes = [(*beams, 3), (*beams, 3), (*beams, 2), (*planes, 3), planes]
-        found = [array.shape for array in self._arrays()]
-        if found != shapes:
-            raise InputError(f"arrays of shapes {found}", f"{shapes}")
+        given = [array.shape for array in self._arrays()]
+        if given != shapes:
+            raise InputError(f"arrays of shapes {given}", f"{shapes}")
 
     @classmethod
     def unchecked(
@@ -95,12 +95,12 @@ class Parameters(Value):
         offsets: FloatArray,
     ) -> "Parameters":
         """Return what fresh arrays of the right shapes hold, as solvers make them step after step."""
-        found = object.__new__(cls)
+        parameters = object.__new__(cls)
         arrays = locations, directions, range_errors, normals, offsets
         for name, array in zip(cls.__dataclass_fields__, arrays, strict=True):
             array.setflags(write=False)
-            object.__setattr__(found, name, array)
-        return found
+            object.__setattr__(parameters, name, array)
+        return parameters
 
     @property
     def beams(self) -> Beams:

@@ -8,13 +8,13 @@ import numpy as np
 from ..arrays import FloatArray, IntArray, gathered
 from .value import Value
 
-QUARTILES = 1.349
-"""Distance of the quartiles in standard deviations, if Gaussian."""
+QUARTILE_DISTANCE = 1.349
+"""Distance of the quartiles of a Gaussian in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Regressors(Value):
-    """What a residual takes of readings: constant + k1 level + k2 level^2 stands for the true range.
+    """Regressors of the range error: constant + k1 level + k2 level^2 stands for the true range.
 
     Attributes
     ----------
@@ -26,14 +26,14 @@ class Regressors(Value):
     level: FloatArray
 
     def __getitem__(self, rows: IntArray | slice) -> "Regressors":
-        """Return those of some readings."""
+        """Return the regressors of some readings."""
         return Regressors(self.constant[rows], self.level[rows])
 
     @classmethod
     def joined(cls, parts: "Sequence[FloatArray | Regressors]") -> "Regressors":
         """Return one of several, one after the other; some may be readings."""
         pairs = [(d.constant, d.level) if isinstance(d, Regressors) else (d, d) for d in parts]
-        constant, level = (np.concatenate(own) for own in zip(*pairs, strict=True))
+        constant, level = (np.concatenate(part) for part in zip(*pairs, strict=True))
         return cls(constant, level)
 
 
@@ -83,7 +83,7 @@ class Readings(Value):
         return self.distance if self.regressors is None else self.regressors.level
 
     def unknowns(self, terms: int) -> int:
-        """Return how many unknowns the beams, with so many range-error terms, and the planes have."""
+        """Return the number of unknowns of the beams, with `terms` range errors each, and planes."""
         return (5 + terms) * self.beams + 3 * self.planes
 
     def block_starts(self) -> IntArray:
@@ -110,7 +110,7 @@ class Readings(Value):
     def spread(self) -> float:
         """Return the standard deviation of the readings [m] that their quartiles show."""
         low, high = np.quantile(self.distance, [0.25, 0.75])
-        return float(high - low) / QUARTILES if high > low else float(self.distance.std())
+        return float(high - low) / QUARTILE_DISTANCE if high > low else float(self.distance.std())
 
     def plane_means(self, values: FloatArray) -> FloatArray:
         """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""

@@ -16,7 +16,6 @@ from ..errors import CalibrationWarning, InputError
 from ..text import shown
 from .readings import Readings, typical_range
 from .recording_checks import (
-    LARGEST,
     HasMatrix,
     check_recording,
     first_repeated,
@@ -27,7 +26,7 @@ from .recording_checks import (
 )
 from .value import Value
 
-__all__ = ["LARGEST", "Readings", "Recording", "first_repeated", "join", "typical_range"]
+__all__ = ["Readings", "Recording", "first_repeated", "join", "typical_range"]
 
 NAMES = {
     "plane_labels": "the label of a plane",
@@ -244,24 +243,24 @@ def join(recordings: Sequence[Recording]) -> Recording:
     """
     if not isinstance(recordings, Sequence) or not recordings:
         raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
-    for one in recordings:
-        require_kind("one to join", one, Recording)
-    beams = tuple(dict.fromkeys(name for one in recordings for name in one.beam_names))
-    shape = sum(len(one.ranges) for one in recordings), len(beams)
+    for part in recordings:
+        require_kind("one to join", part, Recording)
+    beams = tuple(dict.fromkeys(name for part in recordings for name in part.beam_names))
+    shape = sum(len(part.ranges) for part in recordings), len(beams)
     ranges, samples, first = np.full(shape, np.nan), np.ones(shape), 0
-    for one in recordings:
-        own = slice(first, first := first + len(one.ranges))
-        columns = [beams.index(name) for name in one.beam_names]
-        ranges[own, columns] = one.ranges
-        samples[own, columns] = 1.0 if one.samples is None else one.samples
-    averaged = any(one.samples is not None for one in recordings)
+    for part in recordings:
+        rows = slice(first, first := first + len(part.ranges))
+        columns = [beams.index(name) for name in part.beam_names]
+        ranges[rows, columns] = part.ranges
+        samples[rows, columns] = 1.0 if part.samples is None else part.samples
+    averaged = any(part.samples is not None for part in recordings)
     return Recording(
-        np.concatenate([one.world_R_hand for one in recordings]),
-        np.concatenate([one.world_t_hand for one in recordings]),
+        np.concatenate([part.world_R_hand for part in recordings]),
+        np.concatenate([part.world_t_hand for part in recordings]),
         ranges,
-        tuple(label for one in recordings for label in one.plane_labels),
+        tuple(label for part in recordings for label in part.plane_labels),
         beams,
-        tuple(name for one in recordings for name in one.station_names),
+        tuple(name for part in recordings for name in part.station_names),
         samples=samples if averaged else None,
-        range_min=min(one.range_min for one in recordings),
+        range_min=min(part.range_min for part in recordings),
     )

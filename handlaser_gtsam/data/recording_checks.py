@@ -9,14 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray
 from ..checks import number_array, require_kind, require_names, require_number
 from ..errors import CalibrationWarning, InputError
+from ..quantities import LARGEST_LENGTH
 
 if TYPE_CHECKING:
     from .recording import Recording
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R'R - I: what single precision leaves of an orthonormal matrix."""
-LARGEST = 1e6
-"""Positions and ranges beyond this [m] are no robot's: squares of them would lose every digit."""
 
 
 class HasMatrix(Protocol):
@@ -38,14 +37,14 @@ def pose_matrices(poses: Sequence[HasMatrix] | ArrayLike) -> FloatArray:
     expected = "a sequence of gtsam.Pose3, or an array (M, 4, 4)"
     rows: object = poses
     if isinstance(poses, Sequence):
-        rows = [one.matrix() if hasattr(one, "matrix") else one for one in poses]
+        rows = [pose.matrix() if hasattr(pose, "matrix") else pose for pose in poses]
     T = number_array("poses", cast(ArrayLike, rows), expected)
     if T.shape[1:] != (4, 4):
         raise InputError(f"poses of shape {T.shape}", expected)
     wrong = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
     if wrong.size:
-        found = f"the last row {T[wrong[0], 3].tolist()} in pose {wrong[0] + 1}"
-        raise InputError(found, "[0, 0, 0, 1]: world_T_hand, and not its transpose")
+        last = f"the last row {T[wrong[0], 3].tolist()} in pose {wrong[0] + 1}"
+        raise InputError(last, "[0, 0, 0, 1]: world_T_hand, and not its transpose")
     return T
 
 
@@ -71,9 +70,9 @@ def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
     InputError
         A single text, what is no sequence, or a name that cannot be one.
     """
-    found = names if isinstance(names, str) or not isinstance(names, Iterable) else tuple(names)
-    require_names(kind, found)
-    return tuple(found)
+    listed = names if isinstance(names, str) or not isinstance(names, Iterable) else tuple(names)
+    require_names(kind, listed)
+    return tuple(listed)
 
 
 def numbered(count: int) -> tuple[str, ...]:
@@ -89,8 +88,8 @@ def check_recording(recording: "Recording") -> None:
     InputError
     """
     require_kind("warnings", recording.warnings, tuple, "a tuple of CalibrationWarning")
-    for one in recording.warnings:
-        require_kind("a warning", one, CalibrationWarning)
+    for warning in recording.warnings:
+        require_kind("a warning", warning, CalibrationWarning)
     _check_shapes(recording)
     check_poses(recording.world_R_hand, recording.world_t_hand, recording.station_names)
     _check_readings(recording)
@@ -124,10 +123,10 @@ def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
     bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
     if bad.size:
         raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
-    bad = np.flatnonzero((np.abs(t) > LARGEST).any(axis=1))
+    bad = np.flatnonzero((np.abs(t) > LARGEST_LENGTH).any(axis=1))
     if bad.size:
-        found = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
-        raise InputError(found, f"metres, at most {LARGEST:.0f}")
+        position = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
+        raise InputError(position, f"metres, at most {LARGEST_LENGTH:.0f}")
     bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
     error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
@@ -156,12 +155,12 @@ def rotation_matrix(name: str, values: ArrayLike) -> FloatArray:
 
 def _check_readings(recording: "Recording") -> None:
     d, samples, name = recording.ranges, recording.samples, recording.station_names
-    require_number("range_min", recording.range_min, -LARGEST, 0.0, unit="m")
-    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST)).all():
+    require_number("range_min", recording.range_min, -LARGEST_LENGTH, 0.0, unit="m")
+    if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST_LENGTH)).all():
         raise InputError("samples that are not one or more", "1 for a reading that is no mean")
     with np.errstate(invalid="ignore"):
         positive = (d > 0.0) if recording.range_min == 0.0 else (d >= recording.range_min)
-        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST)))
+        rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST_LENGTH)))
     if rows.size:
         least = "a positive range"
         if recording.range_min < 0.0:
@@ -169,8 +168,8 @@ def _check_readings(recording: "Recording") -> None:
         raise InputError(
             f"range {d[rows[0], columns[0]]:g} of beam {recording.beam_names[columns[0]]} "
             f"at station {name[rows[0]]}",
-            f"{least} in metres up to {LARGEST:.0f}, or NaN for no reading; negative readings need the "
-            "sensor's range_min",
+            f"{least} in metres up to {LARGEST_LENGTH:.0f}, or NaN for no reading; negative readings "
+            "need the sensor's range_min",
         )
 
 

@@ -1,4 +1,4 @@
-"""What is found in a recording before anything is solved, and what is left to be solved.
+"""What is seen in a recording before anything is solved, and the recording that is left to be solved.
 
 Among that are codes: a sensor without an echo, or at its limit, says the same number each time.
 
@@ -14,16 +14,12 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import CalibrationWarning
-from .columns import refuse_repeated_columns
+from .columns import BY_CHANCE, refuse_repeated_columns
 from .recording import Recording
 from .stations import merged_stations
 
-LEAST = 3
-"""A number that stands less often may be a distance, or an outlier, which is found by its residual."""
 MORE_OFTEN = 3
-"""Beside other readings a code stands so many times as often as any of them."""
-LEAST_OTHERS = 3
-"""A column with fewer other readings does not tell what is far from them."""
+"""A code that lies near other readings stands at least this many times as often as any of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,16 +66,16 @@ def screened(recording: Recording, sigma: float | None) -> Screened:
 def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
     """Return the recording without readings that are codes, and a warning for each code."""
     d = recording.ranges
-    found: list[CalibrationWarning] = []
+    warnings: list[CalibrationWarning] = []
     while True:
         code = next((value for value in _ends(d) if _is_code(d, value)), None)
         if code is None:
             break
         where = d == code
         beams = [recording.beam_names[i] for i in np.flatnonzero(where.any(axis=0))]
-        found.append(code_warning(f"{code:.10g} m", beams, int(where.sum())))
+        warnings.append(code_warning(f"{code:.10g} m", beams, int(where.sum())))
         d = np.where(where, np.nan, d)
-    return (replace(recording, ranges=d) if found else recording), tuple(found)
+    return (replace(recording, ranges=d) if warnings else recording), tuple(warnings)
 
 
 def code_warning(
@@ -105,7 +101,7 @@ def code_warning(
 def _ends(d: FloatArray) -> list[float]:
     """Return the largest and smallest readings of all columns that stand several times."""
     x = np.sort(d, axis=None)
-    often = x[LEAST - 1 :][x[LEAST - 1 :] == x[: 1 - LEAST]]
+    often = x[BY_CHANCE - 1 :][x[BY_CHANCE - 1 :] == x[: 1 - BY_CHANCE]]
     if not often.size:
         return []
     ends = np.concatenate((np.fmax.reduce(d), np.fmin.reduce(d)))
@@ -117,8 +113,8 @@ def _is_code(d: FloatArray, value: float) -> bool:
     where = d == value
     columns = where.any(axis=0)
     rest = np.where(where, np.nan, d)[:, columns]
-    if ((~np.isnan(rest)).sum(axis=0) < LEAST_OTHERS).any():
-        return False
+    if ((~np.isnan(rest)).sum(axis=0) < BY_CHANCE).any():
+        return False  # few other readings do not show what is far from them
     least, most = np.nanmin(rest, axis=0), np.nanmax(rest, axis=0)
     if not ((value > most) | (value < least)).all():
         return False
@@ -131,8 +127,8 @@ def _is_code(d: FloatArray, value: float) -> bool:
 
 def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:
     """Return which impossible numbers (N,) of a table stand so often that they must be codes."""
-    found = np.zeros(d.shape, dtype=bool)
+    coded = np.zeros(d.shape, dtype=bool)
     values, counts = np.unique(d[impossible], return_counts=True)
-    for value in values[counts >= LEAST]:
-        found |= impossible & (d == value)
-    return found
+    for value in values[counts >= BY_CHANCE]:
+        coded |= impossible & (d == value)
+    return coded

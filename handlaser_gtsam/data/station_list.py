@@ -73,8 +73,8 @@ class StationList(Value):
         joints = number_array("joints", () if self.joints is None else self.joints)
         shape = (len(self), len(self.joint_names))
         if joints.shape != shape or not joints.size or not np.isfinite(joints).all():
-            found = f"joints of shape {joints.shape}"
-            raise InputError(found, f"{shape}: finite numbers, one a station and name")
+            given = f"joints of shape {joints.shape}"
+            raise InputError(given, f"{shape}: finite numbers, one a station and name")
         object.__setattr__(self, "joints", joints)
 
     def __len__(self) -> int:

@@ -1,12 +1,12 @@
 """Stations that repeat the pose of another, before the same plane.
 
-Poses that agree to `SAME_POSE` are one pose: the robot did not move between them, so its error is
-common to all their readings. They are merged into the first of them: it keeps the mean of what each
-beam read, and the others keep nothing. What the mean is worth depends on how the readings scatter:
+Poses that agree to `FINEST_STEP` are one pose: the robot did not move between them, so its error is
+common to all their readings. They are merged into the first of them: it keeps the mean of the readings
+of each beam, and the others keep nothing. The weight of the mean depends on how the readings scatter:
 
 - Readings that are equal, or differ by less than any sensor's noise, are one sample logged more than
   once (a held value, a file pasted twice). They count as one.
-- Readings that scatter by the noise are samples of their own. The mean of n of them has the variance
+- Readings that scatter by the noise are separate samples. The mean of n of them has the variance
   sigma^2 / n; where a given sigma^2 exceeds the scatter w^2, the rest is common to all samples, and the
   variance is sigma^2 - w^2 + w^2 / n.
 
@@ -20,32 +20,28 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import CalibrationWarning
-from ..quantities import MEDIAN_TO_SIGMA
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
 from .recording import Recording, typical_range
 
-SAME_POSE = 1e-6
-"""Poses whose coordinates differ by no more than this [m, rad] are one: no robot is so fine."""
-WIDEST = 4.0
+FINEST_STEP = 1e-6
+"""Poses [m, rad] and readings of a pose [m] that differ by less are the same: nothing is so fine."""
+WIDEST_POSE = 4.0
 """Poses that extend over more of these steps move, if slowly."""
-HELD = 1e-6
-"""Readings of one pose that differ by less [m] are one sample: no sensor is so quiet and so fine."""
 HELD_PART = 0.02
-"""So are those that differ by less than this part of a given range sigma."""
-FAR = 12.0
-"""A sample so many robust standard deviations from the others of its pose is not averaged."""
-MOST_NOISE = 0.01
-"""Nor is one that is farther from them than this part of the typical range, or than `FAR` given sigmas:
-the hand has moved on, and its pose was logged again."""
+"""Readings of one pose that differ by less than this part of a given range sigma are one sample."""
+FAR_SAMPLE = 12.0
+"""A sample more standard deviations, robust or given, off the others of its pose is not averaged: the
+hand has moved on, and its pose was logged again."""
+FAR_PART = 0.01
+"""A sample farther off the others than this part of the typical range is not averaged either."""
 SCATTERING = 0.8
 """Samples that scatter by this part of the given sigma or more are taken to be independent."""
-ROUNDS = 20
-"""Passes over all coordinates at most: it ends when one splits nothing."""
 
 
 def merged_stations(
     recording: Recording, sigma: float | None
 ) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
-    """Return a recording in which every pose before a plane stands once, and what was found.
+    """Return a recording in which every pose before a plane stands once, and the warnings.
 
     Parameters
     ----------
@@ -72,18 +68,18 @@ def merged_stations(
 def pose_groups(recording: Recording) -> IntArray:
     """Return a number (M,) that stations of one plane share where their poses are one.
 
-    Stations are split at every gap above `SAME_POSE` of every coordinate in turn, until nothing
+    Stations are split at every gap above `FINEST_STEP` of every coordinate in turn, until nothing
     splits any more: sorting is all that it costs, and whoever is alone is not sorted again.
     """
     R = recording.world_R_hand.reshape(-1, 9)
     coordinates = np.hstack((recording.world_t_hand, R)).T
     group = np.arange(R.shape[0])
     rows, part, count = group, recording.plane_of_station, 0
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         for x in coordinates:
             order = np.lexsort((x[rows], part))
             rows, part = rows[order], part[order]
-            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > SAME_POSE)
+            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > FINEST_STEP)
             first = np.concatenate(([True], first, [True]))
             shared = ~(first[:-1] & first[1:])
             rows, part = rows[shared], np.cumsum(first[:-1])[shared]
@@ -96,7 +92,7 @@ def pose_groups(recording: Recording) -> IntArray:
     index = np.repeat(np.arange(count), np.diff(start, append=len(rows)))
     x = coordinates[:, rows]
     extent = np.maximum.reduceat(x, start, axis=1) - np.minimum.reduceat(x, start, axis=1)
-    wide = np.any(extent > WIDEST * SAME_POSE, axis=0)
+    wide = np.any(extent > WIDEST_POSE * FINEST_STEP, axis=0)
     group[rows] = np.where(wide[index], rows, len(group) + index)
     return group
 
@@ -141,14 +137,14 @@ class _Samples:
         low, high = (self.count - 1) // 2, self.count // 2
         median = 0.5 * (self.value[self.start + low] + self.value[self.start + high])
         off = np.abs(self.value - median[self.key])
-        limit = max(HELD, HELD_PART * (sigma or 0.0))
+        limit = max(FINEST_STEP, HELD_PART * (sigma or 0.0))
         held = np.maximum.reduceat(off, self.start) <= limit
         agree = np.ones(len(off), dtype=bool)
         free = ~held[self.key] & (self.count[self.key] > 1)
         if free.any():
             robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
-            most = MOST_NOISE * typical_range(self.value) if sigma is None else FAR * sigma
-            agree = off <= (min(FAR * robust, most) if robust > 0.0 else most)
+            most = FAR_PART * typical_range(self.value) if sigma is None else FAR_SAMPLE * sigma
+            agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
         number = np.add.reduceat(agree.astype(np.float64), self.start)
         total = np.add.reduceat(np.where(agree, self.value, 0.0), self.start)
         mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
@@ -186,7 +182,7 @@ def _warnings(
     same = np.zeros(len(group), dtype=bool)
     same[samples.station] = True
     same[samples.station[~held[samples.key]]] = False
-    found = []
+    warnings = []
     names, total = recording.station_names, len(recording.station_names)
     for code, rows, what in (
         (
@@ -207,5 +203,5 @@ def _warnings(
             first = f"the first: {names[rows[0]]}, like {names[other]}"
             words = f"{len(rows)} of {total} stations ({first}) "
             counts = {"stations": total, "repeated": len(rows)}
-            found.append(CalibrationWarning(code, words + what, counts))
-    return tuple(found)
+            warnings.append(CalibrationWarning(code, words + what, counts))
+    return tuple(warnings)

@@ -1,8 +1,8 @@
 """Values: frozen dataclasses that hold arrays, and compare, pickle and print as wholes.
 
 `==` of a dataclass with arrays raises, a mapping proxy in one cannot be pickled, a copied array can be
-written to again, and the representation lists every number. A subclass of `Value` declares no method
-of its own against that; its decorator switches off those of the dataclass:
+written to again, and the representation lists every number. A subclass of `Value` needs no method
+against that; its decorator switches off the methods of the dataclass:
 
     @dataclass(frozen=True, slots=True, eq=False, repr=False)
     class Beam(Value): ...
@@ -15,12 +15,12 @@ from typing import ClassVar
 
 import numpy as np
 
-SHOWN = 8
-"""Arrays and tuples with more entries are represented by their size."""
-SHOWN_NAMES = 4
+from ..text import SHOWN_CHARACTERS
+
+SHOWN_ENTRIES = 8
+"""Arrays and tuples with more entries are represented by their size, or a line gets too long."""
+SHOWN_KEYS = 4
 """Keys of a mapping that its repr lists."""
-SHOWN_TEXT = 60
-"""Longer texts are cut."""
 
 
 class Value:
@@ -47,7 +47,12 @@ class Value:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild from the fields, without the checks that they have passed already."""
-        return _rebuilt, (type(self), [_plain(getattr(self, n)) for n in self.__dataclass_fields__])
+        values = [getattr(self, name) for name in self.__dataclass_fields__]
+        # A mapping proxy cannot be pickled.
+        return _rebuilt, (
+            type(self),
+            [dict(value) if isinstance(value, MappingProxyType) else value for value in values],
+        )
 
     def __repr__(self) -> str:
         parts = []
@@ -72,10 +77,10 @@ def same(a: object, b: object) -> bool:
 
 
 def _rebuilt(kind: type[Value], fields: list[object]) -> Value:
-    found = object.__new__(kind)
+    rebuilt = object.__new__(kind)
     for name, value in zip(kind.__dataclass_fields__, fields, strict=True):
-        object.__setattr__(found, name, _read_only(value))
-    return found
+        object.__setattr__(rebuilt, name, _read_only(value))
+    return rebuilt
 
 
 def _read_only(value: object) -> object:
@@ -84,32 +89,27 @@ def _read_only(value: object) -> object:
         value.flags.writeable = False
     elif isinstance(value, dict):
         value = MappingProxyType(value)
-    elif isinstance(value, tuple) and any(isinstance(one, np.ndarray) for one in value):
+    elif isinstance(value, tuple) and any(isinstance(entry, np.ndarray) for entry in value):
         value = tuple(map(_read_only, value))
     return value
-
-
-def _plain(value: object) -> object:
-    """Return a field as something that can be pickled."""
-    return dict(value) if isinstance(value, MappingProxyType) else value
 
 
 def _short(value: object) -> str:
     """Return a field in a few words."""
     if isinstance(value, np.ndarray):
-        if value.size <= SHOWN:
+        if value.size <= SHOWN_ENTRIES:
             return " ".join(np.array2string(value, precision=6, separator=", ").split())
         return f"<array {'x'.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
-        names = [repr(name) for name in list(value)[:SHOWN_NAMES]]
-        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_NAMES else names)}}}"
+        names = [repr(name) for name in list(value)[:SHOWN_KEYS]]
+        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_KEYS else names)}}}"
     if isinstance(value, tuple):
-        plain = all(isinstance(one, (str, int, float)) for one in value)
-        if plain and len(value) <= SHOWN:
+        plain = all(isinstance(entry, (str, int, float)) for entry in value)
+        if plain and len(value) <= SHOWN_ENTRIES:
             return f"({', '.join(map(_short, value))})"
         return f"<{len(value)} {type(value[0]).__name__}>"
-    if isinstance(value, str) and len(value) > SHOWN_TEXT:
-        return repr(f"{value[:SHOWN_TEXT]}...")
+    if isinstance(value, str) and len(value) > SHOWN_CHARACTERS:
+        return repr(f"{value[:SHOWN_CHARACTERS]}...")
     if isinstance(value, float):
         return f"{value:.6g}"
     return f"<{type(value).__name__}>" if hasattr(value, "__dataclass_fields__") else repr(value)

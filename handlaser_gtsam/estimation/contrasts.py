@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from .range_error_grid import RangeErrorGrid, axes
 
 LEAST_ELONGATION = 3.0
-"""Ratio of standard deviations of combinations of k1 and k2 D: below, none is known worst."""
+"""With a smaller ratio of its standard deviations no combination of k1 and k2 D is the least known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,8 +18,8 @@ class Contrasts:
 
     Attributes
     ----------
-    at : (K,)
-        Their places among all unknowns.
+    places : (K,)
+        Indices of the range errors among all unknowns.
     terms : (K,)
         The term of each mean or contrast.
     turn : (K, K)
@@ -29,7 +29,7 @@ class Contrasts:
         Standard deviations under the widest prior: all the same, and so along any axes.
     """
 
-    at: IntArray
+    places: IntArray
     terms: IntArray
     turn: FloatArray
     is_mean: BoolArray
@@ -37,11 +37,11 @@ class Contrasts:
 
     @classmethod
     def of(cls, beams: IntArray, terms: int, width: int, widest: float) -> "Contrasts":
-        """Return those of `terms` range errors of some beams of `width` unknowns."""
-        at = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
+        """Return the contrasts of `terms` range errors of some beams of `width` unknowns."""
+        places = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
         turn, is_mean = _contrasts(len(beams), terms)
-        wide = np.full(len(at), np.sqrt(1.0 + len(beams)) * widest)
-        return cls(at, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
+        wide = np.full(len(places), np.sqrt(1.0 + len(beams)) * widest)
+        return cls(places, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
 
     def turned(self, angles: FloatArray) -> FloatArray:
         """Return the matrix (K, K) to the same along axes turned by the angles (B,) of the beams."""
@@ -52,19 +52,19 @@ class Contrasts:
 
     def spread(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
-        if grid.own.shape[1] == 0:  # range errors without a prior
+        if grid.individual.shape[1] == 0:  # range errors without a prior
             return np.ones((len(grid.common), len(self.terms)))
         count = np.sqrt(self.is_mean.size / max(int(self.is_mean.sum()), 1))
         shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
-        found: FloatArray = np.hypot(grid.own[:, self.terms], shared)
-        return found
+        total: FloatArray = np.hypot(grid.individual[:, self.terms], shared)
+        return total
 
 
 def worst_known(V: FloatArray) -> FloatArray | None:
-    """Return by how much what is known worst of k1 and k2 D is turned from k1 (B,) [rad].
+    """Return the angles (B,) [rad] from k1 to the least known combination of k1 and k2 D of each beam.
 
-    That is the longest axis of the covariance (B, T, T) of each beam; those that have none take the
-    mean of the others. None where there is one term, or no beam has one.
+    That is the longest axis of the covariance (B, T, T) of the beam; a beam without such an axis takes
+    the mean of the others. None where there is one term, or no beam has such an axis.
     """
     if V.shape[1] != 2:
         return None
@@ -75,10 +75,10 @@ def worst_known(V: FloatArray) -> FloatArray | None:
         return None
     double = np.exp(2j * angles[long]).sum()
     mean = 0.5 * float(np.angle(double))
-    # Axes have no sign: those of all beams point the same way.
+    # Axes have no sign: let the axes of all beams point the same way.
     off = np.where(long, (angles - mean + 0.5 * math.pi) % math.pi - 0.5 * math.pi, 0.0)
-    found: FloatArray = mean + off
-    return found
+    turned: FloatArray = mean + off
+    return turned
 
 
 def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:
@@ -87,11 +87,11 @@ def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:
     Term after term, the mean over the beams, times the root of their number, first. Also return which
     of them are means.
     """
-    one = np.eye(beams)
+    helmert = np.eye(beams)
     if beams > 1:
-        one = np.linalg.qr(np.column_stack((np.ones(beams), np.eye(beams)[:, 1:])))[0].T
+        helmert = np.linalg.qr(np.column_stack((np.ones(beams), np.eye(beams)[:, 1:])))[0].T
     turn = np.zeros((terms, beams, beams, terms))
     for term in range(terms):
-        turn[term, :, :, term] = one
+        turn[term, :, :, term] = helmert
     is_mean = np.tile(np.arange(beams) == 0, terms)
     return turn.reshape(terms * beams, beams * terms), is_mean

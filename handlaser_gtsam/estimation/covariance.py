@@ -3,8 +3,8 @@
 Where everything is determined it comes from GTSAM: poses and planes are eliminated from the linear
 graph, and what is left is the information of the beams. Where rank is short, or where GTSAM's Cholesky
 calls a sound system indeterminate (it compares pivots of different units), it comes from the reduced
-information of `diagnosis.observability`, restricted to what is determined: the covariance of
-a determined coordinate does not depend on how the open ones are fixed.
+information of `observability.rank`, restricted to what is determined: the covariance of
+a determined coordinate does not depend on how the undetermined ones are fixed.
 """
 
 import gtsam
@@ -31,7 +31,7 @@ def covariance(
     values : gtsam.Values
         The solution.
     origins : (P, 3), optional
-        Origin of every plane's frame in the world [m]; offsets are then those of the world frame.
+        Origin of every plane's frame in the world [m]; offsets are then in the world frame.
 
     Raises
     ------
@@ -43,15 +43,15 @@ def covariance(
     columns = _columns(problem)
     S = inverse_of(rest.hessian(gtsam.Ordering(list(columns)))[0])
     count = len(problem.planes)
-    own, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
+    known_beams, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
     number = {key: p for p, key in enumerate(problem.planes)}
     for conditional in (net.at(i) for i in range(net.size())):
         plane, *parents = list(conditional.keys())
         if plane in number:
             root = np.linalg.inv(conditional.R())
-            at = np.concatenate([columns[key] for key in parents])
-            response[number[plane]][:, at] = root @ conditional.S()
-            own[number[plane]] = root @ root.T
+            places = np.concatenate([columns[key] for key in parents])
+            response[number[plane]][:, places] = root @ conditional.S()
+            known_beams[number[plane]] = root @ root.T
     planes = [values.atOrientedPlane3(key).normal() for key in problem.planes]
     return JointCovariance(
         tuple(map(str, range(len(problem.beams)))),
@@ -59,7 +59,7 @@ def covariance(
         problem.terms,
         S,
         response,
-        own,
+        known_beams,
         np.array([values.atUnit3(beam.direction).basis() for beam in problem.beams]),
         np.array([normal.basis() for normal in planes]),
         np.zeros((len(planes), 3)) if origins is None else origins,
@@ -67,7 +67,7 @@ def covariance(
 
 
 def covariance_of_determined(
-    found: Observability, parameters: Parameters, sigma: float, origins: FloatArray
+    observability: Observability, parameters: Parameters, sigma: float, origins: FloatArray
 ) -> JointCovariance:
     """Return the covariance over what is determined; the rest counts as fixed.
 
@@ -81,16 +81,16 @@ def covariance_of_determined(
     origins : (P, 3)
         Origin of every plane's frame in the world [m].
     """
-    reduced, variance = found.reduced, sigma**2
+    reduced, variance = observability.reduced, sigma**2
     planes = reduced.information
-    own = planes.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
+    inverse = planes.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
     return JointCovariance(
         tuple(map(str, range(len(parameters.locations)))),
         tuple(map(str, range(len(parameters.offsets)))),
-        found.terms,
+        observability.terms,
         variance * reduced.covariance() * np.outer(reduced.beam_unit, reduced.beam_unit),
         reduced.plane_unit[:, None] * planes.plane_response / reduced.beam_unit,
-        variance * own,
+        variance * inverse,
         model.tangent_basis(parameters.directions),
         model.tangent_basis(parameters.normals),
         reduced.centres + origins,
@@ -99,10 +99,10 @@ def covariance_of_determined(
 
 def _columns(problem: CalibrationGraph) -> dict[int, IntArray]:
     """Return the rows of each variable of the beams in a stack of all."""
-    found: dict[int, IntArray] = {}
+    columns: dict[int, IntArray] = {}
     first = 0
     for beam, terms in zip(problem.beams, problem.terms, strict=True):
         for key, size in zip(beam.variables, (3, 2, terms), strict=False):
-            found[key] = np.arange(first, first + size)
+            columns[key] = np.arange(first, first + size)
             first += size
-    return found
+    return columns

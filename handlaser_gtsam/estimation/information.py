@@ -23,9 +23,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
 from ..model.weighting import Variances, covariance_roots, noise_slopes, own_variances
-
-LARGEST_CHUNK = 6_000_000
-"""Numbers of the largest intermediate array."""
+from ..quantities import NUMBERS_AT_ONCE
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -73,7 +71,7 @@ class Information:
         return Information(matrix, vector, self.constant - other.constant)
 
     def __getitem__(self, sets: slice | None) -> "Information":
-        """Return those of some sets; with None one set more, of which this is all."""
+        """Return some sets; None adds the axis of the sets to information without it."""
         return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
 
 
@@ -101,7 +99,7 @@ class LinearReadings:
 
     Parameters
     ----------
-    at : Parameters
+    parameters : Parameters
         Planes in the frames of the readings.
     readings : Readings
     terms : int
@@ -109,7 +107,7 @@ class LinearReadings:
     length : float
         The typical range [m]: the natural unit of lengths.
     variances : Variances
-        Its range sigmas do not matter; of the poses it gives the covariances that are scaled.
+        Its pose covariances are scaled; its range sigmas do not matter.
 
     Raises
     ------
@@ -119,7 +117,7 @@ class LinearReadings:
 
     def __init__(
         self,
-        at: Parameters,
+        parameters: Parameters,
         readings: Readings,
         terms: int,
         length: float,
@@ -127,19 +125,19 @@ class LinearReadings:
     ) -> None:
         order = np.lexsort((readings.beam, readings.station, readings.plane))
         readings = readings.subset(order)
-        lin = model.linearize(model.scene(at, readings), readings.measured, with_pose=True)
+        lin = model.linearize(model.scene(parameters, readings), readings.measured, with_pose=True)
         self.centres = readings.plane_means(lin.normal / lin.offset[:, None])
         middle = self.centres[readings.plane]
-        v_basis = model.tangent_basis(at.directions)[readings.beam]
-        n_basis = model.tangent_basis(at.normals)[readings.plane]
+        v_basis = model.tangent_basis(parameters.directions)[readings.beam]
+        n_basis = model.tangent_basis(parameters.normals)[readings.plane]
         unit = np.array([length] * 3 + [1.0] * 3 + [1.0 / length])[: 5 + terms]
         rows = model.tangent_columns(lin, v_basis, n_basis, middle, terms).T.copy()
         self.beam_rows = unit * rows[:, :-4]
         self.plane_rows = np.array([1.0, 1.0, length, 1.0]) * rows[:, -4:]
         self.beam, self.beams = readings.beam, readings.beams
-        self.squared_slope = noise_slopes(at, readings) ** 2
+        self.squared_slope = noise_slopes(parameters, readings) ** 2
         bare = Variances(np.zeros(readings.beams), variances.incidence_sigma)
-        self.fixed = own_variances(at, readings, bare)
+        self.fixed = own_variances(parameters, readings, bare)
         change = (np.diff(readings.station) != 0) | (np.diff(readings.plane) != 0)
         self.first: IntArray = np.flatnonzero(np.concatenate(([True], change))).astype(np.intp)
         self.station = np.cumsum(np.concatenate(([0], change))).astype(np.intp)
@@ -157,10 +155,10 @@ class LinearReadings:
     def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, PlaneResponse]:
         """Return what the readings say for each set of noise scales."""
         parts = []
-        if self.alone or self.fixed.any() or any(np.ptp(one.range_sigma) > 0.0 for one in sets):
-            for one in sets:
-                variance = one.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed
-                pose = one.pose
+        if self.alone or self.fixed.any() or any(np.ptp(noise.range_sigma) > 0.0 for noise in sets):
+            for noise in sets:
+                variance = noise.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed
+                pose = noise.pose
                 if self.alone and self.root is not None:
                     moved = (self.pose_rows * pose)[:, None] @ self.root
                     variance, pose = variance + (moved**2).sum(axis=(1, 2)), np.zeros(6)
@@ -169,10 +167,10 @@ class LinearReadings:
             if self._sums is None:
                 self._sums = _Sums(self, 1.0 / self.squared_slope)
             sums = self._sums
-            factor = np.array([one.range_sigma[0] for one in sets]) ** -2
-            pose = np.array([one.pose for one in sets])
+            factor = np.array([noise.range_sigma[0] for noise in sets]) ** -2
+            pose = np.array([noise.pose for noise in sets])
             size = len(self.first) * 6 * self.beams * self.beam_rows.shape[1]
-            chunk = max(LARGEST_CHUNK // size, 1)
+            chunk = max(NUMBERS_AT_ONCE // size, 1)
             for a in range(0, len(sets), chunk):
                 parts.append(sums.information(factor[a : a + chunk], pose[a : a + chunk]))
         both = [
@@ -191,17 +189,17 @@ class _Sums:
         self.rows, self.log_weight = rows, float(np.log(weight).sum())
         stations, beams, width = len(rows.first), rows.beams, rows.beam_rows.shape[1]
         self.size = beams * width
-        own = rows.beam_rows * weight[:, None]
+        weighted = rows.beam_rows * weight[:, None]
         mixed = np.zeros((stations, beams, width, 4))
-        mixed[rows.station, rows.beam] = own[:, :, None] * rows.plane_rows[:, None, :]
+        mixed[rows.station, rows.beam] = weighted[:, :, None] * rows.plane_rows[:, None, :]
         mixed = np.add.reduceat(mixed, rows.first_station)
         self.beam_plane = mixed.reshape(-1, self.size, 4)
         squares = weight[:, None, None] * rows.plane_rows[:, :, None] * rows.plane_rows[:, None, :]
         self.plane_plane = np.add.reduceat(squares, rows.first_row)
         self.beam_beam = np.zeros((self.size, self.size))
         for i in range(beams):
-            mine, at = rows.beam == i, slice(i * width, i * width + width)
-            self.beam_beam[at, at] = own[mine].T @ rows.beam_rows[mine]
+            mine, block = rows.beam == i, slice(i * width, i * width + width)
+            self.beam_beam[block, block] = weighted[mine].T @ rows.beam_rows[mine]
         if rows.root is None or rows.alone:
             return
         q = rows.pose_rows

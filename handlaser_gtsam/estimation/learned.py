@@ -11,18 +11,20 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
 from ..model.weighting import Variances
+from ..quantities import REPRESENTATIVE_BEAMS
 from .information import Information, LinearReadings, PlaneResponse
-from .mixture import MOST_BEAMS, BeamPosterior
+from .mixture import BeamPosterior
 from .range_error_grid import RangeErrorGrid, farthest, refined_grid, widest_grid
 from .scales import Scales, design, find_mode, with_scales
 
-ENOUGH = 3000
-"""So many readings tell the scales."""
-MOST_READINGS = 20_000
-"""Beyond, the scales are known so well that their uncertainty changes nothing."""
-MANY_BEAMS, NEARLY_KNOWN = 10, 0.1
-"""Nor does it with more beams along axes on which they are known to this part: a standard deviation
-grows by one per cent at most, and the components of the mixture cost the cube of the beams."""
+SCALE_READINGS = 3000
+"""Scales are searched for on this many readings: more would make them no better known."""
+CERTAIN_READINGS = 20_000
+"""With more readings the scales are known so well that their uncertainty changes nothing."""
+INTEGRATED_BEAMS = 10
+"""With more beams only poorly known scales are integrated over: the cost grows with their cube."""
+KNOWN_SCALE = 0.1
+"""Scales known to this part need no integration: it would widen results by one per cent at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -33,12 +35,12 @@ class LearnedScales(Value):
     ----------
     scales : Scales
     base : Variances
-        Its pose covariances are those that the scales multiply.
+        Its pose covariances are multiplied by the scales.
     mode : (d,)
         Most probable logarithms of the scales of the noise.
     points : (J, d)
     log_weight : (J,)
-        With the priors of the scales; the likelihood is to be added.
+        Logarithms of the weights with the priors of the scales; the likelihood is to be added.
     terms : int
         Range-error terms of every beam.
     length : float
@@ -71,7 +73,7 @@ class LearnedScales(Value):
         return widest_scale(self.linearity)
 
     def prior(self, beams: IntArray, count: int) -> RangeErrorPrior | None:
-        """Return that of the range errors of some of `count` beams, at the most probable scales."""
+        """Return the prior of the range errors of some of `count` beams at the most probable scales."""
         if self.linearity is None:
             return None
         sigma = np.full((count, 2), np.inf)
@@ -97,7 +99,7 @@ class LearnedScales(Value):
         """Return by how much the most probable scales differ from others, in the logarithm."""
         if self.grid.turned.any() != other.grid.turned.any():
             return np.inf
-        both = (np.append(one.mode, np.log(one.range_error)) for one in (self, other))
+        both = (np.append(learned.mode, np.log(learned.range_error)) for learned in (self, other))
         difference = np.subtract(*both)
         return float(np.abs(difference).max(initial=0.0))
 
@@ -120,17 +122,17 @@ class ScaleProblem:
 
     Parameters
     ----------
-    at : Parameters
+    parameters : Parameters
     readings : Readings
     terms : int
         Range-error terms of every beam.
     base : Variances
-        Of the poses, the covariances that are scaled.
+        Its pose covariances are scaled.
     scales : Scales
     linearity : float or None
         Scale of the prior of the range errors' scales; None where range errors have no prior.
     known : Information, optional
-        Of the beams, beside the readings.
+        Information on the beams beside the readings.
     members : (b,), optional
         Beams whose range errors have the prior; all where not given.
     length : float, optional
@@ -139,7 +141,7 @@ class ScaleProblem:
 
     def __init__(
         self,
-        at: Parameters,
+        parameters: Parameters,
         readings: Readings,
         terms: int,
         base: Variances,
@@ -150,20 +152,25 @@ class ScaleProblem:
         length: float | None = None,
     ) -> None:
         self.known, self.members = known, members
-        self.at, self.readings, self.terms, self.scales = at, readings, terms, scales
+        self.parameters, self.readings, self.terms, self.scales = (
+            parameters,
+            readings,
+            terms,
+            scales,
+        )
         self.base, self.linearity = base, linearity
         self.length = length or readings.typical_range()
-        self.k = at.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
+        self.k = parameters.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
         self.wide = self._widest(readings.beams)
-        self.rows = LinearReadings(at, readings, terms, self.length, base)
+        self.rows = LinearReadings(parameters, readings, terms, self.length, base)
         self._last: _Last | None = None
 
     @cached_property
     def _part(self) -> "ScaleProblem":
-        """The problem in which scales are searched for: of a part of many readings, or itself."""
+        """The problem in which scales are searched for: a part of many readings, or this problem."""
         alike = self.known is None and self.members is None and self.scales.common
-        few = self.readings.beams <= MOST_BEAMS or not alike
-        if few and len(self.readings) <= ENOUGH:
+        few = self.readings.beams <= REPRESENTATIVE_BEAMS or not alike
+        if few and len(self.readings) <= SCALE_READINGS:
             return self
         return self._smaller(few_beams=alike)
 
@@ -174,12 +181,12 @@ class ScaleProblem:
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known."""
         grid, w = self._weighed(mode)
-        found: FloatArray = np.exp(w @ np.log(grid.total()))
-        return found
+        mean: FloatArray = np.exp(w @ np.log(grid.total()))
+        return mean
 
     def _weighed(self, mode: FloatArray) -> tuple[RangeErrorGrid, FloatArray]:
         """Return scales of the range errors, and their posterior weights (G,), noise known."""
-        many = self.readings.beams > MOST_BEAMS
+        many = self.readings.beams > REPRESENTATIVE_BEAMS
         if many and self._part.readings.beams < self.readings.beams:
             return self._part._weighed(mode)
         grid, beams = self._grid(mode)
@@ -192,12 +199,12 @@ class ScaleProblem:
         least, (grid, beams) = 0.0, self._grid(mode)
         few, weight = self._weighed(mode)
         scale = np.exp(weight @ np.log(few.total()))
-        if self.linearity is not None and self.readings.beams > MOST_BEAMS:
+        if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
             grid = few.typical(weight, beams.worst_known())
-        if len(self.readings) > MOST_READINGS:
+        if len(self.readings) > CERTAIN_READINGS:
             least = np.inf
-        elif self.readings.beams > MANY_BEAMS:
-            least = NEARLY_KNOWN
+        elif self.readings.beams > INTEGRATED_BEAMS:
+            least = KNOWN_SCALE
         around = design(self._log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,
@@ -222,32 +229,36 @@ class ScaleProblem:
     def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far beams (n,) and planes (P, 3) are from their optimum for known scales.
 
-        Natural units; `mode` are logarithms (d,) of the noise scales, `scale` (T,) are those of range
-        errors. Zero for a solution of the marginalised form itself.
+        Natural units; `mode` are logarithms (d,) of the noise scales, `scale` (T,) the scales of the
+        range errors. Zero for a solution of the marginalised form itself.
         """
         beams, planes = self.beams(mode[None])
         mean, _ = beams.conditional(scale)
         return mean, planes.step[0] - planes.response[0] @ mean
 
     def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
-        """Return the same of a part of the readings, of `MOST_BEAMS` beams alone if they are alike."""
-        readings, at = self.readings, self.at
-        if few_beams and readings.beams > MOST_BEAMS:
-            chosen = np.linspace(0, readings.beams - 1, MOST_BEAMS).round().astype(np.intp)
+        """Return the problem for a part of the readings, and of the beams if they are alike."""
+        readings, parameters = self.readings, self.parameters
+        if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
+            chosen = (
+                np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
+            )
             rows = np.flatnonzero(np.isin(readings.beam, chosen))
             readings = readings.subset(rows)
             beam = np.searchsorted(chosen, readings.beam)
-            readings = replace(readings, beam=beam, beams=MOST_BEAMS)
-            at = at.part(chosen, np.arange(readings.planes))
+            readings = replace(readings, beam=beam, beams=REPRESENTATIVE_BEAMS)
+            parameters = parameters.part(chosen, np.arange(readings.planes))
         part = copy(self)
-        part.at, part.readings = at, part_of(readings)
-        part.k = at.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
-        part.rows = LinearReadings(at, part.readings, self.terms, self.length, self.base)
+        part.parameters, part.readings = parameters, part_of(readings)
+        part.k = (
+            parameters.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
+        )
+        part.rows = LinearReadings(parameters, part.readings, self.terms, self.length, self.base)
         part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
     def _widest(self, beams: int, angles: FloatArray | None = None) -> RangeErrorGrid:
-        """Return a grid for so many beams, or for those that have the prior."""
+        """Return a grid for `beams` beams, or for the beams that have the prior."""
         count = beams if self.members is None else len(self.members)
         terms = 0 if self.linearity is None else self.terms
         return widest_grid(self.linearity or 1.0, terms, count, angles)
@@ -260,8 +271,8 @@ class ScaleProblem:
         return BeamPosterior(information, self.k, widest, self.members), planes
 
     def _log_posterior(self, points: FloatArray) -> FloatArray:
-        found = self._part._beams(points)[0]
-        return found.log_marginal(self._part.wide) + self.scales.log_prior(points)
+        beams = self._part._beams(points)[0]
+        return beams.log_marginal(self._part.wide) + self.scales.log_prior(points)
 
     def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
         if self._last is not None and np.array_equal(self._last[0], mode):
@@ -269,20 +280,20 @@ class ScaleProblem:
         beams, planes = self._beams(mode[None])
         wide = self._widest(self.readings.beams, beams.worst_known())
         fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
-        found = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
-        self._last = mode, found, planes
-        return found
+        near = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
+        self._last = mode, near, planes
+        return near
 
 
 def part_of(readings: Readings) -> Readings:
-    """Return the readings of as many planes, evenly chosen, as have `ENOUGH`."""
-    if len(readings) <= ENOUGH:
+    """Return the readings of as many planes, evenly chosen, as have `SCALE_READINGS`."""
+    if len(readings) <= SCALE_READINGS:
         return readings
-    count = max(readings.planes * ENOUGH // len(readings), 1)
+    count = max(readings.planes * SCALE_READINGS // len(readings), 1)
     planes = np.unique(np.linspace(0, readings.planes - 1, count).round().astype(int))
     rows = np.flatnonzero(np.isin(readings.plane, planes))
-    if len(rows) > 2 * ENOUGH:  # one long plane
+    if len(rows) > 2 * SCALE_READINGS:  # one long plane
         stations = np.unique(readings.station[rows])
-        keep = stations[:: len(rows) // ENOUGH]
+        keep = stations[:: len(rows) // SCALE_READINGS]
         rows = rows[np.isin(readings.station[rows], keep)]
     return readings.subset(rows)

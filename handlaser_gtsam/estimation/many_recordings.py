@@ -26,8 +26,8 @@ from ..solvers.levenberg import LevenbergOptions
 from ..solvers.many_problems import SolvedTogether, solve_together
 from ..starts import find_start
 
-ROUNDS = 2
-"""Of weights that depend on the solution."""
+WEIGHT_UPDATES = 2
+"""Updates of weights that depend on the solution; each leaves a thousandth of the error before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -90,17 +90,17 @@ def solve_many(
     readings = _of_one_shape(recordings)
     origins = [one.plane_means(one.world_t_hand) for one in readings]
     local = [one.seen_from(there) for one, there in zip(readings, origins, strict=True)]
-    variances, own = _variances(noise, recordings[0], terms), None
+    variances, local_starts = _variances(noise, recordings[0], terms), None
     if starts is not None:
-        own = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
-    found = _solved(local, own, terms, variances, prior, options)
+        local_starts = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
+    solved = _solved(local, local_starts, terms, variances, prior, options)
     return SolvedMany(
         *(recordings[0].beam_names, recordings[0].plane_names),
-        tuple(at.seen_from(-there) for at, there in zip(found.parameters, origins, strict=True)),
-        found.cost,
-        found.converged,
-        found.iterations,
-        beam_covariances(found),
+        tuple(at.seen_from(-there) for at, there in zip(solved.parameters, origins, strict=True)),
+        solved.cost,
+        solved.converged,
+        solved.iterations,
+        beam_covariances(solved),
     )
 
 
@@ -112,25 +112,25 @@ def _solved(
     prior: RangeErrorPrior | None,
     options: LevenbergOptions | None,
 ) -> SolvedTogether:
-    """Solve with equal weights, then with those of the solution where they differ."""
+    """Solve with equal weights, then with the weights at the solution where they differ."""
     sigma = float(variances.range_sigma[0])
     if starts is None:
-        starts = [find_start(one, sigma).parameters for one in local]
-    found = solve_together(local, starts, terms, sigma, prior, options)
-    if any(unequal(variances, terms, one) for one in local):
-        for _ in range(ROUNDS):
+        starts = [find_start(readings, sigma).parameters for readings in local]
+    solved = solve_together(local, starts, terms, sigma, prior, options)
+    if any(unequal(variances, terms, readings) for readings in local):
+        for _ in range(WEIGHT_UPDATES):
             both = [
-                weighed(one, at, variances, terms)
-                for at, one in zip(found.parameters, local, strict=True)
+                weighed(readings, parameters, variances, terms)
+                for parameters, readings in zip(solved.parameters, local, strict=True)
             ]
             taken, weights = (list(part) for part in zip(*both, strict=True))
-            found = solve_together(taken, found.parameters, terms, weights, prior, options)
-    return found
+            solved = solve_together(taken, solved.parameters, terms, weights, prior, options)
+    return solved
 
 
-def beam_covariances(found: SolvedTogether) -> FloatArray:
+def beam_covariances(solved: SolvedTogether) -> FloatArray:
     """Return the covariances (K, B, 8, 8) of the beams, NaN where they are not determined."""
-    normal = found.normal
+    normal = solved.normal
     copies, beams, width = normal.blocks.shape[:3]
     S = eliminated(
         normal.beam, normal.border, normal.plane, normal.beam_gradient, normal.plane_gradient
@@ -140,13 +140,13 @@ def beam_covariances(found: SolvedTogether) -> FloatArray:
         inverse = np.linalg.inv(S * unit[:, :, None] * unit[:, None, :])
     except np.linalg.LinAlgError:
         inverse = np.full_like(S, np.nan)
-    inverse *= unit[:, :, None] * unit[:, None, :] * (found.sigma**2)[:, None, None]
+    inverse *= unit[:, :, None] * unit[:, None, :] * (solved.sigma**2)[:, None, None]
     each = np.arange(beams)
-    own = inverse.reshape(copies, beams, width, beams, width)[:, each, :, each]
-    bases = model.tangent_basis(np.concatenate([p.directions for p in found.parameters]))
+    blocks = inverse.reshape(copies, beams, width, beams, width)[:, each, :, each]
+    bases = model.tangent_basis(np.concatenate([p.directions for p in solved.parameters]))
     lifts = beam_lifts(bases)[:, :, :width]
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
-    covariances: FloatArray = (lifts @ own @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
+    covariances: FloatArray = (lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
     return covariances
 
 
@@ -154,18 +154,20 @@ def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:
     """Return the readings of all recordings, or refuse what is of different shapes."""
     if not isinstance(recordings, Sequence) or not recordings:
         raise InputError("no recordings", "a sequence of one or more")
-    for one in recordings:
-        require_kind("a recording", one, Recording)
-    first, readings = recordings[0], [one.readings() for one in recordings]
-    for one, own in zip(recordings, readings, strict=True):
-        same = one.beam_names == first.beam_names and one.plane_names == first.plane_names
+    for recording in recordings:
+        require_kind("a recording", recording, Recording)
+    first, readings = recordings[0], [recording.readings() for recording in recordings]
+    for recording, of_recording in zip(recordings, readings, strict=True):
+        same = (
+            recording.beam_names == first.beam_names and recording.plane_names == first.plane_names
+        )
         if not same or any(
-            not np.array_equal(getattr(own, name), getattr(readings[0], name))
+            not np.array_equal(getattr(of_recording, name), getattr(readings[0], name))
             for name in ("station", "beam", "plane")
         ):
-            found = "recordings of different shapes"
             raise InputError(
-                found, "the same beams, planes, stations and places of readings in all"
+                "recordings of different shapes",
+                "the same beams, planes, stations and places of readings in all",
             )
     return readings
 

@@ -5,7 +5,7 @@ For given scales everything is Gaussian. With the typical range D, the range err
     k1_i = m1 + d1_i,  k2_i D = m2 + d2_i,  d1 ~ N(0, s1^2),  d2 ~ N(0, s2^2),  m1, m2 ~ N(0, S^2):
 
 sensors of one kind err alike, and the robot's scale does so to all of them. All that may also stand
-along each beam's axes of what readings know worst and best; scales and axes have priors, too
+along the axes of each beam that readings know least and best; scales and axes have priors, too
 (`range_error_grid`). The means
 over the beams and the contrasts between them make the prior diagonal (`contrasts`). From the solution
 with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
@@ -25,25 +25,14 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray
-from ..solvers.elimination import inverse_and_log_det
+from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, TINY
+from ..solvers.elimination import LARGE_MATRIX, inverse_and_log_det
 from .contrasts import Contrasts, worst_known
 from .information import Information
 from .range_error_grid import RangeErrorGrid
 
-LOST = 1e-4
-"""The smallest components, which have this weight together, are not kept for quantiles."""
-LEAST_INFORMATION = 1e-6
-"""Of every unknown in natural units: a part of a recording may lack a beam."""
-NEGLIGIBLE = 1e-6
-"""Components of smaller weight beside the largest count for nothing."""
-MOST_BEAMS = 30
-"""So many beams, evenly chosen, tell the scales of range errors."""
-LARGE = 400
-"""Beyond so many unknowns an inverse by Cholesky's factor saves time."""
-LARGEST_CHUNK = 4_000_000
-"""Numbers of the largest intermediate array."""
-BISECTIONS = 45
-"""Halvings of an interval: what is left of it, 3e-14, is rounding."""
+LOST_WEIGHT = 1e-4
+"""The smallest components, of this weight together, are not kept: quantiles hardly move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +48,11 @@ class Mixture:
     grid : (G,)
         Weights of the scales of the range errors.
     weight : (C,)
-        Of the components that are kept, with their
+        Weights of the components that are kept.
     means, sigmas : (C, m)
-        of m coordinates that were asked for, and their
+        Means and standard deviations of the m coordinates that were asked for, in every component.
     members : (C, 2) of int
-        set of noise scales, and scales of the range errors.
+        Indices of the set of noise scales and of the scales of the range errors of every component.
     """
 
     mean: FloatArray
@@ -80,15 +69,15 @@ def mixture_quantiles(
     weight: FloatArray, means: FloatArray, sigmas: FloatArray, probability: float
 ) -> FloatArray:
     """Return quantiles (m,) of mixtures of Gaussians: weights (C,), means and sigmas (C, m)."""
-    reach = 12.0 * sigmas.max(axis=0) + 1e-300
+    reach = 12.0 * sigmas.max(axis=0) + TINY
     low, high = means.min(axis=0) - reach, means.max(axis=0) + reach
-    safe = np.maximum(sigmas, 1e-300)
-    for _ in range(BISECTIONS):
+    safe = np.maximum(sigmas, TINY)
+    for _ in range(np.finfo(float).nmant):  # every halving gives one more binary digit
         middle = 0.5 * (low + high)
         below = weight @ ndtr((middle - means) / safe) < probability
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    found: FloatArray = 0.5 * (low + high)
-    return found
+    quantiles: FloatArray = 0.5 * (low + high)
+    return quantiles
 
 
 class BeamPosterior:
@@ -115,13 +104,13 @@ class BeamPosterior:
         terms, size = k.shape[1], information.matrix.shape[1]
         beams = np.arange(len(k)) if members is None else members
         self.every = Contrasts.of(beams, terms, size // max(len(k), 1), widest)
-        self.has_prior = bool(self.every.at.size) and np.isfinite(widest)
-        at, turn, wide = self.every.at, self.every.turn, self.every.widest
-        own, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
+        self.has_prior = bool(self.every.places.size) and np.isfinite(widest)
+        places, turn, wide = self.every.places, self.every.turn, self.every.widest
+        precision, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
         matrix, vector = information.matrix.copy(), information.vector.copy()
-        matrix += LEAST_INFORMATION * np.eye(size)
-        matrix[:, at[:, None], at] += own
-        vector[:, at] -= own @ k[beams].ravel()
+        matrix += NEGLIGIBLE * np.eye(size)  # a part of a recording may lack a beam
+        matrix[:, places[:, None], places] += precision
+        vector[:, places] -= precision @ k[beams].ravel()
         self.covariance, log_det = _inverses(matrix)
         self.mean = np.einsum("jab,jb->ja", self.covariance, vector)
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
@@ -129,26 +118,26 @@ class BeamPosterior:
         if self.has_prior:
             self.log_evidence -= 0.5 * float((mean**2 / wide**2).sum())
             self.log_evidence -= float(np.log(wide).sum())
-        self.U = self.covariance[:, :, at] @ turn.T
-        self.V = turn @ self.U[:, at]
-        self.k = self.mean[:, at] @ turn.T + mean
-        few = np.linspace(0, len(beams) - 1, min(len(beams), MOST_BEAMS))
+        self.U = self.covariance[:, :, places] @ turn.T
+        self.V = turn @ self.U[:, places]
+        self.k = self.mean[:, places] @ turn.T + mean
+        few = np.linspace(0, len(beams) - 1, min(len(beams), REPRESENTATIVE_BEAMS))
         self.few: IntArray = few.round().astype(np.intp)
         self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
 
     def _of_few(
         self, k: FloatArray, beams: IntArray, width: int, widest: float
     ) -> tuple[Contrasts, FloatArray, FloatArray]:
-        """Return contrasts of at most `MOST_BEAMS` beams, with covariances and estimates of them.
+        """Return contrasts of at most `REPRESENTATIVE_BEAMS` beams, their covariances and estimates.
 
         Covariances are positive semidefinite to the last bit, whatever is nearly undetermined.
         """
-        if len(beams) <= MOST_BEAMS:
+        if len(beams) <= REPRESENTATIVE_BEAMS:
             return self.every, _semidefinite(self.V), self.k
         few = Contrasts.of(beams[self.few], k.shape[1], width, widest)
-        V = few.turn @ self.covariance[:, few.at[:, None], few.at] @ few.turn.T
-        own = self.mean[:, few.at] + k[beams[self.few]].ravel()
-        return few, _semidefinite(V), own @ few.turn.T
+        V = few.turn @ self.covariance[:, few.places[:, None], few.places] @ few.turn.T
+        estimates = self.mean[:, few.places] + k[beams[self.few]].ravel()
+        return few, _semidefinite(V), estimates @ few.turn.T
 
     def narrowed(
         self, grid: RangeErrorGrid, sets: IntArray, scales: IntArray
@@ -163,27 +152,27 @@ class BeamPosterior:
                 V = self.V if turn is None else turn @ self.V @ turn.T
                 inner = R[:, :, None] * V[sets[rows]] * R[:, None, :]
                 inner[:, range(R.shape[1]), range(R.shape[1])] += 1.0
-                own = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
-                Z[rows] = own if turn is None else turn.T @ own @ turn
+                update = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
+                Z[rows] = update if turn is None else turn.T @ update @ turn
         return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
-        """Return the log evidence (J, G) of the noise scales and those of the range errors."""
-        found = np.repeat(self.log_evidence[:, None], len(grid.log_prior), axis=1)
+        """Return the log evidence (J, G) of the noise scales and the scales of the range errors."""
+        evidence = np.repeat(self.log_evidence[:, None], len(grid.log_prior), axis=1)
         if self.has_prior:
-            of, V, k = self.telling
+            contrasts, V, k = self.telling
             for turned, points in grid.bases():
-                own = of.spread(grid.part(points))
+                spread = contrasts.spread(grid.part(points))
                 if turned:  # these points are the last
-                    turn = of.turned(grid.angles[self.few])
+                    turn = contrasts.turned(grid.angles[self.few])
                     V, k = turn @ V @ turn.T, k @ turn.T
-                found[:, points] += _log_evidence(V, k, own, of.widest)
-        return found
+                evidence[:, points] += _log_evidence(V, k, spread, contrasts.widest)
+        return evidence
 
     def worst_known(self) -> FloatArray | None:
-        """Return the angles (b,) of what the first set knows worst of k1 and k2 D, if it does."""
-        at = self.every.at.reshape(-1, max(self.every.terms, default=0) + 1)
-        V = self.covariance[0][at[:, :, None], at[:, None, :]]
+        """Return the angles (b,) of the least known combinations of k1 and k2 D in the first set."""
+        places = self.every.places.reshape(-1, max(self.every.terms, default=0) + 1)
+        V = self.covariance[0][places[:, :, None], places[:, None, :]]
         return worst_known(V) if self.has_prior else None
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
@@ -218,7 +207,7 @@ class BeamPosterior:
         off = means - mean
         covariance = covariance + (weight[:, None] * off).T @ off
         order = np.argsort(-weight, kind="stable")
-        enough = int(np.searchsorted(np.cumsum(weight[order]), 1.0 - LOST)) + 1
+        enough = int(np.searchsorted(np.cumsum(weight[order]), 1.0 - LOST_WEIGHT)) + 1
         kept = np.sort(order[:enough])
         return Mixture(
             mean,
@@ -255,12 +244,14 @@ class BeamPosterior:
         return means, np.sqrt(np.maximum(variances, 0.0)), within
 
 
-def _log_evidence(V: FloatArray, k: FloatArray, own: FloatArray, widest: FloatArray) -> FloatArray:
+def _log_evidence(
+    V: FloatArray, k: FloatArray, spread: FloatArray, widest: FloatArray
+) -> FloatArray:
     """Return what priors (G, K) add to the log evidence (J,) of estimates (J, K) under the widest."""
-    found = np.empty((len(k), len(own)))
-    R, size = _roots(own, widest), own.shape[1]
+    evidence = np.empty((len(k), len(spread)))
+    R, size = _roots(spread, widest), spread.shape[1]
     RR, rows = R[:, :, None] * R[:, None, :], np.arange(size)
-    share = max(LARGEST_CHUNK // max(RR.size, 1), 1)
+    share = max(NUMBERS_AT_ONCE // max(RR.size, 1), 1)
     for a in range(0, len(k), share):
         some = slice(a, a + share)
         right = R * k[some, None]
@@ -272,22 +263,22 @@ def _log_evidence(V: FloatArray, k: FloatArray, own: FloatArray, widest: FloatAr
         inner[..., size, size] = 1.0 + (right**2).sum(axis=2)
         root = np.linalg.cholesky(inner)
         squares = (root[..., size, :size] ** 2).sum(axis=2)
-        found[some] = -0.5 * squares - np.log(root[..., rows, rows]).sum(axis=2)
-    found -= np.log(own / widest).sum(axis=1)
-    return found
+        evidence[some] = -0.5 * squares - np.log(root[..., rows, rows]).sum(axis=2)
+    evidence -= np.log(spread / widest).sum(axis=1)
+    return evidence
 
 
-def _roots(own: FloatArray, widest: FloatArray) -> FloatArray:
-    """Return the roots (C, K) of the information of priors (C, K) beyond that of the widest."""
-    found: FloatArray = np.sqrt(np.maximum(own**-2 - widest**-2, 0.0))
-    return found
+def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
+    """Return the roots (C, K) of the information of priors (C, K) beyond the widest prior."""
+    roots: FloatArray = np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0))
+    return roots
 
 
 def _semidefinite(V: FloatArray) -> FloatArray:
     """Return covariances (J, K, K) without what rounding made negative."""
     values, axes = np.linalg.eigh(0.5 * (V + np.swapaxes(V, 1, 2)))
-    found: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
-    return found
+    semidefinite: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
+    return semidefinite
 
 
 def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -296,13 +287,13 @@ def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     `matrix` is overwritten: with many beams a copy costs as much as it does.
     """
     diagonal = np.einsum("jii->ji", matrix)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST_INFORMATION))
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, NEGLIGIBLE))
     matrix *= scale[:, :, None]
     matrix *= scale[:, None, :]
-    if matrix.shape[1] > LARGE:
+    if matrix.shape[1] > LARGE_MATRIX:
         size = np.empty(len(matrix))
-        for one in range(len(matrix)):
-            matrix[one], size[one] = inverse_and_log_det(matrix[one])
+        for copy in range(len(matrix)):
+            matrix[copy], size[copy] = inverse_and_log_det(matrix[copy])
     else:
         size = np.linalg.slogdet(matrix)[1]
         matrix[:] = np.linalg.inv(matrix)

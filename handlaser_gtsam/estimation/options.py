@@ -16,11 +16,8 @@ Poses = Literal["auto", "exact", "marginalised", "estimated"]
 RangeError = Literal["auto", "none", "k1", "k1k2"]
 Outliers = Literal["reject", "keep"]
 
-
-LEAST_READINGS = 15
-"""Of a beam whose own range sigma is estimated: fewer would tell it to worse than a third."""
-
-
+READINGS_OF_A_SIGMA = 15
+"""Readings that a beam needs for a range sigma of its own: fewer leave it uncertain by a third."""
 RANGE_ERROR_TERMS: dict[RangeError, int] = {"auto": 2, "none": 0, "k1": 1, "k1k2": 2}
 
 
@@ -32,7 +29,7 @@ class CalibrationOptions:
     ----------
     range_error : {"auto", "none", "k1", "k1k2"}
         Range-error terms of every beam. `auto` keeps both under a zero-mean prior whose scales are
-        learned from all beams and integrated over; the others are free.
+        learned from all beams and integrated over; `k1` and `k1k2` are without a prior.
     outliers : {"reject", "keep"}
         Whether readings that the others contradict are rejected, and listed.
     loss : {"gaussian", "huber", "cauchy", "tukey"}
@@ -43,10 +40,10 @@ class CalibrationOptions:
         together, or as a variable a station. `auto` is `exact` where the noise says that poses do not
         err, else `marginalised`. Pose sigmas that the noise does not give are estimated.
     range_sigma_by_beam : bool
-        Whether the range sigma of every beam is estimated by itself.
+        Whether every beam has a range sigma of its own, which is estimated.
     estimate_noise : bool
         Whether the sigmas of ranges, hand translations and hand rotations are estimated though they are
-        given; those given are then the scales of their priors.
+        given; the given values are then the scales of their priors.
     sensor : Sensor
         Readings outside its limits are rejected, and listed; its linearity is the scale of the prior
         of the range errors' scales.
@@ -121,8 +118,8 @@ class CalibrationOptions:
         if not self.range_sigma_by_beam:
             return
         for name, readings in zip(names, count.tolist(), strict=True):
-            if readings < LEAST_READINGS:
+            if readings < READINGS_OF_A_SIGMA:
                 raise InputError(
                     f"a range sigma by beam from {readings} readings of beam {name}",
-                    f"{LEAST_READINGS} or more; estimate one sigma for all beams",
+                    f"{READINGS_OF_A_SIGMA} or more; estimate one sigma for all beams",
                 )

@@ -37,11 +37,12 @@ class Posterior:
     parameters : Parameters
         Means.
     joint : JointCovariance
-        Within and between the scales; the origins of planes are those of their frames.
+        Within and between the scales; offsets are counted from the origins of the planes' frames.
     weight : (C,)
-        Of the Gaussian components of the mixture, with their
+        Weights of the Gaussian components of the mixture.
     means, sigmas : (C, 8 B)
-        of the ambient coordinates of the beams, means counted from the mean of all.
+        Means, counted from the mean of the mixture, and standard deviations of the ambient coordinates
+        of the beams in every component.
     members : (C, 2) of int
         Points of `learned` behind each component.
     scales : tuple of ScaleEstimate
@@ -76,15 +77,16 @@ def posterior(
         About a solution.
     learned : LearnedScales
     solved : ((d,), (T,)), optional
-        Logarithms of the noise scales, and scales of the range errors, of which the parameters of
-        `problem` are the solution: those of `learned` where not given. What a solution with poses as
-        variables differs by from that of the marginalised form is kept.
+        Logarithms of the noise scales, and scales of the range errors, for which `problem` was solved;
+        taken from `learned` where not given. The difference between a solution with poses as variables
+        and the solution of the marginalised form is kept.
     """
     known = (learned.mode, learned.range_error) if solved is None else solved
     learned = learned.along(problem.beams(learned.mode[None])[0].worst_known())
     beams, planes = problem.beams(learned.points)
-    unit = _unit(learned, problem.readings.beams)
-    bases = model.tangent_basis(problem.at.directions)
+    unit = np.array([learned.length] * 3 + [1.0] * 3 + [1.0 / learned.length])
+    unit = np.tile(unit[: 5 + learned.terms], problem.readings.beams)
+    bases = model.tangent_basis(problem.parameters.directions)
     lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
     return Posterior(
@@ -100,12 +102,6 @@ def posterior(
     )
 
 
-def _unit(learned: LearnedScales, beams: int) -> FloatArray:
-    """Return the natural units of all unknowns of the beams."""
-    one = np.array([learned.length] * 3 + [1.0] * 3 + [1.0 / learned.length])
-    return np.tile(one[: 5 + learned.terms], beams)
-
-
 def _moved(
     problem: ScaleProblem,
     mixture: Mixture,
@@ -118,7 +114,7 @@ def _moved(
     mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
     plane = mean * np.array([1.0, 1.0, problem.length])
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
-    return apply_step(problem.at, beam, plane, problem.rows.centres, problem.terms)
+    return apply_step(problem.parameters, beam, plane, problem.rows.centres, problem.terms)
 
 
 def _joint(
@@ -138,28 +134,28 @@ def _joint(
         mixture.covariance * np.outer(unit, unit),
         response * plane_unit[:, None] / unit,
         inverse * np.outer(plane_unit, plane_unit),
-        model.tangent_basis(problem.at.directions),
-        model.tangent_basis(problem.at.normals),
+        model.tangent_basis(problem.parameters.directions),
+        model.tangent_basis(problem.parameters.normals),
         problem.rows.centres,
     )
 
 
 def _scale_estimates(mixture: Mixture, learned: LearnedScales) -> tuple[ScaleEstimate, ...]:
-    found = []
+    estimates = []
     for column, scale in enumerate(learned.scales.unknown):
         u = learned.points[:, column]
         sigma = float(np.exp(mixture.sets @ u)) * scale.unit
         mean = mixture.sets @ np.exp(u)
         spread = float(np.sqrt(mixture.sets @ (np.exp(u) - mean) ** 2)) * scale.unit
         spread = float(np.hypot(spread, sigma * learned.left[column]))
-        found.append(ScaleEstimate(scale, sigma, spread))
-    return tuple(found)
+        estimates.append(ScaleEstimate(scale, sigma, spread))
+    return tuple(estimates)
 
 
 def _mean_scales(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
     """Return the posterior means of the scales of k1 [1] and k2 [1/m]."""
     if learned.linearity is None:
         return None
-    found = np.zeros(2)
-    found[: learned.terms] = mixture.grid @ learned.grid.total()
-    return np.asarray(found / np.array([1.0, learned.length]))
+    mean = np.zeros(2)
+    mean[: learned.terms] = mixture.grid @ learned.grid.total()
+    return np.asarray(mean / np.array([1.0, learned.length]))

@@ -3,10 +3,11 @@
 With L the linearity of the sensor, S is half-Cauchy about L. Along the axes of k1 and k2 D, s1 and s2
 are drawn about a scale t that they share and that is half-Cauchy about L: 1 / (1 + s^2 / t^2), by which
 a range error that is known as well as t would be drawn to zero, is uniform (Daniels, Canadian Journal
-of Statistics 27(3), 1999). Along every beam's axes of what readings know worst and best, the scale of
-the best known is half-Cauchy about L, and that of the other is drawn about h, the root mean square of
-both: of 1 / (1 + s^2 / h^2) the root is uniform (Strawderman, Annals of Mathematical
-Statistics 42(1), 1971). Where readings find nothing, that says nothing of what they hardly see.
+of Statistics 27(3), 1999). Along the axes of every beam that readings know least and best, the scale of
+the best known axis is half-Cauchy about L. The scale s of the other axis is drawn about h, the root
+mean square of both: the root of 1 / (1 + s^2 / h^2) is uniform (Strawderman, Annals of Mathematical
+Statistics 42(1), 1971). A range error that readings do not show then says nothing of one that they
+hardly see.
 """
 
 import math
@@ -19,16 +20,20 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 
-SPAN, STEP = 4.5, 1.5
-"""The scales of range errors are sought within exp(+-SPAN) of the linearity, in such steps,"""
-LARGEST = 0.9
-"""and at least up to this part of the reading, however good a sensor is said to be."""
-SHARED, SHARED_STEP = 16.0, 0.1
-"""The scale t that the terms share is integrated over within exp(+-SHARED) of the linearity."""
-WIDTH = 9.0
-"""A grid that is refined keeps what is within this of the top, in the logarithm."""
-POINTS = 8
-"""Of a refined grid, along each scale."""
+SCALE_SPAN = 4.5
+"""Scales of range errors lie within exp(+-SCALE_SPAN), a hundredfold, of a stated linearity."""
+SCALE_STEP = 1.5
+"""Step of the coarse grid in the logarithm of a scale, before it is refined near the posterior."""
+LARGEST_RANGE_ERROR = 0.9
+"""Scales reach up to this part of the reading, however good a sensor is said to be."""
+SHARED_SPAN = 16.0
+"""The shared scale t lies within exp(+-SHARED_SPAN) of the linearity: its density ends at 1e-7."""
+SHARED_STEP = 0.1
+"""Step in the logarithm of the shared scale t, far below the width of its densities."""
+LOG_DEPTH = 9.0
+"""A refined grid keeps points whose log posterior is within this of the largest: e^-9 is nothing."""
+REFINED_POINTS = 8
+"""Points of a refined grid along each scale: the smooth posterior there needs no more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -37,48 +42,48 @@ class RangeErrorGrid(Value):
 
     Attributes
     ----------
-    own : (G, T)
-        s1, s2: of the beams by themselves, for T terms.
+    individual : (G, T)
+        s1, s2: the scales of the individual range errors of the beams, for T terms.
     common : (G,)
-        S: of what all beams share; zero for one beam.
+        S: the scale of the range error that all beams share; zero for one beam.
     turned : (G,) of bool
-        Whether s1 and s2 stand along what readings know worst and best, not along k1 and k2 D.
+        Whether s1 and s2 stand along the axes that readings know least and best, not k1 and k2 D.
     log_prior : (G,)
-        With the volume of a cell.
+        Logarithm of the prior, with the volume of a cell.
     angles : (B,)
-        By which these axes of every beam are turned from those of k1 and k2 D [rad].
+        Angles from k1 and k2 D to these axes of every beam [rad].
     """
 
-    own: FloatArray
+    individual: FloatArray
     common: FloatArray
     turned: BoolArray
     log_prior: FloatArray
     angles: FloatArray
 
     @classmethod
-    def at(cls, own: FloatArray, angles: FloatArray | None = None) -> "RangeErrorGrid":
+    def at(cls, individual: FloatArray, angles: FloatArray | None = None) -> "RangeErrorGrid":
         """Return the single point of beams that share nothing, on turned axes where they are given."""
         turned = np.full(1, angles is not None)
         angles = np.zeros(0) if angles is None else angles
-        return cls(own[None], np.zeros(1), turned, np.zeros(1), angles)
+        return cls(individual[None], np.zeros(1), turned, np.zeros(1), angles)
 
     def total(self) -> FloatArray:
         """Return the standard deviations (G, T) of the range errors of a beam, in the mean of all."""
-        squares = self.own**2
+        squares = self.individual**2
         if self.turned.any():
             squares[self.turned] = squares[self.turned] @ (axes(self.angles) ** 2).mean(axis=0)
-        found: FloatArray = np.sqrt(squares + self.common[:, None] ** 2)
-        return found
+        total: FloatArray = np.sqrt(squares + self.common[:, None] ** 2)
+        return total
 
     def typical(self, weight: FloatArray, angles: FloatArray | None) -> "RangeErrorGrid":
         """Return a point for beams that share nothing, on the most probable axes.
 
-        `weight` (G,) is that of all points, and `angles` (B,) are those of the beams.
+        `weight` (G,) are the weights of the points, and `angles` (B,) turn the axes of the beams.
         """
         turned, rows = max(self.bases(), key=lambda basis: float(weight[basis[1]].sum()))
-        own = np.log(np.hypot(self.own[rows], self.common[rows, None]))
-        own = np.exp(weight[rows] @ own / weight[rows].sum())
-        return RangeErrorGrid.at(own, angles if turned else None)
+        scale = np.log(np.hypot(self.individual[rows], self.common[rows, None]))
+        scale = np.exp(weight[rows] @ scale / weight[rows].sum())
+        return RangeErrorGrid.at(scale, angles if turned else None)
 
     def bases(self) -> Iterator[tuple[bool, IntArray]]:
         """Yield the points whose axes are not turned, and those whose are."""
@@ -89,18 +94,22 @@ class RangeErrorGrid(Value):
 
     def part(self, rows: IntArray) -> "RangeErrorGrid":
         """Return some of the points."""
-        own, common = self.own[rows], self.common[rows]
+        individual, common = self.individual[rows], self.common[rows]
         return replace(
-            self, own=own, common=common, turned=self.turned[rows], log_prior=self.log_prior[rows]
+            self,
+            individual=individual,
+            common=common,
+            turned=self.turned[rows],
+            log_prior=self.log_prior[rows],
         )
 
     def near(self, value: FloatArray) -> "RangeErrorGrid":
         """Return the points whose value (G,), in the logarithm, is not far below the largest."""
-        return self.part(np.flatnonzero(value >= value.max() - WIDTH))
+        return self.part(np.flatnonzero(value >= value.max() - LOG_DEPTH))
 
 
 def axes(angles: FloatArray) -> FloatArray:
-    """Return axes (B, 2, 2), a row each, that are turned by angles (B,) from those of k1 and k2 D."""
+    """Return axes (B, 2, 2), a row each, that are turned by angles (B,) from k1 and k2 D."""
     cosine, sine = np.cos(angles), np.sin(angles)
     rows = np.array([[cosine, sine], [-sine, cosine]])
     return np.moveaxis(rows, 2, 0)
@@ -108,7 +117,9 @@ def axes(angles: FloatArray) -> FloatArray:
 
 def farthest(linearity: float) -> float:
     """Return the logarithm of the largest scale of range errors, as a multiple of the linearity."""
-    return max(SPAN, STEP * math.ceil(math.log(LARGEST / linearity) / STEP))
+    return max(
+        SCALE_SPAN, SCALE_STEP * math.ceil(math.log(LARGEST_RANGE_ERROR / linearity) / SCALE_STEP)
+    )
 
 
 def widest_grid(
@@ -125,37 +136,43 @@ def refined_grid(
     grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
 ) -> RangeErrorGrid:
     """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms, most, found = grid.own.shape[1], farthest(linearity), []
+    terms, most, grids = grid.individual.shape[1], farthest(linearity), []
     if terms == 0:
         return grid
     kept = grid.near(log_evidence + grid.log_prior)
     for turned, rows in kept.bases():
         some = kept.part(rows)
-        points = np.column_stack((some.own, some.common))[:, : terms + int(some.common.any())]
+        points = np.column_stack((some.individual, some.common))[
+            :, : terms + int(some.common.any())
+        ]
         near = np.log(points / linearity)
         sides = [
-            np.linspace(max(low - 0.5 * STEP, -SPAN), min(high + 0.5 * STEP, most), POINTS)
+            np.linspace(
+                max(low - 0.5 * SCALE_STEP, -SCALE_SPAN),
+                min(high + 0.5 * SCALE_STEP, most),
+                REFINED_POINTS,
+            )
             for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
         ]
-        found.append(_grid(sides, linearity, terms, turned=turned))
-    return _joined(found, grid.angles)
+        grids.append(_grid(sides, linearity, terms, turned=turned))
+    return _joined(grids, grid.angles)
 
 
 @cache
 def _widest(linearity: float, terms: int, beams: int, *, turned: bool) -> RangeErrorGrid:
     if terms == 0:
         return RangeErrorGrid.at(np.ones(0))
-    side = np.arange(-SPAN, farthest(linearity) + 0.5 * STEP, STEP)
+    side = np.arange(-SCALE_SPAN, farthest(linearity) + 0.5 * SCALE_STEP, SCALE_STEP)
     return _grid([side] * (terms + int(beams > 1)), linearity, terms, turned=turned)
 
 
 def _joined(grids: Sequence[RangeErrorGrid], angles: FloatArray) -> RangeErrorGrid:
     """Return grids, each as probable, as one for beams whose axes are turned by angles (B,)."""
     return RangeErrorGrid(
-        np.concatenate([one.own for one in grids]),
-        np.concatenate([one.common for one in grids]),
-        np.concatenate([one.turned for one in grids]),
-        np.concatenate([one.log_prior for one in grids]) - math.log(len(grids)),
+        np.concatenate([grid.individual for grid in grids]),
+        np.concatenate([grid.common for grid in grids]),
+        np.concatenate([grid.turned for grid in grids]),
+        np.concatenate([grid.log_prior for grid in grids]) - math.log(len(grids)),
         angles,
     )
 
@@ -165,28 +182,28 @@ def _grid(
 ) -> RangeErrorGrid:
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
-    density = _worst_and_best(*sides[:2]) if turned else _alike(sides[:terms])
+    density = _least_and_best_known(*sides[:2]) if turned else _alike(sides[:terms])
     for side in sides[terms:]:
         density = density[..., None] * _half_cauchy(side)
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
     log_prior = np.log(density).ravel() + cell
-    own = scale[:, :terms]
-    return RangeErrorGrid(own, common, np.full(len(x), turned), log_prior, np.zeros(0))
+    individual = scale[:, :terms]
+    return RangeErrorGrid(individual, common, np.full(len(x), turned), log_prior, np.zeros(0))
 
 
 def _alike(sides: Sequence[FloatArray]) -> FloatArray:
     """Return the density of logarithms of scales that are drawn about one that they share."""
-    shared = np.arange(-SHARED, SHARED + 0.5 * SHARED_STEP, SHARED_STEP)
+    shared = np.arange(-SHARED_SPAN, SHARED_SPAN + 0.5 * SHARED_STEP, SHARED_STEP)
     density = SHARED_STEP * _half_cauchy(shared)
     for side in sides:  # what is shared stays the last axis
         density = density[..., None, :] * _uniform_shrinkage(side[:, None] - shared)
-    found: FloatArray = density.sum(axis=-1)
-    return found
+    total: FloatArray = density.sum(axis=-1)
+    return total
 
 
-def _worst_and_best(worst: FloatArray, best: FloatArray) -> FloatArray:
-    """Return the density of logarithms of the scales along what is known worst and best."""
+def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
+    """Return the density of logarithms of the scales along the axes that are known least and best."""
     about = 0.5 * (np.logaddexp(0.0, 2.0 * best) - math.log(2.0))
     return _strawderman(worst[:, None] - about) * _half_cauchy(best)
 

@@ -20,34 +20,32 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.weighting import Variances
+from ..quantities import MOST_ROUNDS, TINY
 from ..solvers.progress import tell
 from .information import NoiseSet
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
 AXES = {ROTATION: slice(0, 3), TRANSLATION: slice(3, 6)}
-FLOOR = 0.1
-"""A range sigma below this part of the residuals becomes improbable."""
-STEP = 0.02
-"""Of differences in the logarithm of a scale."""
-FARTHEST, ROUNDS = 0.75, 40
-"""A step of the search moves the logarithm of a scale by no more, and there are at most so many: a long
-step may end where rounding passes for a good fit."""
-SHORTENED = 5
-"""A step that leads down is taken a quarter as long, so many times."""
+RANGE_FLOOR = 0.1
+"""The flat prior of a range sigma ends at this part of the residuals: a smaller one is improbable."""
+DIFFERENCE_STEP = 0.02
+"""Step of differences in the logarithm of a scale: short beside any posterior, long beside rounding."""
+LONGEST_STEP = 0.75
+"""Longest step in the logarithm of a scale: a longer one may end where rounding fits well."""
+SHORTER_STEPS = 5
+"""Trials of a step, each a quarter as long as the one before, before the search ends where it is."""
 LAST_STEP = 1e-2
-"""A Newton step shorter than this leaves an error of about its square."""
+"""A Newton step shorter than this ends the search: it leaves an error of about its square."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
-"""Scales are looked for within this below and above what is expected of them, in the logarithm: a range
-sigma not far below its floor, or rounding decides;"""
-MOST = 30.0
-"""and pose errors not above so many times the residuals."""
-CURVATURE = 0.1
+"""Scales lie within these logarithms below and above their priors: rounding would decide far below."""
+MOST_POSE_ERROR = 30.0
+"""Pose errors are not looked for above this many times the residuals, where they would show."""
+LEAST_CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
 POINTS = {1: 7, 2: 5, 3: 3}
-"""Points an axis, those of Gauss and Hermite, by the number of scales. More scales than these are
-integrated on two points an axis (spherical cubature)."""
-STRETCH = (0.4, 2.5)
-"""Limits of the stretch of a side."""
+"""Gauss-Hermite points an axis by the number of scales; more scales take two an axis (cubature)."""
+STRETCH_LIMITS = (0.4, 2.5)
+"""Limits of the stretch of a side, so that a flat or jagged posterior does not move points too far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ class Scale:
     prior : float
         Scale of the half-Cauchy prior in these units; for a range sigma where the flat prior ends.
     most : float
-        Larger ones are not looked for.
+        Upper bound of the search.
     """
 
     name: str
@@ -76,7 +74,7 @@ class Scale:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of its logarithm."""
+        """Bounds of the logarithm of the scale."""
         below, above = REACH[self.name]
         low = np.log(self.prior) - below
         return float(low), float(min(np.log(self.prior) + above, max(np.log(self.most), low)))
@@ -120,11 +118,11 @@ class Scales(Value):
     @property
     def common(self) -> bool:
         """Whether all beams have one range sigma."""
-        return not np.ptp(self.range_sigma) and all(one.beam is None for one in self.unknown)
+        return not np.ptp(self.range_sigma) and all(scale.beam is None for scale in self.unknown)
 
     @property
     def bounds(self) -> FloatArray:
-        """Of the logarithms of the unknown scales, (d, 2)."""
+        """Bounds (d, 2) of the logarithms of the unknown scales."""
         return np.array([scale.bounds for scale in self.unknown]).reshape(-1, 2)
 
     def log_prior(self, u: FloatArray) -> FloatArray:
@@ -137,9 +135,9 @@ class Scales(Value):
 
 def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
     """Return the variances for logarithms (d,) of the unknown scales."""
-    found = scales.noise(u)
-    pose = None if base.pose is None else base.pose * np.outer(found.pose, found.pose)
-    return Variances(found.range_sigma, base.incidence_sigma, pose)
+    noise = scales.noise(u)
+    pose = None if base.pose is None else base.pose * np.outer(noise.pose, noise.pose)
+    return Variances(noise.range_sigma, base.incidence_sigma, pose)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,26 +166,26 @@ LogPosterior = Callable[[FloatArray], FloatArray]
 def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray) -> FloatArray:
     """Return the most probable logarithms (d,) of the scales within `bounds` (d, 2), from `start`.
 
-    Newton's method, upwards along every axis of the curvature, with steps of at most `FARTHEST`.
+    Newton's method, upwards along every axis of the curvature, with steps of at most `LONGEST_STEP`.
     """
     if start.size == 0:
         return start
     here = np.clip(start, bounds[:, 0], bounds[:, 1])
-    at = _expansion(log_posterior, here, STEP)
-    for _ in range(ROUNDS):
+    expansion = _expansion(log_posterior, here, DIFFERENCE_STEP)
+    for _ in range(MOST_ROUNDS):
         tell("scales")
-        step = _upwards(at, here, bounds)
+        step = _upwards(expansion, here, bounds)
         if np.abs(step).max() < LAST_STEP:
             return np.clip(here + step, bounds[:, 0], bounds[:, 1])
-        for _ in range(SHORTENED):
+        for _ in range(SHORTER_STEPS):
             there = np.clip(here + step, bounds[:, 0], bounds[:, 1])
-            ahead = _expansion(log_posterior, there, STEP)
-            if ahead.value > at.value:
+            ahead = _expansion(log_posterior, there, DIFFERENCE_STEP)
+            if ahead.value > expansion.value:
                 break
             step = 0.25 * step
         else:
             break
-        here, at = there, ahead
+        here, expansion = there, ahead
     return here
 
 
@@ -200,13 +198,13 @@ class _Expansion:
     curvature: FloatArray
 
 
-def _expansion(log_posterior: LogPosterior, at: FloatArray, step: float) -> _Expansion:
+def _expansion(log_posterior: LogPosterior, centre: FloatArray, step: float) -> _Expansion:
     """Return the expansion about a point (d,), by differences over `step`."""
-    size = at.size
+    size = centre.size
     first, second = np.triu_indices(size, 1)
     unit = step * np.eye(size)
     points = np.concatenate((np.zeros((1, size)), unit, -unit, unit[first] + unit[second]))
-    value = log_posterior(at + points)
+    value = log_posterior(centre + points)
     plus, minus = value[1 : size + 1], value[size + 1 : 2 * size + 1]
     H = np.diag(plus + minus - 2.0 * value[0])
     # f(i + j) - f(i) - f(j) + f(0)
@@ -215,16 +213,18 @@ def _expansion(log_posterior: LogPosterior, at: FloatArray, step: float) -> _Exp
     return _Expansion(float(value[0]), (plus - minus) / (2.0 * step), H / step**2)
 
 
-def _upwards(at: _Expansion, here: FloatArray, bounds: FloatArray) -> FloatArray:
+def _upwards(expansion: _Expansion, here: FloatArray, bounds: FloatArray) -> FloatArray:
     """Return a step (d,) towards the maximum; zero along bounds that it would cross."""
-    out = (here <= bounds[:, 0]) & (at.slope < 0.0) | (here >= bounds[:, 1]) & (at.slope > 0.0)
+    out = (here <= bounds[:, 0]) & (expansion.slope < 0.0) | (here >= bounds[:, 1]) & (
+        expansion.slope > 0.0
+    )
     free = np.flatnonzero(~out)
     step = np.zeros_like(here)
     if free.size:
-        curvature, axes = np.linalg.eigh(-at.curvature[np.ix_(free, free)])
-        along = axes.T @ at.slope[free] / np.maximum(np.abs(curvature), CURVATURE)
+        curvature, axes = np.linalg.eigh(-expansion.curvature[np.ix_(free, free)])
+        along = axes.T @ expansion.slope[free] / np.maximum(np.abs(curvature), LEAST_CURVATURE)
         step[free] = axes @ along
-    return step * min(1.0, FARTHEST / max(float(np.abs(step).max()), 1e-300))
+    return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), TINY))
 
 
 def design(
@@ -232,11 +232,13 @@ def design(
 ) -> Design:
     """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
 
-    Axes along which the logarithms have a standard deviation below `least` are left out.
+    Axes along which the logarithms have a standard deviation below `least` are not integrated over.
     """
     if mode.size == 0:
         return Design(np.zeros((1, 0)), np.zeros(1), np.zeros(0))
-    axes = _axes(log_posterior, mode)
+    # Axes as columns, each a standard deviation of the posterior at its mode long.
+    values, axes = np.linalg.eigh(-_expansion(log_posterior, mode, 5.0 * DIFFERENCE_STEP).curvature)
+    axes = axes / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     wide = np.linalg.norm(axes, axis=0) >= least
     left = np.sqrt((axes[:, ~wide] ** 2).sum(axis=1))
     axes, size = axes[:, wide], int(wide.sum())
@@ -246,7 +248,7 @@ def design(
     radius = np.sqrt(2.0)
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
     fall = np.maximum(top - log_posterior(ends), 1e-3).reshape(2, size)
-    stretch = np.clip(1.0 / np.sqrt(fall), *STRETCH)
+    stretch = np.clip(1.0 / np.sqrt(fall), *STRETCH_LIMITS)
     z, weight = _points(size)
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
@@ -262,10 +264,3 @@ def _points(size: int) -> tuple[FloatArray, FloatArray]:
     z = np.array(list(product(x, repeat=size)))
     weight: FloatArray = np.array(list(product(w, repeat=size))).prod(axis=1)
     return z, weight
-
-
-def _axes(log_posterior: LogPosterior, mode: FloatArray) -> FloatArray:
-    """Return axes (d, d) as columns, each a standard deviation of the posterior at its mode long."""
-    curvature, axes = np.linalg.eigh(-_expansion(log_posterior, mode, 5.0 * STEP).curvature)
-    scaled: FloatArray = axes / np.sqrt(np.maximum(curvature, CURVATURE))
-    return scaled

@@ -1,7 +1,7 @@
-"""Which readings a calibration uses, and the joint solution of those.
+"""Which readings a calibration uses, and their joint solution.
 
-Readings outside the sensor's range are left out first, then outliers, then those that meet their plane
-too flat. Outliers are tested again with the final model, for range errors may have looked like them.
+Readings outside the sensor's range are rejected first, then outliers, then readings that meet their
+plane too flat. Outliers are tested again with the final model: range errors may have looked like them.
 """
 
 from dataclasses import dataclass, replace
@@ -18,31 +18,28 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, test
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
 from ..starts import find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .solve import Solved, settle
 
-ROUNDS = 5
-MEDIAN_TO_SIGMA = 1.4826
-"""Standard deviation over the median absolute residual, if Gaussian."""
-
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The readings that were used, and the solution of those.
+    """The readings that were used, and their solution.
 
     Attributes
     ----------
     used : (N,) of bool
     outside, flat : (N,) of bool
-        Left out by the sensor's limits; what else is left out is an outlier.
+        Rejected by the sensor's limits; every other reading that is not used is an outlier.
     method : str
-        Of the start that led to the solution.
+        Method of the start that led to the solution.
     tried : tuple of (str, float)
         Every start that was tried, with the rms of its residuals [m].
     solution : Solution
-        Of the readings `used`, in their order.
+        Solution of the readings `used`, in their order.
     """
 
     used: BoolArray
@@ -53,7 +50,7 @@ class Selection:
     solution: Solution
 
     def outliers(self) -> BoolArray:
-        """Return which readings (N,) were left out because the others contradict them."""
+        """Return which readings (N,) were rejected because the others contradict them."""
         return ~(self.used | self.outside | self.flat)
 
 
@@ -76,7 +73,13 @@ def select(
     limits.require_all(recording, readings.subset(np.flatnonzero(inside)))
     rows = np.flatnonzero(inside)
     part = readings.subset(rows)
-    first = _first(part, noise, options) if start is None else _given(part, start, options.terms)
+    if start is None:
+        first = _first(part, noise, options)
+    else:  # all readings count that the given start can predict
+        k = np.where(np.arange(2) < options.terms, start.range_errors, 0.0)
+        start = replace(start, range_errors=k)
+        kept = np.isfinite(residuals(start, part))
+        first = _First((), kept, start, "given", _scale(part, start))
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
@@ -85,9 +88,9 @@ def select(
         limits.require_all(recording, chosen)
         return settle(chosen, start, noise, options, first.scale)
 
-    found = solved(first.parameters)
-    for _ in range(ROUNDS):
-        before, solution = used.copy(), found.solution
+    settled = solved(first.parameters)
+    for _ in range(MOST_ROUNDS):
+        before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
             used = _tested(readings, inside & ~flat, used, solution, noise)
         steep = limits.within_incidence(readings, solution.parameters, options.sensor)
@@ -96,8 +99,8 @@ def select(
         used &= ~flat
         if (used == before).all():
             break
-        found = solved(solution.parameters)
-    return Selection(used, ~inside, flat, first.method, first.tried, found.integrated())
+        settled = solved(solution.parameters)
+    return Selection(used, ~inside, flat, first.method, first.tried, settled.integrated())
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,28 +114,22 @@ class _First:
     scale: float | None
 
 
-def _given(readings: Readings, start: Parameters, terms: int) -> _First:
-    """Begin at a start that is given, with all readings that it can predict."""
-    k = np.where(np.arange(2) < terms, start.range_errors, 0.0)
-    start = replace(start, range_errors=k)
-    kept = np.isfinite(residuals(start, readings))
-    return _First((), kept, start, "given", _scale(readings, start))
-
-
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
     terms = options.terms
     # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
     certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
     sigma = noise.range_sigma
     if options.outliers == "reject":
-        found = find_consensus(readings, sigma, terms, certain)
+        consensus = find_consensus(readings, sigma, terms, certain)
     else:
         start = find_start(readings, sigma, terms, certain=certain)
         everything = np.ones(len(readings), dtype=bool)
-        found = Consensus(start, everything, start.parameters, start.method, None)
-    steep = np.isfinite(residuals(found.parameters, readings))
-    scale = found.range_sigma or _scale(readings, found.parameters)
-    return _First(found.start.tried, found.kept & steep, found.parameters, found.method, scale)
+        consensus = Consensus(start, everything, start.parameters, start.method, None)
+    steep = np.isfinite(residuals(consensus.parameters, readings))
+    scale = consensus.range_sigma or _scale(readings, consensus.parameters)
+    return _First(
+        consensus.start.tried, consensus.kept & steep, consensus.parameters, consensus.method, scale
+    )
 
 
 def _scale(readings: Readings, parameters: Parameters) -> float | None:
@@ -140,14 +137,14 @@ def _scale(readings: Readings, parameters: Parameters) -> float | None:
     e = np.abs(residuals(parameters, readings))
     total = len(e)
     unknowns = 5 * readings.beams + 3 * readings.planes
-    found = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
-    return float(found) if np.isfinite(found) and found > 0.0 else None
+    sigma = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
+    return float(sigma) if np.isfinite(sigma) and sigma > 0.0 else None
 
 
 def _tested(
     readings: Readings, allowed: BoolArray, used: BoolArray, solution: Solution, noise: Noise
 ) -> BoolArray:
-    """Return which allowed readings agree with the solution of those `used`."""
+    """Return which allowed readings agree with the solution of the readings `used`."""
     rows: IntArray = np.flatnonzero(allowed)
     part, kept = readings.subset(rows), used[rows]
     terms = max(solution.problem.terms)

@@ -24,13 +24,13 @@ class Solution:
         At the most probable scales.
     observability : Observability
     variances : Variances or None
-        Behind the weights; None where all readings weigh the same.
+        Variances behind the weights; None where all readings weigh the same.
     whitening : Whitening or None
-        Of the readings, in their order, poses eliminated; None where all weigh the same.
+        Whitening of the readings, in their order, poses eliminated; None where all weigh the same.
     prior : RangeErrorPrior or None
-        Of the range errors, at the most probable scales.
+        Prior of the range errors, at the most probable scales.
     posterior : Posterior or None
-        With the scales integrated over; None where none are unknown but one of all readings.
+        The estimate with the scales integrated over; None where only a common sigma is unknown.
     """
 
     problem: CalibrationGraph

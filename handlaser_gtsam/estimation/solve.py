@@ -2,7 +2,7 @@
 
 Readings are solved with equal weights first. Where they differ in weight or are correlated, or where
 scales of noise or range errors are unknown, weights and scales are settled by linear steps in NumPy
-from that solution, and the graph is solved with them; should it end elsewhere than they said, both are
+from that solution, and the graph is solved with them; should it end elsewhere than predicted, both are
 repeated. Then the scales are integrated over. Hand poses that are variables come last, from the
 solution in which they were eliminated beforehand.
 """
@@ -12,23 +12,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.noise import Noise
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances, unequal
+from ..quantities import MOST_ROUNDS
 from .learned import ScaleProblem
 from .options import CalibrationOptions
 from .posterior import ScaleEstimate, posterior
 from .scales import Scales, with_scales
 from .solution import Solution
-from .task import AHEAD, ROUNDS, SETTLED, Task
-from .unknowns import LEAST_SIGMA, start_of, unknown_scales
+from .task import STEPS_SETTLED, WEIGHTS_SETTLED, SolutionTask
+from .unknowns import start_of, unknown_scales
 
 LEAST_WEIGHT = 0.5
-"""Readings to which a robust loss gives less say nothing about the scales."""
-SAME_SCALE = 0.05
-"""Scales whose logarithms change by less have settled: they are integrated over in the end."""
+"""Readings to which a robust loss gives less weight say nothing about the scales."""
+SCALES_SETTLED = 0.05
+"""Scales have settled where their logarithms change by less: they are integrated over in the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +64,11 @@ def settle(
     noise : Noise
     options : CalibrationOptions
     scale : float, optional
-        Of the residuals of good readings [m]: stands for a range sigma that is not given at first.
+        Scale of the residuals of good readings [m]: stands for a range sigma that is not given.
     prior : RangeErrorPrior, optional
-        Of the range errors; instead of one whose scales are learned.
+        Prior of the range errors, instead of a prior whose scales are learned.
     """
-    task = Task(readings, noise, options, scale, prior)
+    task = SolutionTask(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
     if first.result.status == "interrupted" or unknown or task.is_exact():
@@ -94,7 +95,7 @@ class _Point:
     def near(self, other: "_Point") -> bool:
         """Tell whether all scales are nearly the same."""
         apart = np.concatenate((self.u - other.u, np.log(self.k / other.k)))
-        return bool(np.abs(apart).max(initial=0.0) < SAME_SCALE)
+        return bool(np.abs(apart).max(initial=0.0) < SCALES_SETTLED)
 
 
 class _Learning:
@@ -102,15 +103,17 @@ class _Learning:
 
     Parameters
     ----------
-    task : Task
+    task : SolutionTask
     scales : Scales
     base : Variances
-        Its pose covariances are those that the scales multiply.
+        Its pose covariances are multiplied by the scales.
     start : (d,)
         Logarithms of the scales of the noise to begin with.
     """
 
-    def __init__(self, task: Task, scales: Scales, base: Variances, start: FloatArray) -> None:
+    def __init__(
+        self, task: SolutionTask, scales: Scales, base: Variances, start: FloatArray
+    ) -> None:
         self.task, self.scales, self.base = task, scales, base
         self.point = _Point(start, np.full(task.terms, task.options.linearity or 1.0))
         self.used = self.point
@@ -118,15 +121,15 @@ class _Learning:
 
     def solved(self, first: Solution) -> Solution:
         """Return the solution at the most probable scales, from an equally weighted one."""
-        task, solution, at = self.task, first, first.parameters
+        task, solution, parameters = self.task, first, first.parameters
         if first.observability.full and task.loss == GAUSSIAN:
-            at = self._ahead(first)
+            parameters = self._ahead(first)
         elif first.observability.full:
             self._learn(first)
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             self.used = self.point
-            solution = task.reweighted(at, self._use(self.used))
-            at = solution.parameters
+            solution = task.reweighted(parameters, self._use(self.used))
+            parameters = solution.parameters
             if solution.result.status == "interrupted":
                 return solution
             # Where the solver does not arrive there is no optimum to expand about.
@@ -134,14 +137,14 @@ class _Learning:
                 break
             self._learn(solution)
             settled = self.point.near(self.used)
-            if settled and task.away(solution, self._use(self.point)) < SETTLED:
+            if settled and task.away(solution, self._use(self.point)) < WEIGHTS_SETTLED:
                 break
         variances = self._use(self.used)
         solution = replace(solution, variances=variances, prior=task.prior)
         solution = task.with_poses(solution, variances)
         if self.problem is None:
             return solution
-        sigmas = (np.exp(self.used.u) * [one.unit for one in self.scales.unknown]).tolist()
+        sigmas = (np.exp(self.used.u) * [scale.unit for scale in self.scales.unknown]).tolist()
         pairs = zip(self.scales.unknown, sigmas, strict=True)
         return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
 
@@ -154,27 +157,27 @@ class _Learning:
         if solution.problem.poses:
             problem = self._scale_problem(solution)
             u = problem.mode(u)
-        found = posterior(problem, problem.learned(u), (self.used.u, self.used.k))
-        return replace(solution, posterior=found, scales=found.scales)
+        integrated = posterior(problem, problem.learned(u), (self.used.u, self.used.k))
+        return replace(solution, posterior=integrated, scales=integrated.scales)
 
     def _ahead(self, first: Solution) -> Parameters:
         """Settle the scales by linear steps from a solution; return where they lead."""
-        at, before = first.parameters, None
-        for _ in range(ROUNDS):
-            self._learn(first, at)
-            found = self.task.step_ahead(first, at, self._use(self.point))
-            if found is None:
+        parameters, before = first.parameters, None
+        for _ in range(MOST_ROUNDS):
+            self._learn(first, parameters)
+            ahead = self.task.step_ahead(first, parameters, self._use(self.point))
+            if ahead is None:
                 self._learn(first)
                 return first.parameters
-            at, away = found
-            if away < AHEAD and before is not None and self.point.near(before):
+            parameters, away = ahead
+            if away < STEPS_SETTLED and before is not None and self.point.near(before):
                 break
             before = self.point
-        return at
+        return parameters
 
-    def _learn(self, solution: Solution, at: Parameters | None = None) -> None:
+    def _learn(self, solution: Solution, parameters: Parameters | None = None) -> None:
         """Take the most probable scales at a solution, or at parameters beside it."""
-        self.problem = self._scale_problem(solution, at)
+        self.problem = self._scale_problem(solution, parameters)
         u = self.problem.mode(self.point.u)
         k = self.problem.range_error_scales(u) if self.task.learns else self.point.k
         self.point = _Point(u, k)
@@ -185,9 +188,11 @@ class _Learning:
             self.task.prior = self.task.prior_of(point.k)
         return with_scales(self.scales, self.base, point.u)
 
-    def _scale_problem(self, solution: Solution, at: Parameters | None = None) -> ScaleProblem:
-        """Return the scales as a problem; with a robust loss, of readings that it does not doubt."""
-        task, here = self.task, solution.parameters if at is None else at
+    def _scale_problem(
+        self, solution: Solution, parameters: Parameters | None = None
+    ) -> ScaleProblem:
+        """Return the problem of the scales; a robust loss keeps readings out that it doubts."""
+        task, here = self.task, solution.parameters if parameters is None else parameters
         readings, _ = task.weighed(here, with_scales(self.scales, self.base, self.point.u))
         if task.loss != GAUSSIAN:
             weight = task.loss.weight(solution.result.white / solution.problem.range_sigma)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.noise import Noise
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
@@ -15,6 +15,7 @@ from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening, whitening
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
+from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
 from ..solvers.levenberg import LevenbergResult, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
@@ -22,24 +23,18 @@ from ..solvers.progress import tell_trial
 from ..solvers.steps import newton_step
 from .options import CalibrationOptions
 from .solution import Solution
-from .unknowns import LEAST_SIGMA
 
-UNIT_SIGMA = 1e-3
-"""Range sigma [m] that weights the graph where nothing is known of it."""
-ROUNDING = 1e-11
-"""Residuals below this part of the readings show no weights."""
-ROUNDS = 10
-SETTLED = 1e-5
+WEIGHTS_SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
-AHEAD = 1e-3
-"""Linear steps that settle the weights end when they are shorter [standard deviations]."""
-ASTRAY = 4.0
-"""Other weights may double the residuals of most readings; a step that does more leads nowhere."""
-COARSE = 1e-2
+STEPS_SETTLED = 1e-3
+"""Linear steps that settle the weights end when they are shorter than this [standard deviations]."""
+MOST_INCREASE = 4.0
+"""A linear step to other weights may raise the squares by this factor: beyond, it leads nowhere."""
+COARSE_TOLERANCE = 1e-2
 """Standard deviations that an equally weighted solution may be off where another follows it."""
 
 
-class Task:
+class SolutionTask:
     """The arguments of one solution."""
 
     def __init__(
@@ -68,11 +63,11 @@ class Task:
     def equally_weighted(self, start: Parameters) -> Solution:
         """Solve as if all readings were independent and equally precise.
 
-        Beside a prior their sigma matters: it is taken anew until it holds.
+        Beside a prior their sigma matters: it is estimated again until it holds.
         """
         known = self.noise.range_sigma
         weight = known or (self.scale or 0.0) or UNIT_SIGMA
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             problem, result = self.minimized(start, weight, coarse=self.learns)
             self.sigma = self._estimated_sigma(problem, result.residual)
             settled = self.prior is None or self.sigma > 0.5 * weight or self.redundancy <= 0
@@ -88,65 +83,65 @@ class Task:
 
     def is_exact(self) -> bool:
         """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
-        return self.redundancy > 0 and self.sigma < ROUNDING * self.readings.largest_range()
+        return self.redundancy > 0 and self.sigma < EXACT * self.readings.largest_range()
 
     def weighted(self, first: Solution, variances: Variances) -> Solution:
-        """Solve with the weights that follow from `variances`, and anew until they settle."""
-        at, solution = first.parameters, first
+        """Solve with the weights that follow from `variances`, again until they settle."""
+        parameters, solution = first.parameters, first
         ahead = first.observability.full and self.loss == GAUSSIAN
-        for _ in range(ROUNDS if ahead else 0):
-            found = self.step_ahead(first, at, variances)
-            at, away = (first.parameters, 0.0) if found is None else found
-            if away < AHEAD:
+        for _ in range(MOST_ROUNDS if ahead else 0):
+            step = self.step_ahead(first, parameters, variances)
+            parameters, away = (first.parameters, 0.0) if step is None else step
+            if away < STEPS_SETTLED:
                 break
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             done = solution.whitening is not None and not solution.observability.full
-            solution = self.reweighted(at, variances)
-            at = solution.parameters
+            solution = self.reweighted(parameters, variances)
+            parameters = solution.parameters
             if done or solution.result.status == "interrupted":
                 break
-            if self.away(solution, variances) < SETTLED:
+            if self.away(solution, variances) < WEIGHTS_SETTLED:
                 break
         return self.with_poses(replace(solution, variances=variances), variances)
 
-    def weighed(self, at: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
-        """Return the readings as residuals take them, and their weights, at some parameters."""
-        return weighed(self.readings, at, variances, self.terms)
+    def weighed(self, parameters: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
+        """Return the readings with the regressors of the range errors, and their weights."""
+        return weighed(self.readings, parameters, variances, self.terms)
 
-    def step(self, at: Parameters, variances: Variances) -> tuple[Parameters, float]:
+    def step(self, parameters: Parameters, variances: Variances) -> tuple[Parameters, float]:
         """Return where a linear step with the weights at `at` leads, and its length [sigmas]."""
-        readings, how = self.weighed(at, variances)
-        return newton_step(at, readings, self.terms, how, self.prior)
+        readings, how = self.weighed(parameters, variances)
+        return newton_step(parameters, readings, self.terms, how, self.prior)
 
     def step_ahead(
-        self, first: Solution, at: Parameters, variances: Variances
+        self, first: Solution, parameters: Parameters, variances: Variances
     ) -> tuple[Parameters, float] | None:
         """Return what `step` does; None where that leads away from the solution begun with.
 
         Undamped steps may, where the readings do not fit: then the graph's solver has to find the way.
         """
         try:
-            there, away = self.step(at, variances)
+            there, away = self.step(parameters, variances)
         except GrazingBeamError:
             return None
         if not there.finite():
             return None
         e, before = residuals_or_infinite(there, self.readings), first.result.residual
-        return (there, away) if float(e @ e) <= ASTRAY * float(before @ before) else None
+        return (there, away) if float(e @ e) <= MOST_INCREASE * float(before @ before) else None
 
     def away(self, solution: Solution, variances: Variances) -> float:
-        """Return how many standard deviations the weights there would move a solution.
+        """Return by how many standard deviations the weights at a solution would move it.
 
-        Those of a robust loss are not followed: the length of its own first step stands for it.
+        The weights of a robust loss are not followed: the length of its first step stands for the move.
         """
         if self.loss == GAUSSIAN and solution.observability.full:
             return self.step(solution.parameters, variances)[1]
         return solution.result.history[0].step if solution.result.history else 0.0
 
-    def reweighted(self, at: Parameters, variances: Variances) -> Solution:
+    def reweighted(self, parameters: Parameters, variances: Variances) -> Solution:
         """Solve with the weights at `at`."""
-        readings, how = self.weighed(at, variances)
-        problem, result = self.minimized(at, how, readings=readings)
+        readings, how = self.weighed(parameters, variances)
+        problem, result = self.minimized(parameters, how, readings=readings)
         return self.diagnosed(problem, result, how.sigma, how)
 
     def with_poses(self, solution: Solution, variances: Variances) -> Solution:
@@ -154,14 +149,14 @@ class Task:
         wanted = self.options.poses == "estimated" and variances.pose is not None
         if not wanted or variances.pose is None or solution.result.status == "interrupted":
             return solution
-        at = solution.parameters
-        readings, _ = self.weighed(at, variances)
-        how = whitening(at, readings, variances.without_poses())
+        parameters = solution.parameters
+        readings, _ = self.weighed(parameters, variances)
+        how = whitening(parameters, readings, variances.without_poses())
         priors = pose_priors(readings, variances.pose)
-        problem, result = self.minimized(at, how, priors, readings=readings)
+        problem, result = self.minimized(parameters, how, priors, readings=readings)
         marginal = whitening(read_parameters(problem, result.values), readings, variances)
-        found = self.diagnosed(problem, result, marginal.sigma, marginal)
-        return replace(found, variances=variances)
+        diagnosed = self.diagnosed(problem, result, marginal.sigma, marginal)
+        return replace(diagnosed, variances=variances)
 
     def minimized(
         self,
@@ -174,7 +169,7 @@ class Task:
     ) -> tuple[CalibrationGraph, LevenbergResult]:
         """Solve the graph; damped throughout where the readings leave something undetermined.
 
-        What they determine at one start they do at the next: the rank is asked for until it is full.
+        What they determine at one start they do at the next: the rank is computed until it is full.
         """
         solver = self.options.solver
         readings = self.readings if readings is None else readings
@@ -185,19 +180,19 @@ class Task:
         if not self.determined:
             solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
         elif coarse:
-            solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE))
+            solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE_TOLERANCE))
         return problem, levenberg_marquardt(problem, solver, tell_trial)
 
     def observed(
         self,
-        at: Parameters,
+        parameters: Parameters,
         sigma: float,
         how: Whitening | None = None,
         readings: Readings | None = None,
     ) -> Observability:
         """Return what the readings determine at `at`, if they err by sigma [m]."""
         options, readings = self.options.observability, readings or self.readings
-        return observability(at, readings, self.terms, sigma, options, how, self.prior)
+        return observability(parameters, readings, self.terms, sigma, options, how, self.prior)
 
     def diagnosed(
         self,
@@ -208,23 +203,23 @@ class Task:
     ) -> Solution:
         """Diagnose a result; of solutions of short rank, take the one that leaves most undetermined."""
         parameters = read_parameters(problem, result.values)
-        found = self.observed(parameters, sigma, how, problem.readings)
-        solution = Solution(problem, result, parameters, found, None, how, self.prior)
-        return solution if found.full else self._least_observed(solution, sigma)
+        observability = self.observed(parameters, sigma, how, problem.readings)
+        solution = Solution(problem, result, parameters, observability, None, how, self.prior)
+        return solution if observability.full else self._least_observed(solution, sigma)
 
     def _least_observed(self, solution: Solution, sigma: float) -> Solution:
         readings, options = self.readings, self.options.observability
-        found, weight = solution.observability, solution.problem.range_sigma
-        at, least = least_observed(
-            found, solution.parameters, readings, self.terms, sigma, options, self.prior
+        observability, weight = solution.observability, solution.problem.range_sigma
+        parameters, least = least_observed(
+            observability, solution.parameters, readings, self.terms, sigma, options, self.prior
         )
-        if least.rank >= found.rank:
+        if least.rank >= observability.rank:
             return solution
-        problem = build_graph(readings, at, self.terms, weight, self.loss, None, self.prior)
-        e = residuals(scene(at, readings), readings.distance)
+        problem = build_graph(readings, parameters, self.terms, weight, self.loss, None, self.prior)
+        e = residuals(scene(parameters, readings), readings.distance)
         cost = float(self.loss.cost(e / weight).sum())
         result = replace(solution.result, values=problem.values, residual=e, white=e, cost=cost)
-        return Solution(problem, result, at, least, None, None, self.prior)
+        return Solution(problem, result, parameters, least, None, None, self.prior)
 
     def _estimated_sigma(self, problem: CalibrationGraph, residual: FloatArray) -> float:
         """Return the standard deviation of a reading [m] that the residuals show."""

@@ -3,14 +3,11 @@
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.noise import Noise
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording import Readings
 from ..model.weighting import Variances
 from .options import CalibrationOptions
-from .scales import FLOOR, MOST, RANGE, ROTATION, TRANSLATION, Scale, Scales
-
-LEAST_SIGMA = 1e-12
-"""Of a reading [m]."""
+from .scales import MOST_POSE_ERROR, RANGE, RANGE_FLOOR, ROTATION, TRANSLATION, Scale, Scales
 
 
 def unknown_scales(
@@ -37,7 +34,9 @@ def unknown_scales(
         else:
             pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
             length = readings.typical_range()
-            factor, more = _pose_scales(noise, options, MOST * max(rms, LEAST_SIGMA), length)
+            factor, more = _pose_scales(
+                noise, options, MOST_POSE_ERROR * max(rms, LEAST_SIGMA), length
+            )
             unknown += more
     ranges = np.full(readings.beams, sigma)
     return Scales(unknown, ranges, factor), Variances(ranges, noise.incidence_sigma, pose)
@@ -50,14 +49,14 @@ def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
     ----------
     scales : Scales
     sigma : float
-        Of the residuals [m].
+        Standard deviation of the residuals [m].
     length : float
         The typical range [m].
     """
     most = {RANGE: sigma, TRANSLATION: sigma, ROTATION: sigma / length}
     guess = []
-    for one in scales.unknown:
-        value = sigma if one.name == RANGE else min(one.prior, most[one.name] / one.unit)
+    for scale in scales.unknown:
+        value = sigma if scale.name == RANGE else min(scale.prior, most[scale.name] / scale.unit)
         guess.append(np.log(value))
     return np.array(guess, dtype=np.float64)
 
@@ -65,7 +64,7 @@ def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
 def _range_scales(
     readings: Readings, noise: Noise, options: CalibrationOptions, rms: float
 ) -> tuple[Scale, ...]:
-    floor = FLOOR * rms
+    floor = RANGE_FLOOR * rms
     if options.range_sigma_by_beam:
         return tuple(Scale(RANGE, beam, 1.0, floor) for beam in range(readings.beams))
     if noise.range_sigma is None or options.estimate_noise:
@@ -77,12 +76,12 @@ def _given_covariance(pose: FloatArray, options: CalibrationOptions) -> tuple[Sc
     """Return factors of given covariances, where these are only where the estimate starts."""
     if not options.estimate_noise:
         return ()
-    found = []
+    factors = []
     for name, axes in ((TRANSLATION, slice(3, 6)), (ROTATION, slice(0, 3))):
         trace = float(np.einsum("mii->m", pose[:, axes, axes]).mean())
         if trace > 0.0:
-            found.append(Scale(name, None, float(np.sqrt(trace / 3.0)), 1.0))
-    return tuple(found)
+            factors.append(Scale(name, None, float(np.sqrt(trace / 3.0)), 1.0))
+    return tuple(factors)
 
 
 def _pose_scales(

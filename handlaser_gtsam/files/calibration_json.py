@@ -6,8 +6,9 @@ from pathlib import Path
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
-from ..data.recording import LARGEST, Recording
+from ..data.recording import Recording
 from ..observability.motion import MotionCheck
+from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
 from ..results.measuring import spot
@@ -99,7 +100,7 @@ def write_calibration(
     else:
         require_kind("calibration", calibration, Calibration)
         if reading is not None:
-            require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+            require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
         text = calibration_text(calibration, verdict_on(calibration, limits, reading))
     write_text(path_of(path), text)
 

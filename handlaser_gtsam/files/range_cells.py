@@ -7,10 +7,11 @@ import numpy as np
 import polars as pl
 
 from ..arrays import BoolArray, FloatArray
-from ..data.recording import LARGEST
-from ..data.screen import LEAST, code_warning, coded_numbers
+from ..data.columns import BY_CHANCE
+from ..data.screen import code_warning, coded_numbers
 from ..errors import CalibrationWarning
 from ..model.sensor import Sensor
+from ..quantities import LARGEST_LENGTH
 from .table import Table, column_numbers
 
 MILLIMETRE = 1e-3
@@ -50,15 +51,15 @@ def range_numbers(
         d = unit * d
     with np.errstate(invalid="ignore"):
         impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
-        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST)
+        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST_LENGTH)
     coded = impossible & sensor.range_stated
     coded |= coded_numbers(d, impossible)
     least = "a range" if sensor.range_min < 0.0 else "a positive range"
     units = "millimetres" if unit == MILLIMETRE else "metres"
     expected = (
-        f"{least} in {units} up to {LARGEST / unit:.0f}, or an empty cell for no reading; if the "
-        "sensor can read this, or says so that it reads nothing, state its range: --range-mm MIN MAX, "
-        "or range_mm in the rig file"
+        f"{least} in {units} up to {LARGEST_LENGTH / unit:.0f}, or an empty cell for no reading; "
+        "if the sensor can read this, or says so that it reads nothing, state its range: "
+        "--range-mm MIN MAX, or range_mm in the rig file"
     )
     for i, name in enumerate(columns):
         table.refuse((impossible & ~coded)[:, i], name, expected)
@@ -102,7 +103,7 @@ def code_warnings(
 def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
     """Tell whether a cell is a number that stands too seldom for a code of its own."""
     try:
-        return math.isfinite(float(cell)) and len(found[cell]) < LEAST
+        return math.isfinite(float(cell)) and len(found[cell]) < BY_CHANCE
     except ValueError:
         return False
 

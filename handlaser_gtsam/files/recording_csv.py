@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..checks import require_kind
-from ..data.recording import LARGEST, Recording, first_repeated
+from ..data.recording import Recording, first_repeated
 from ..data.station_list import StationList
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..quantities import LARGEST_LENGTH
 from ..text import A_NAME, name_fault, some
 from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
@@ -175,7 +176,7 @@ def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
             continue
         number = column_numbers(table, name, empty=True)
         table.refuse(
-            (number < 1.0) | (number > LARGEST),
+            (number < 1.0) | (number > LARGEST_LENGTH),
             name,
             "how many readings the range is worth, from 1",
         )
@@ -186,8 +187,8 @@ def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
 def _positions(table: _Table) -> FloatArray:
     position = np.column_stack([column_numbers(table, name) for name in POSE[:3]])
     for index, name in enumerate(POSE[:3]):
-        too_far = np.abs(position[:, index]) > LARGEST
-        table.refuse(too_far, name, f"a position in metres, at most {LARGEST:.0f}")
+        too_far = np.abs(position[:, index]) > LARGEST_LENGTH
+        table.refuse(too_far, name, f"a position in metres, at most {LARGEST_LENGTH:.0f}")
     return position
 
 

@@ -22,8 +22,10 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from ..errors import GrazingBeamError
 
-LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
-"""A true range below or above this part of its reading is a wrong solution, not a sensor."""
+LEAST_FACTOR = 0.5
+"""A true range below this part of its reading belongs to a wrong solution, not to a sensor."""
+MOST_FACTOR = 3.0
+"""A true range above this many times its reading belongs to a wrong solution, not to a sensor."""
 GRAZING_LIMIT = 1e-3
 """Smallest |cos(incidence)| at which a range is predicted (89.94 degrees)."""
 
@@ -170,27 +172,27 @@ def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) 
 
 
 def tangent_columns(
-    at: Linearization, v_basis: FloatArray, n_basis: FloatArray, centres: FloatArray, terms: int
+    linear: Linearization, v_basis: FloatArray, n_basis: FloatArray, centres: FloatArray, terms: int
 ) -> FloatArray:
-    """Return derivatives by the unknowns of the own beam and plane, then e: (5 + terms + 4, N).
+    """Return derivatives by the unknowns of its beam and plane, then e: (5 + terms + 4, N).
 
     Parameters
     ----------
-    at : Linearization
+    linear : Linearization
     v_basis, n_basis : (N, 3, 2)
         Tangent bases of each reading's direction and normal.
     centres : (N, 3)
-        Where the offset of each reading's plane is taken [m].
+        Points at which the offsets of the readings' planes are taken [m].
     terms : int
         Range-error terms.
     """
-    columns = np.empty((5 + terms + 4, len(at.residual)))
-    columns[:3] = at.location.T
-    np.einsum("ni,nij->jn", at.direction, v_basis, out=columns[3:5])
-    columns[5:-4] = at.range_error[:, :terms].T
-    local = at.normal - at.offset[:, None] * centres
+    columns = np.empty((5 + terms + 4, len(linear.residual)))
+    columns[:3] = linear.location.T
+    np.einsum("ni,nij->jn", linear.direction, v_basis, out=columns[3:5])
+    columns[5:-4] = linear.range_error[:, :terms].T
+    local = linear.normal - linear.offset[:, None] * centres
     np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
-    columns[-2], columns[-1] = at.offset, at.residual
+    columns[-2], columns[-1] = linear.offset, linear.residual
     return columns
 
 

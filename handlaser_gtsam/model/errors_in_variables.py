@@ -25,23 +25,23 @@ from .equation import corrected, residuals, scene
 from .weighting import Variances, Whitening, slopes, whitening
 
 MOST_NOISE = 4.0
-"""Standard deviations of a reading that count as noise: what is farther off is none of it."""
+"""The noise of a reading is at most this many standard deviations: a larger residual is no noise."""
 
 
 def weighed(
-    readings: Readings, at: Parameters, variances: Variances, terms: int
+    readings: Readings, parameters: Parameters, variances: Variances, terms: int
 ) -> tuple[Readings, Whitening]:
-    """Return the readings as residuals take them, and their whitening, at some parameters.
+    """Return the readings with the regressors of their range errors, and their whitening.
 
-    The readings are those given where they have no range-error `terms`, else `freed_of_noise`; raises
-    like that.
+    The readings are returned as they are where they have no range-error `terms`, else
+    `freed_of_noise`, which may raise.
     """
-    how = whitening(at, readings, variances)
-    return (freed_of_noise(readings, at, variances, how) if terms else readings), how
+    how = whitening(parameters, readings, variances)
+    return (freed_of_noise(readings, parameters, variances, how) if terms else readings), how
 
 
 def freed_of_noise(
-    readings: Readings, at: Parameters, variances: Variances, how: Whitening
+    readings: Readings, parameters: Parameters, variances: Variances, how: Whitening
 ) -> Readings:
     """Return readings of which the range error is taken without their probable noise.
 
@@ -59,12 +59,12 @@ def freed_of_noise(
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    d, x = readings.distance, scene(at, readings)
+    d, x = readings.distance, scene(parameters, readings)
     variance = variances.range_sigma[readings.beam] ** 2
     if readings.samples is not None:
         variance = variance / readings.samples
     heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
-    share = slopes(at, readings) * variance
+    share = slopes(parameters, readings) * variance
     most = MOST_NOISE * np.sqrt(variance)
     level = d + np.clip(share * heavy, -most, most)
     constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)

@@ -54,7 +54,7 @@ def means_and_scatter(
     first : (G,)
         The first point of each group; groups follow one another.
     weights : (..., N), optional
-        They scale the scatter of each group to that of weights whose sum is one.
+        Weights of the points; the scatter of each group is as for weights whose sum is one.
     """
     count = np.diff(np.append(first, points.shape[-2]))
     if weights is None:

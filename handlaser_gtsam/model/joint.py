@@ -1,6 +1,6 @@
 """The covariance of everything: all beams and planes together, and what follows from it.
 
-A plane appears in its own readings only. Given the beams, planes are therefore independent, and with
+A plane appears in its readings only. Given the beams, planes are therefore independent, and with
 the response W_p of plane p to the beams, x_p = -W_p x_beams + noise, every block follows from the
 covariance S of the beams and the covariance P_p of each plane for known beams:
 
@@ -44,7 +44,8 @@ class JointCovariance(Value):
     beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
         Tangent bases of directions and normals.
     origins : (P, 3)
-        Where the offset of each plane is taken [m]; ambient offsets are those at the world's origin.
+        Points at which the offsets of the planes are taken [m]; ambient offsets are at the world's
+        origin.
     coupling : (P, 3, P, 3) or None
         Covariance of the planes with each other for known beams, zero for each with itself; None where
         they are independent then.
@@ -69,25 +70,25 @@ class JointCovariance(Value):
         )
 
     def grown(self, beams: float, planes: float) -> "JointCovariance":
-        """Return the covariance with standard deviations that are larger.
+        """Return the covariance with larger standard deviations.
 
-        Those of the beams `beams` times, those of the planes for known beams `planes` times.
+        Beams get `beams` times, planes for known beams `planes` times their standard deviations.
         """
-        found = self.scaled(beams**2)
-        return replace(found, planes=planes**2 * self.planes)
+        scaled = self.scaled(beams**2)
+        return replace(scaled, planes=planes**2 * self.planes)
 
     def arranged(
         self, beams: Sequence[tuple[str, int]], planes: Sequence[tuple[str, int]]
     ) -> "JointCovariance":
         """Return the same with all beams, and planes, given by name and present index."""
         i, p = [index for _, index in beams], [index for _, index in planes]
-        at = np.concatenate([self._columns(index) for index in i])
+        columns = np.concatenate([self._columns(index) for index in i])
         return JointCovariance(
             tuple(name for name, _ in beams),
             tuple(name for name, _ in planes),
             tuple(self.terms[index] for index in i),
-            self.beams[np.ix_(at, at)],
-            self.response[p][:, :, at],
+            self.beams[np.ix_(columns, columns)],
+            self.response[p][:, :, columns],
             self.planes[p],
             self.beam_bases[i],
             self.plane_bases[p],
@@ -116,12 +117,12 @@ class JointCovariance(Value):
         columns = np.concatenate([np.empty(0, dtype=np.intp), *(self._columns(k) for k in i)])
         follow = -self.response[p].reshape(-1, len(self.beams))
         across = follow @ self.beams
-        own = self.beams[np.ix_(columns, columns)]
-        joint = np.block([[own, across[:, columns].T], [across[:, columns], across @ follow.T]])
+        block = self.beams[np.ix_(columns, columns)]
+        joint = np.block([[block, across[:, columns].T], [across[:, columns], across @ follow.T]])
         first = len(columns)
         for number, index in enumerate(p):
-            own = slice(first + 3 * number, first + 3 * number + 3)
-            joint[own, own] += self.planes[index]
+            block = slice(first + 3 * number, first + 3 * number + 3)
+            joint[block, block] += self.planes[index]
         if self.coupling is not None and p:
             joint[first:, first:] += self.coupling[p][:, :, p].reshape(3 * len(p), -1)
         if not ambient:
@@ -142,8 +143,11 @@ class JointCovariance(Value):
 
     def all_beams(self) -> list[FloatArray]:
         """Return the ambient covariance (8, 8) of every beam."""
-        own = [self.beams[np.ix_(at, at)] for at in map(self._columns, range(len(self.terms)))]
-        return [lift @ S @ lift.T for lift, S in zip(self.beam_lifts(), own, strict=True)]
+        blocks = [
+            self.beams[np.ix_(columns, columns)]
+            for columns in map(self._columns, range(len(self.terms)))
+        ]
+        return [lift @ S @ lift.T for lift, S in zip(self.beam_lifts(), blocks, strict=True)]
 
     def all_planes(self) -> list[FloatArray]:
         """Return the ambient covariance (4, 4) of every plane."""

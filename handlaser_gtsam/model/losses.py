@@ -2,8 +2,8 @@ r"""Loss functions of a residual: how much an outlier may pull.
 
 For u = e / (c sigma) with c = `tuning`, the loss rho counts like u^2 / 2 near zero, and the weight of
 a reading in reweighted least squares is rho'(u) / u. The tunings give 95 % efficiency for Gaussian
-residuals (Zhang, Parameter estimation techniques, 1997, table 1); they are those of GTSAM's
-`mEstimator` of the same name.
+residuals (Zhang, Parameter estimation techniques, 1997, table 1); GTSAM's `mEstimator` of the same name
+has the same tuning.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """How large systematic errors may plausibly be, by kind of sensor: what no residual may show.
 
-Sizes of a sensor are parts of its measuring range: the one stated, else the largest reading. Those of
+Sizes of a sensor are parts of its measuring range: the one stated, else the largest reading. Sizes of
 plates, robots and converters do not depend on the sensor. All are half widths: the error is no larger.
 
 triangulation
@@ -35,8 +35,8 @@ from ..checks import require_number
 
 PARTS = ("carry_over", "lag", "turn_scale", "translation_scale")
 """Sizes that are no lengths."""
-MOST = 1e3
-"""No plausible size is larger [m, or as a part]."""
+LARGEST_SIZE = 1e3
+"""No plausible size is larger [m, or as a part]: it would be a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,10 @@ class Plausible:
     translation_scale: float | None = None
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if getattr(self, one.name) is not None:
-                unit = "1" if one.name in PARTS else "m"
-                require_number(one.name, getattr(self, one.name), 0.0, MOST, unit=unit)
+        for size in fields(self):
+            if getattr(self, size.name) is not None:
+                unit = "1" if size.name in PARTS else "m"
+                require_number(size.name, getattr(self, size.name), 0.0, LARGEST_SIZE, unit=unit)
 
 
 CELL = Plausible(
@@ -95,7 +95,7 @@ CELL = Plausible(
     turn_scale=1e-3,
     translation_scale=1e-3,
 )
-"""Of converters, plates and robots, whatever the sensor."""
+"""Plausible sizes of converters, plates and robots, whatever the sensor."""
 KINDS = {
     "triangulation": Plausible(0.015, 0.0087, 0.002, 0.003, beam_on_plane=0.002),
     "time-of-flight": Plausible(0.01, 0.01, 0.01, 0.01, beam_on_plane=0.01),
@@ -103,7 +103,7 @@ KINDS = {
     "ultrasonic": Plausible(0.5, 0.01, 0.01, 0.017, beam_on_plane=0.01),
     "other": Plausible(0.0, 0.0, 0.0, 0.0, beam_on_plane=0.0),
 }
-"""Of a sensor, as parts of its measuring range. Of an `other` kind is known what is stated alone."""
+"""Plausible sizes of a sensor, as parts of its measuring range; none of an `other` kind."""
 
 
 def plausible_sizes(
@@ -111,15 +111,15 @@ def plausible_sizes(
 ) -> dict[str, float]:
     """Return the plausible size [m, or a part] by code of a systematic error.
 
-    What is stated comes first; where no kind is, nothing else is known.
+    A stated size comes first; nothing else is known where no kind is stated.
     """
     sizes = {}
-    for one in fields(Plausible):
-        size = getattr(stated, one.name)
+    for error in fields(Plausible):
+        size = getattr(stated, error.name)
         if size is None and kind is not None:
-            size = getattr(CELL, one.name)
+            size = getattr(CELL, error.name)
             if size is None:
-                size = getattr(KINDS[kind], one.name) * measuring_range
+                size = getattr(KINDS[kind], error.name) * measuring_range
         if size is not None:
-            sizes[one.name.replace("_", "-")] = size
+            sizes[error.name.replace("_", "-")] = size
     return sizes

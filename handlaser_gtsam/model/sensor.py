@@ -8,13 +8,14 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_kind, require_number, require_word
 from ..data.parameters import Parameters
-from ..data.recording import LARGEST, Readings, Recording
+from ..data.recording import Readings, Recording
 from ..errors import InputError, NumberError
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from . import equation
 from .plausible import KINDS, Plausible, plausible_sizes
 
-LEAST_LINEARITY, MOST_LINEARITY = 1e-6, 0.3
-"""No sensor is more or less linear."""
+MOST_LINEARITY = 0.3
+"""No sensor is less linear, as a part of the reading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +30,8 @@ class Sensor:
     max_incidence : float
         Largest angle between beam and plane normal at which a reading counts [rad].
     linearity : float
-        What its data sheet calls linearity, as a part of the reading: the scale about
-        which those of the range errors are learned.
+        Linearity as in its data sheet, as a part of the reading: the scales of the range errors are
+        learned about it.
     kind : str, optional
         `triangulation`, `time-of-flight`, `confocal`, `ultrasonic` or `other`: how it may err beside
         what is estimated. Where it is not stated, results count random errors only.
@@ -48,13 +49,15 @@ class Sensor:
     def __post_init__(self) -> None:
         for name in ("range_min", "range_max"):
             if getattr(self, name) != math.inf:  # which says that there is no limit
-                require_number(name, getattr(self, name), -LARGEST, LARGEST, unit="m")
+                require_number(name, getattr(self, name), -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
         if not self.range_min < self.range_max:
             ends, remedy = (self.range_min, self.range_max), ", the least before the largest"
-            raise NumberError("range", ends, -LARGEST, LARGEST, unit="m", remedy=remedy)
+            raise NumberError(
+                "range", ends, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m", remedy=remedy
+            )
         right = math.pi / 2.0
         require_number("max_incidence", self.max_incidence, 0.0, right, above=True, unit="rad")
-        require_number("linearity", self.linearity, LEAST_LINEARITY, MOST_LINEARITY)
+        require_number("linearity", self.linearity, NEGLIGIBLE, MOST_LINEARITY)
         if self.kind is not None:
             require_word("kind", self.kind, tuple(KINDS))
         require_kind("plausible", self.plausible, Plausible)
@@ -86,7 +89,7 @@ BY_LIMITS = (OUTSIDE, FLAT)
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A reading that was left out: names, the reason, and its residual [m] where there is one."""
+    """A rejected reading: names, the reason, and its residual [m] where there is one."""
 
     station: str
     beam: str

@@ -23,20 +23,18 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
+from ..quantities import SINGULAR
 from . import equation
-
-LEAST_VARIANCE = 1e-12
-"""Of a direction of C, as a part of the largest: below, it is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Variances(Value):
-    """What makes up the covariance of the readings.
+    """The parts of the covariance of the readings.
 
     Attributes
     ----------
     range_sigma : (B,)
-        Of each beam [m].
+        Range sigma of each beam [m].
     incidence_sigma : float
         [m]
     pose : (M, 6, 6) or None
@@ -48,7 +46,7 @@ class Variances(Value):
     pose: FloatArray | None = None
 
     def for_stations(self, count: int) -> "Variances":
-        """Return the same for so many stations: those beyond have the covariance that all share."""
+        """Return the variances for `count` stations: new ones have the covariance that all share."""
         if self.pose is None or len(self.pose) >= count:
             return self
         more = np.broadcast_to(self.pose[:1], (count - len(self.pose), 6, 6))
@@ -67,10 +65,9 @@ class Whitening(Value):
     ----------
     root : (S, K, K)
         Inverse roots R of C / sigma^2, R C R' = sigma^2 I, a station, over K beams; beams without a
-        reading there stand by themselves. Where poses do not err, every reading is a station of its
-        own.
+        reading there stand by themselves. Where poses do not err, every reading counts as a station.
     station, beam : (N,)
-        Where each row of the readings stands in them.
+        Indices of each row of the readings in them.
     sigma : float
         Standard deviation of a whitened residual [m]: the typical one of a reading.
     """
@@ -110,7 +107,7 @@ class Whitening(Value):
         return rows
 
     def gathered(self, rows: FloatArray) -> FloatArray:
-        """Return, for every row of (N, ...), those of the K readings of its station, (N, K, ...)."""
+        """Return, for every row of (N, ...), the rows of the K readings of its station, (N, K, ...)."""
         near: FloatArray = self._grid(rows)[self.station]
         return near
 
@@ -161,19 +158,19 @@ class Whitening(Value):
 def joined(whitenings: Sequence[Whitening]) -> Whitening:
     """Return one whitening of the rows of several, one after the other; sigma of the first.
 
-    Every row keeps its slot among the beams of its own station.
+    Every row keeps its slot among the beams of its station.
     """
-    stations = [len(one.root) for one in whitenings]
-    slots = max(one.root.shape[1] for one in whitenings)
+    stations = [len(part.root) for part in whitenings]
+    slots = max(part.root.shape[1] for part in whitenings)
     first = np.cumsum([0, *stations[:-1]])
     root = np.zeros((sum(stations), slots, slots))
-    for a, one in zip(first, whitenings, strict=True):
-        count = one.root.shape[1]
-        root[a : a + len(one.root), :count, :count] = one.root
+    for a, part in zip(first, whitenings, strict=True):
+        count = part.root.shape[1]
+        root[a : a + len(part.root), :count, :count] = part.root
     return Whitening(
         root,
-        np.concatenate([a + one.station for a, one in zip(first, whitenings, strict=True)]),
-        np.concatenate([one.beam for one in whitenings]),
+        np.concatenate([a + part.station for a, part in zip(first, whitenings, strict=True)]),
+        np.concatenate([part.beam for part in whitenings]),
         whitenings[0].sigma,
     )
 
@@ -186,23 +183,25 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    own = own_variances(parameters, readings, variances)
+    sensor = own_variances(parameters, readings, variances)
     if variances.pose is None:
-        typical, alone = float(np.median(own)), np.arange(len(own))
-        root = np.sqrt(typical / own)[:, None, None]
+        typical, alone = float(np.median(sensor)), np.arange(len(sensor))
+        root = np.sqrt(typical / sensor)[:, None, None]
         return Whitening(root, alone, np.zeros_like(alone), float(np.sqrt(typical)))
     station = stations_from_zero(readings)
     where = (station, readings.beam)
-    at = equation.linearize(equation.scene(parameters, readings), readings.distance, with_pose=True)
+    linear = equation.linearize(
+        equation.scene(parameters, readings), readings.distance, with_pose=True
+    )
     J = np.zeros((int(station.max()) + 1, readings.beams, 6))
-    J[where] = at.pose
+    J[where] = linear.pose
     place = np.empty(len(J), dtype=np.intp)
     place[station] = readings.station
     S = variances.pose[place]
-    variance = own + np.einsum("ni,ni->n", at.pose, (J @ S)[where])
+    variance = sensor + np.einsum("ni,ni->n", linear.pose, (J @ S)[where])
     typical = float(np.median(variance))
     scale = np.ones(J.shape[:2])
-    scale[where] = np.sqrt(typical / np.maximum(own, LEAST_VARIANCE * variance))
+    scale[where] = np.sqrt(typical / np.maximum(sensor, SINGULAR * variance))
     root = _inverse_roots(J * (scale / np.sqrt(typical))[:, :, None], S) * scale[:, None, :]
     return Whitening(root, station, readings.beam, float(np.sqrt(typical)))
 
@@ -224,7 +223,7 @@ def _inverse_roots(J: FloatArray, S: FloatArray) -> FloatArray:
 
 def _stretch(values: FloatArray) -> FloatArray:
     """Return the roots (M, 1, d) of 1 + values (M, d) in ascending order, free of rounding."""
-    return np.sqrt(1.0 + np.maximum(values, LEAST_VARIANCE * values[:, -1:]))[:, None, :]
+    return np.sqrt(1.0 + np.maximum(values, SINGULAR * values[:, -1:]))[:, None, :]
 
 
 def covariance_roots(covariance: FloatArray) -> FloatArray:
@@ -253,13 +252,13 @@ def reading_sigmas(parameters: Parameters, readings: Readings, variances: Varian
 
 
 def own_variances(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:
-    """Return the variance (N,) [m^2] of each reading's residual, without that of the pose."""
+    """Return the variance (N,) [m^2] of each reading's residual, without the error of the pose."""
     slope = noise_slopes(parameters, readings)
-    own: FloatArray = (slope * variances.range_sigma[readings.beam]) ** 2
+    variance: FloatArray = (slope * variances.range_sigma[readings.beam]) ** 2
     if variances.incidence_sigma > 0.0:
         cosine = equation.cosines(equation.scene(parameters, readings))
-        own = own + variances.incidence_sigma**2 * (1.0 / cosine**2 - 1.0)
-    return own
+        variance = variance + variances.incidence_sigma**2 * (1.0 / cosine**2 - 1.0)
+    return variance
 
 
 def slopes(parameters: Parameters, readings: Readings) -> FloatArray:

@@ -17,18 +17,26 @@ from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
+from ..quantities import SINGULAR
+from ..starts.translations import SPANNING
 from ..text import some
 from .rank import observability
-from .wording import MIRROR, MIRROR_ADVICE, Names, OpenPart, advice, open_parts, undetermined
+from .wording import (
+    MIRROR,
+    MIRROR_ADVICE,
+    BeamAndPlaneNames,
+    OpenPart,
+    advice,
+    open_parts,
+    undetermined,
+)
 
 LEAST_MOVE = 1e-3
 """Hands that move less than this part of the typical range before a plane stand still."""
-LEAST_TURN = np.radians(1.0)
+COUNTED_TURN = np.radians(1.0)
 """Turns that spread less than this about an axis [rad] do not count."""
-LEAST_SPREAD = 1e-2
-"""Translations span a direction in which they spread by at least this part of the widest."""
-DRAWS = 120
-"""Random beams and planes that are tried at most: it ends at the first that leave nothing open."""
+GENERAL_DRAWS = 120
+"""Draws of random beams and planes at most: the first that leaves nothing undetermined is enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +76,7 @@ class MotionCheck:
     unknowns, readings : int
         Without range errors.
     open_parts : tuple of OpenPart
-        What is left open whatever the beams and planes are.
+        What is undetermined whatever the beams and planes are.
     undetermined, advice : tuples of str
         The same in words, and what would determine it.
     """
@@ -86,7 +94,7 @@ def check_motion(recording: Recording) -> MotionCheck:
     planes = tuple(_plane_motion(recording, p) for p in range(len(recording.plane_names)))
     readings, order = sorted_readings(recording)
     beams, numbers = np.argsort(order.beams), np.argsort(order.planes)
-    names = Names(
+    names = BeamAndPlaneNames(
         tuple((name, int(beams[i])) for i, name in enumerate(recording.beam_names)),
         tuple((name, int(numbers[p])) for p, name in enumerate(recording.plane_names)),
     )
@@ -106,7 +114,8 @@ def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
     group = np.unique(model.rotation_cells(R), axis=0, return_inverse=True)[1].ravel()
     local = [t[group == g] - t[group == g].mean(axis=0) for g in range(int(group.max()) + 1)]
     spread = np.linalg.svd(np.concatenate(local), compute_uv=False)
-    rank = int((spread > LEAST_SPREAD * max(spread[0], 1e-12)).sum()) if spread[0] > 0.0 else 0
+    least = np.sqrt(SPANNING) * max(spread[0], SINGULAR)  # as the closed form needs them
+    rank = int((spread > least).sum()) if spread[0] > 0.0 else 0
     translating = [rows[j] for j in range(len(rows)) if (group == group[j]).sum() > 1]
     turns = Rotation.from_matrix(np.swapaxes(R[:1], 1, 2) @ R).as_rotvec()
     turned = np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
@@ -117,25 +126,25 @@ def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
         int(group.max()) + 1,
         rank,
         tuple(recording.station_names[j] for j in translating) if rank else (),
-        int((turned > LEAST_TURN).sum()),
+        int((turned > COUNTED_TURN).sum()),
         tuple(int(count) for count in read.sum(axis=0)),
     )
 
 
-def _open_in_general(readings: Readings, names: Names) -> tuple[OpenPart, ...]:
+def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[OpenPart, ...]:
     """Return what is open for random beams and planes; the draw that leaves least open counts."""
     rng = np.random.default_rng(0)
     best: tuple[OpenPart, ...] | None = None
     least = np.inf
-    for _ in range(DRAWS):
-        at = _general_position(readings, rng)
+    for _ in range(GENERAL_DRAWS):
+        parameters = _general_position(readings, rng)
         try:
-            found = observability(at, readings, 0, 0.0)
+            observed = observability(parameters, readings, 0, 0.0)
         except GrazingBeamError:
             continue
-        if found.unknowns - found.rank < least:
-            least = found.unknowns - found.rank
-            best = open_parts(found, at, names)
+        if observed.unknowns - observed.rank < least:
+            least = observed.unknowns - observed.rank
+            best = open_parts(observed, parameters, names)
         if least == 0:
             break
     return best or ()

@@ -1,4 +1,4 @@
-r"""Other solutions that fit as well: the mirror image, and those that leave more open.
+r"""Other solutions that fit as well: the mirror image, and solutions that are less determined.
 
 Where the hand does not move between the stations of a plane but only turns, the point reflection of
 every beam and plane through the hand's position predicts the same readings:
@@ -7,9 +7,9 @@ every beam and plane through the hand's position predicts the same readings:
 
 No local analysis of rank can see that: both solutions are determined, and one of them is wrong.
 
-A hand that moves gives the image residuals of 2 n . (t - mean t) / (n_H . v). What the unknowns take of
-these in one linear step is all that they can take, but for what is of second order in the step. So an
-image is ruled out without a search where much is left of its residuals, and far more than the noise.
+A hand that moves gives the image residuals of 2 n . (t - mean t) / (n_H . v). One linear step of the
+unknowns reduces them as far as they can be reduced, to second order in the step. So an image is ruled
+out without a search where much of its residuals remains, and far more than the noise.
 
 Where readings leave something open there is not one solution but a whole set. At a single member, an
 error of the estimate can look like information: a normal that is a little off makes turns about it seem
@@ -31,15 +31,20 @@ from .rank import Observability, ObservabilityOptions, observability
 
 CHI2_MARGIN = 25.0
 """A solution, or an image, within this of the best chi2 (five standard deviations) fits as well."""
-RANDOM, SWEPT, STEPS = 16, 8, 60
-LEFT = 0.02
-"""Where a linear step leaves less of the squares of the image's residuals, what is of second order
-in it may decide: the image is searched for."""
-FAR = 100.0
-"""And where it leaves less than so many times what an image that fits may leave: a search has been seen
-to take up 30 times what the first step leaves."""
-ENOUGH = 1000
-"""Readings of some planes that rule an image out do so for all: the rest can only add to it."""
+OTHER_RANDOM = 16
+"""Random starts from which less determined solutions are sought."""
+OTHER_SWEPT = 8
+"""Swept starts from which less determined solutions are sought."""
+OTHER_STEPS = 60
+"""Refinement steps of these starts: where something is undetermined they converge slowly."""
+IMAGE_LEFT = 0.02
+"""The image is searched for where a linear step leaves less than this part of the squares of its
+residuals: terms of second order in the step may decide."""
+IMAGE_EXCESS = 100.0
+"""The image is searched for where a linear step leaves less than this many times the squares of an
+image that fits: a search has been seen to reduce 30 times what the first step leaves."""
+IMAGE_READINGS = 1000
+"""An image that the first planes with this many readings rule out is ruled out: the rest adds to it."""
 
 
 def mirror_image_fits(
@@ -55,15 +60,15 @@ def mirror_image_fits(
     refined = refine(image, readings, terms=0, iterations=20)
     if refined is None:
         return False
-    found = refined.parameters.directions
-    same_side = np.einsum("bi,bi->b", found, solution.directions) > 0.0
+    directions = refined.parameters.directions
+    same_side = np.einsum("bi,bi->b", directions, solution.directions) > 0.0
     worse = refined.squares - squares
     return not same_side.any() and worse <= CHI2_MARGIN * range_sigma**2
 
 
 def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     """Tell from one linear step that no image near `image` has a sum of squares below `limit` [m^2]."""
-    last = readings.plane[min(len(readings), ENOUGH) - 1]
+    last = readings.plane[min(len(readings), IMAGE_READINGS) - 1]
     some = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
         normal = normal_equations(image, some, 0)
@@ -74,7 +79,7 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     step = normal.reduced(beam_unit, np.array([1.0, 1.0, length])).step()
     before = normal.squares[0]
     left = before - float(step[2])
-    return bool(left > LEFT * before and left > FAR * limit)
+    return bool(left > IMAGE_LEFT * before and left > IMAGE_EXCESS * limit)
 
 
 def _image(solution: Parameters, readings: Readings) -> Parameters:
@@ -90,7 +95,7 @@ def _image(solution: Parameters, readings: Readings) -> Parameters:
 
 
 def least_observed(
-    found: Observability,
+    observed: Observability,
     parameters: Parameters,
     readings: Readings,
     terms: int,
@@ -98,37 +103,39 @@ def least_observed(
     options: ObservabilityOptions,
     prior: RangeErrorPrior | None = None,
 ) -> tuple[Parameters, Observability]:
-    """Return the solution, among some that fit as well as `parameters`, that leaves most open.
+    """Return the least determined solution among some that fit as well as `parameters`.
 
     Parameters
     ----------
-    found : Observability
+    observed : Observability
         At `parameters`, of short rank.
     parameters, terms, range_sigma, options
-        Of the diagnosis.
+        Arguments of the diagnosis.
     readings : Readings
         Long recordings are not searched: errors of their estimates are small.
     prior : RangeErrorPrior, optional
         Other solutions are sought without range errors where these have a prior.
     """
-    if len(readings) > excerpt.ENOUGH:
-        return parameters, found
-    partial = random_starts(readings, RANDOM, np.random.default_rng(0))
-    partial += direction_starts(readings, SWEPT)
+    if len(readings) > excerpt.EXCERPT_READINGS:
+        return parameters, observed
+    partial = random_starts(readings, OTHER_RANDOM, np.random.default_rng(0))
+    partial += direction_starts(readings, OTHER_SWEPT)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    tried = refine_many(starts, readings, 0 if prior else terms, STEPS)
-    refined = [one for one in tried if one is not None]
+    tried = refine_many(starts, readings, 0 if prior else terms, OTHER_STEPS)
+    refined = [candidate for candidate in tried if candidate is not None]
     if not refined:
-        return parameters, found
-    limit = min(one.squares for one in refined) + CHI2_MARGIN * range_sigma**2
-    here, least = parameters, found
-    for one in refined:
-        if one.squares > limit:
+        return parameters, observed
+    limit = min(candidate.squares for candidate in refined) + CHI2_MARGIN * range_sigma**2
+    here, least = parameters, observed
+    for candidate in refined:
+        if candidate.squares > limit:
             continue
         try:
-            seen = observability(one.parameters, readings, terms, range_sigma, options, prior=prior)
+            seen = observability(
+                candidate.parameters, readings, terms, range_sigma, options, prior=prior
+            )
         except GrazingBeamError:
             continue
         if seen.rank < least.rank:
-            here, least = one.parameters, seen
+            here, least = candidate.parameters, seen
     return here, least

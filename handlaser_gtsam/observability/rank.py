@@ -1,4 +1,4 @@
-r"""Which unknowns the readings determine, and which they leave open.
+r"""Which unknowns the readings determine, and which are undetermined.
 
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
 normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
@@ -15,14 +15,13 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
-from ..data.recording import LARGEST, Readings
+from ..data.recording import Readings
 from ..model.weighting import Whitening
+from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
 from ..solvers.elimination import ReducedInformation, spectrum
 from ..solvers.normal_equations import NormalEquations, normal_equations
 from .open_axes import open_axes
 
-LEAST_PRIOR = 1e-12
-"""Of a prior's information, as a part of the largest; above what rounding loses."""
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
 
@@ -37,14 +36,15 @@ class ObservabilityOptions:
         A direction is undetermined when the standard deviation of a beam along it is above this part
         of its natural unit: 0.1 rad, or a tenth of the working distance.
     least_information : float
-        Or when its information is below this part of the largest: lost in rounding.
+        It is also undetermined when its information is below this part of the largest: lost in
+        rounding.
     """
 
-    most_sigma: float = 0.1
+    most_sigma: float = KNOWN
     least_information: float = 1e-13
 
     def __post_init__(self) -> None:
-        require_number("most_sigma", self.most_sigma, 0.0, LARGEST, above=True)
+        require_number("most_sigma", self.most_sigma, 0.0, LARGEST_LENGTH, above=True)
         require_number("least_information", self.least_information, 0.0, 1.0)
 
 
@@ -66,7 +66,7 @@ class NullSpace:
 
 
 @dataclass(frozen=True, slots=True)
-class Reduced:
+class ReducedSystem:
     """The information of the beams after planes are eliminated, for unit weights.
 
     Attributes
@@ -80,7 +80,7 @@ class Reduced:
     active : (B W,) of bool
         Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
     centres : (P, 3)
-        Where the offset of each plane is taken [m].
+        Points at which the offsets of the planes are taken [m].
     least, most : float
         The extreme eigenvalues.
     mean_log : float
@@ -106,11 +106,11 @@ class Reduced:
             return self.information.covariance(0.5 * self.least, self.least)
         values, axes = np.linalg.eigh(self.information.matrix)
         known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
-        found: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
-        return found
+        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return inverse
 
     def padded(self, columns: FloatArray) -> FloatArray:
-        """Return columns (n, K) of unknowns over all rows (B W, K), those that are none zero."""
+        """Return columns (n, K) of the unknowns over all rows (B W, K), zero in the other rows."""
         whole = np.zeros((len(self.active), columns.shape[1]))
         whole[self.active] = columns
         return whole
@@ -143,7 +143,7 @@ class Observability:
     readings : int
     terms : tuple of int
         Range-error terms of each beam.
-    reduced : Reduced
+    reduced : ReducedSystem
     """
 
     rank: int
@@ -153,7 +153,7 @@ class Observability:
     length: float
     readings: int
     terms: tuple[int, ...]
-    reduced: Reduced
+    reduced: ReducedSystem
 
     def indices(self) -> Indices | None:
         """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
@@ -191,7 +191,7 @@ def observability(
     parameters, readings, options, whitening
     terms : int, or one a beam
     range_sigma : float
-        Of a whitened residual.
+        Standard deviation of a whitened residual.
     prior : RangeErrorPrior, optional
         Its range errors are never undetermined.
 
@@ -228,25 +228,25 @@ def _reduced(
     range_sigma: float,
     options: ObservabilityOptions,
     prior: RangeErrorPrior | None,
-) -> tuple[Reduced, FloatArray]:
+) -> tuple[ReducedSystem, FloatArray]:
     """Return the reduced information, and what is open of planes (P, 3, L)."""
     most = max(counts)
     unit, plane_unit = _units(readings, most, options, prior)
     active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
-    own = normal.diagonal[0] * unit**2
-    known = _prior_information(prior, unit, most, range_sigma, float(own.max()))
+    diagonal = normal.diagonal[0] * unit**2
+    known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
     of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
     least_of_planes = max(_least_information(of_planes, range_sigma, options))
-    found = normal.reduced(unit, plane_unit, active, known, least_of_planes)
-    floors = _least_information(float((own + known).max()), range_sigma, options)
+    information = normal.reduced(unit, plane_unit, active, known, least_of_planes)
+    floors = _least_information(float((diagonal + known).max()), range_sigma, options)
     beam = np.repeat(np.arange(readings.beams), 5 + most)[active]
-    values, top, mean_log, axes = spectrum(found.matrix, max(floors))
+    values, top, mean_log, axes = spectrum(information.matrix, max(floors))
     lost = open_axes(values, axes, beam, *floors)
     if lost.any() and len(values) < len(beam):
-        values, top, mean_log, axes = spectrum(found.matrix, np.inf)
+        values, top, mean_log, axes = spectrum(information.matrix, np.inf)
         lost = open_axes(values, axes, beam, *floors)
-    reduced = Reduced(
-        found,
+    reduced = ReducedSystem(
+        information,
         axes[:, lost],
         unit[active],
         plane_unit,
@@ -257,7 +257,11 @@ def _reduced(
         mean_log,
         axes[:, 0],
     )
-    return reduced, _plane_null(found, least_of_planes)
+    # Undetermined directions of the planes, one a column.
+    which, column = np.nonzero(information.plane_values < least_of_planes)
+    null = np.zeros((readings.planes, 3, len(which)))
+    null[which, :, np.arange(len(which))] = information.plane_axes[which, :, column]
+    return reduced, null
 
 
 def _units(
@@ -269,8 +273,8 @@ def _units(
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)
         error_unit = np.maximum(error_unit, WITHIN_PRIOR / options.most_sigma * sigma)
-    one = [length] * 3 + [1.0] * 2 + error_unit[:terms].tolist()
-    return np.tile(one, readings.beams), np.array([1.0, 1.0, length])
+    of_beam = [length] * 3 + [1.0] * 2 + error_unit[:terms].tolist()
+    return np.tile(of_beam, readings.beams), np.array([1.0, 1.0, length])
 
 
 def _prior_information(
@@ -288,21 +292,13 @@ def _prior_information(
     if prior is not None:
         rows = known.reshape(-1, 5 + terms)
         sigma = prior.sigma[:, :terms] / beam_unit[5 : 5 + terms]
-        rows[:, 5:] = np.maximum((range_sigma / sigma) ** 2, LEAST_PRIOR * largest)
+        rows[:, 5:] = np.maximum((range_sigma / sigma) ** 2, SINGULAR * largest)
     return known
 
 
 def _least_information(
     largest: float, range_sigma: float, options: ObservabilityOptions
 ) -> tuple[float, float]:
-    """Return the information, for unit weights, below which something is open, and that of rounding."""
+    """Return the information, for unit weights, that determines a direction, and its rounding."""
     rounding = options.least_information * largest
     return max((range_sigma / options.most_sigma) ** 2, rounding), rounding
-
-
-def _plane_null(found: ReducedInformation, floor: float) -> FloatArray:
-    """Return what the planes leave undetermined (P, 3, K), one a column."""
-    which, column = np.nonzero(found.plane_values < floor)
-    null = np.zeros((len(found.plane_values), 3, len(which)))
-    null[which, :, np.arange(len(which))] = found.plane_axes[which, :, column]
-    return null

@@ -14,14 +14,12 @@ from ..model.joint import beam_lifts
 from ..text import some
 from .rank import NullSpace, Observability
 
-SHARE = 0.02
+WORTH_A_WORD = 0.02
 """A part of a null vector below this length is not worth a word."""
 MOST_NAMED = 8
-"""Of more beams that are open alike only the first is described."""
+"""Of more beams that are undetermined alike only the first is described."""
 WEAK_SHARE = 0.4
-"""Of the longest part of the weakest direction: what is shorter is not named."""
-LEAK = 1e-6
-"""A coordinate with a larger part of a null vector (in natural units) has no standard deviation."""
+"""Parts of the weakest direction that are shorter than this part of the longest are not named."""
 
 Kind = Literal["beam", "plane"]
 OF_BEAMS = "location", "direction", "range error"
@@ -32,7 +30,7 @@ MIRROR_ADVICE = "move the hand between the stations of a plane instead of only t
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
+class BeamAndPlaneNames:
     """Names of beams and planes, each with its index, in the order in which they are listed."""
 
     beams: tuple[tuple[str, int], ...]
@@ -49,13 +47,13 @@ class Names:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class OpenPart(Value):
-    """A quantity that the readings leave open, wholly or along some axes.
+    """A quantity that the readings leave undetermined, wholly or along some axes.
 
     Attributes
     ----------
     kind : "beam" or "plane"
     name : str
-        Of the beam or plane.
+        Name of the beam or plane.
     quantity : str
         `location`, `direction`, `range error`, `normal` or `offset`.
     axes : (D, K)
@@ -69,25 +67,30 @@ class OpenPart(Value):
     axes: FloatArray
 
 
-def open_parts(found: Observability, parameters: Parameters, names: Names) -> tuple[OpenPart, ...]:
-    """Return what the null space leaves open: beams first, in the order of `names`."""
-    return _parts(found.null_space, parameters, names)
+def open_parts(
+    observed: Observability, parameters: Parameters, names: BeamAndPlaneNames
+) -> tuple[OpenPart, ...]:
+    """Return the undetermined parts of the null space: beams first, in the order of `names`."""
+    return _parts(observed.null_space, parameters, names)
 
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
-    """Say what is left open, one sentence a beam or kind of plane; of many beams once for all alike."""
+    """Say what is undetermined, one sentence a beam or kind of plane; once for many beams alike."""
     of_beams: dict[str, list[OpenPart]] = {}
     for part in parts:
         if part.kind == "beam":
             of_beams.setdefault(part.name, []).append(part)
     alike: dict[tuple[str, ...], list[str]] = {}
-    for name, own in of_beams.items():
-        alike.setdefault(tuple(part.quantity for part in own), []).append(name)
+    for name, open_of_beam in of_beams.items():
+        alike.setdefault(tuple(part.quantity for part in open_of_beam), []).append(name)
     words = []
     for names in alike.values():
         shown = names if len(names) <= MOST_NAMED else names[:1]
-        found = (", ".join(_part_words(part) for part in of_beams[name]) for name in shown)
-        words += [f"beam {name}: {own}" for name, own in zip(shown, found, strict=True)]
+        described = (", ".join(_part_words(part) for part in of_beams[name]) for name in shown)
+        words += [
+            f"beam {name}: {open_of_beam}"
+            for name, open_of_beam in zip(shown, described, strict=True)
+        ]
         if len(shown) < len(names):
             words.append(f"beams {some(names[1:], 3)}: the same, each along its own axes")
     for quantity in ("normal", "offset"):
@@ -122,11 +125,11 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     return tuple(words)
 
 
-def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
-    """Say in words along what the solution is known worst; nothing where rank is short."""
-    if not found.full:
+def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlaneNames) -> str:
+    """Name the least known direction of the solution; nothing where rank is short."""
+    if not observed.full:
         return ""
-    reduced = found.reduced
+    reduced = observed.reduced
     axis = reduced.weakest[:, None]
     beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
     space = NullSpace(beams, -(reduced.information.plane_response @ axis))
@@ -137,11 +140,13 @@ def weakest(found: Observability, parameters: Parameters, names: Names) -> str:
     return words[0] + more if words else ""
 
 
-def open_coordinates(found: Observability, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+def open_coordinates(
+    observed: Observability, parameters: Parameters
+) -> tuple[FloatArray, FloatArray]:
     """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4)."""
-    if found.full:
+    if observed.full:
         return np.zeros((len(parameters.locations), 8)), np.zeros((len(parameters.offsets), 4))
-    beams, planes = _normalized(found.null_space)
+    beams, planes = _normalized(observed.null_space)
     lifted = beam_lifts(model.tangent_basis(parameters.directions))[:, :, : beams.shape[1]] @ beams
     flat = np.zeros((len(planes), 4, beams.shape[2]))
     flat[:, :3] = model.tangent_basis(parameters.normals) @ planes[:, :2]
@@ -150,22 +155,22 @@ def open_coordinates(found: Observability, parameters: Parameters) -> tuple[Floa
 
 
 def _parts(
-    space: NullSpace, parameters: Parameters, names: Names, share: float = SHARE
+    space: NullSpace, parameters: Parameters, names: BeamAndPlaneNames, share: float = WORTH_A_WORD
 ) -> tuple[OpenPart, ...]:
     if space.beams.shape[-1] == 0:
         return ()
     rows = _rows(space, parameters)
-    long = {quantity: (_lengths(found) > share).tolist() for quantity, found in rows.items()}
+    long = {quantity: (_lengths(columns) > share).tolist() for quantity, columns in rows.items()}
     listed: list[tuple[Kind, str, int, str]] = [
         *(("beam", name, i, quantity) for name, i in names.beams for quantity in OF_BEAMS),
         *(("plane", name, p, quantity) for name, p in names.planes for quantity in OF_PLANES),
     ]
-    found = (
+    parts = (
         OpenPart(kind, name, quantity, _span(rows[quantity][i], share))
         for kind, name, i, quantity in listed
         if long[quantity][i]
     )
-    return tuple(part for part in found if part.axes.shape[1])
+    return tuple(part for part in parts if part.axes.shape[1])
 
 
 def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
@@ -176,7 +181,7 @@ def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
         "direction": model.tangent_basis(parameters.directions) @ beams[:, 3:5],
         "range error": beams[:, 5:],
         "normal": model.tangent_basis(parameters.normals) @ planes[:, :2],
-        # The offset is that at the world's origin: where the normal is open, it is too.
+        # The offset is taken at the world's origin: it is undetermined with the normal.
         "offset": np.linalg.norm(planes, axis=1, keepdims=True),
     }
 
@@ -204,12 +209,12 @@ def _part_words(part: OpenPart) -> str:
     if part.quantity == "direction" and count == 1:
         return f"direction towards {_vector(axes[:, 0])}"
     if part.quantity == "range error":
-        known = zip(("k1", "k2"), np.linalg.norm(axes, axis=1) <= SHARE, strict=False)
+        known = zip(("k1", "k2"), np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
         return f"range error {' and '.join(name for name, enough in known if not enough)}"
     return part.quantity
 
 
-def _span(rows: FloatArray, share: float = SHARE) -> FloatArray:
+def _span(rows: FloatArray, share: float = WORTH_A_WORD) -> FloatArray:
     """Return an orthonormal basis, as columns, of what the columns of `rows` (D, K) span."""
     U, s, _ = np.linalg.svd(rows, full_matrices=False)
     return U[:, s > share]

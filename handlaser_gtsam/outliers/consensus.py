@@ -14,44 +14,41 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.losses import Loss
-from ..solvers.refine import Refined, Scale, refine_many
+from ..quantities import MAJORITY
+from ..solvers.refine import LossScale, Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
-from ..starts.choice import POOR_FIT, fits_sigma, usable_terms
+from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
-from ..starts.search import Candidate, Round, agreeing
+from ..starts.search import LAST_STEPS, Candidate, Round, agreeing
 from .snooping import Screening, beyond_chance, enough, quick_evidence, screen
 
 SUSPICIOUS = 0.35
-"""Where most readings agree this much better than all of them do, there are outliers to look for;
-of Gaussian residuals the scale of the better half is about 0.6 of the standard deviation."""
+"""The scale of the better half of the readings over the scale of all, below which there are outliers to
+look for: it is about 0.6 for Gaussian residuals."""
 SCREENED = 4
-MAJORITY = 0.6
-"""Part of a long recording that must be good."""
-CONVINCING = 3.0
-"""Readings that agree within so many of the given sigmas need no further search."""
+"""Candidates of the robust search that are screened: the evidence of the others is weaker."""
 SURE_FIT = 0.02
 """Readings that agree within this part of their spread do not hide a station of another plane, which
 range errors and a tilted plane can take up to a few hundredths of it."""
-FEW = 0.2
-"""Where a plain screening leaves out more than this part of the readings of a beam or a plane, that
-beam or plane may have followed its outliers, and what was left out may be what is good."""
-SAME_PART = 0.1
+FEW_REJECTED = 0.2
+"""A plain screening that rejects more than this part of the readings of a beam or a plane settles
+nothing: that beam or plane may have followed its outliers, and the good readings are rejected."""
+SAME_EVIDENCE = 0.1
 """Criteria are the same to this part of what is beyond chance: not every candidate has arrived."""
 IN_VAIN = 50
-"""After so many candidates, none of them beyond chance, no more are tried. With 30 % of the readings
-replaced, or a station of another plane, 12 or more of the first 19 agreed in each of 24 recordings."""
-STEPS = 20
+"""Candidates after which the search ends if none is beyond chance. With 30 % of the readings replaced,
+or a station of another plane, 12 or more of the first 19 agreed in each of 24 recordings."""
 RIVALS = 5
-"""So many other candidates of the plain search compete in the robust one."""
+"""Further candidates of the plain search that compete in the robust search."""
 
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """The readings that agree, what they agree on and within what sigma [m], and how it was found.
+    """The readings that agree, the parameters and sigma [m] they agree on, and the method.
 
-    The `start` is the plain one, found as if all readings were good.
+    The `start` is the result of the plain search, as if all readings were good.
     """
 
     start: Start
@@ -77,40 +74,42 @@ class PlainJudge:
         return self.settles(self.screened(candidate), agreed)
 
     def screened(self, candidate: Parameters, scale: float | None = None) -> Screening | None:
-        """Return what contradicts the rest, from a candidate on; the same one is screened once."""
+        """Return the screening from a candidate on; the same candidate is screened once."""
         if not self.latest or self.latest[0][0] is not candidate:
-            one = screen(self.readings, candidate, self.terms, self.range_sigma, scale)
-            self.latest[:] = [(candidate, one)]
+            screening = screen(self.readings, candidate, self.terms, self.range_sigma, scale)
+            self.latest[:] = [(candidate, screening)]
         return self.latest[0][1]
 
-    def settles(self, one: Screening | None, agreed: bool) -> bool:
-        """Tell whether what was left out is little, and the rest hides no further outliers."""
-        if one is None or not self._leaves_few_out(one):
+    def settles(self, screening: Screening | None, agreed: bool) -> bool:
+        """Tell whether few readings were rejected, and the rest hides no further outliers."""
+        if screening is None or not self._rejects_few(screening):
             return False
-        good = self.readings.subset(np.flatnonzero(one.kept))
+        good = self.readings.subset(np.flatnonzero(screening.kept))
         if self.range_sigma is not None:
-            e = residuals(one.parameters, good)
+            e = residuals(screening.parameters, good)
             if fits_sigma(float(e @ e), good, self.range_sigma, self.terms):
                 return True
-        if not (agreed and self.fits_well(one, SURE_FIT)):
+        if not (agreed and self.fits_well(screening, SURE_FIT)):
             return False
         unknowns = good.unknowns(self.terms)
         share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
-        rule = Scale(least_scale(good, self.range_sigma), max(share, 0.5))
-        most = refine_many([one.parameters], good, self.terms, STEPS, Loss("cauchy"), rule)[0]
-        return most is not None and most.scale > SUSPICIOUS * max(one.range_sigma, rule.least)
+        rule = LossScale(least_scale(good, self.range_sigma), max(share, 0.5))
+        most = refine_many(
+            [screening.parameters], good, self.terms, LAST_STEPS, Loss("cauchy"), rule
+        )[0]
+        return most is not None and most.scale > SUSPICIOUS * max(screening.range_sigma, rule.least)
 
-    def fits_well(self, one: Screening, part: float = POOR_FIT) -> bool:
+    def fits_well(self, screening: Screening, part: float = POOR_START) -> bool:
         """Tell whether the readings kept fit the given sigma, or to a part of the readings' spread."""
         if self.range_sigma is not None:
-            return one.range_sigma <= CONVINCING * self.range_sigma
-        return one.range_sigma <= part * self.readings.spread()
+            return screening.range_sigma <= MISFIT * self.range_sigma
+        return screening.range_sigma <= part * self.readings.spread()
 
-    def _leaves_few_out(self, one: Screening) -> bool:
+    def _rejects_few(self, screening: Screening) -> bool:
         readings = self.readings
         for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
             whole = np.bincount(index, minlength=count)
-            if (np.bincount(index[~one.kept], minlength=count) > FEW * whole).any():
+            if (np.bincount(index[~screening.kept], minlength=count) > FEW_REJECTED * whole).any():
                 return False
         return True
 
@@ -125,25 +124,26 @@ class _ConsensusJudge:
 
     def criterion(self, refined: Refined) -> float:
         """Return the criterion of a screening without its fit."""
-        at, scale = refined.parameters, refined.scale
-        return quick_evidence(self.readings, self.terms, self.range_sigma, at, scale)
+        return quick_evidence(
+            self.readings, self.terms, self.range_sigma, refined.parameters, refined.scale
+        )
 
-    def convinced(self, found: Sequence[Candidate], latest: Round, _before: float) -> bool:
-        """Tell whether the best is beyond chance and enough agree with it, or none ever will be."""
-        best = found[0]
+    def convinced(self, candidates: Sequence[Candidate], latest: Round, _before: float) -> bool:
+        """Tell whether the best is beyond chance and enough agree with it, or the search is in vain."""
+        best = candidates[0]
         beyond = beyond_chance(
             self.readings, self.terms, self.range_sigma, best.parameters, best.scale
         )
         if beyond <= 0.0:
-            return len(found) >= IN_VAIN
-        same = best.criterion + max(SAME_CRITERION, SAME_PART * beyond)
-        return agreeing(found, same) >= latest.agreeing
+            return len(candidates) >= IN_VAIN
+        same = best.criterion + max(SAME_CRITERION, SAME_EVIDENCE * beyond)
+        return agreeing(candidates, same) >= latest.agreeing
 
 
 def find_consensus(
     readings: Readings, range_sigma: float | None, terms: int, certain: bool
 ) -> Consensus:
-    """Leave out what contradicts the rest; all readings are kept where no majority agrees.
+    """Reject readings that contradict the rest; all are kept where no majority agrees.
 
     Parameters
     ----------
@@ -162,40 +162,33 @@ def find_consensus(
         readings, range_sigma, terms, effort="quick", certain=certain, accepts=early.accepts
     )
     plain = judge.screened(start.parameters)
-    found = [] if plain is None else [(start.method, plain)]
+    screenings = [] if plain is None else [(start.method, plain)]
     settled = start.fits or judge.settles(plain, start.believed)
     last = start
     everything = np.ones(len(readings), dtype=bool)
     if not settled and enough(readings, everything, usable):
-        for one in _robust(judge, part, start, plain)[:SCREENED]:
-            tight = judge.screened(one.parameters, one.scale)
-            found += [] if tight is None else [(METHOD, tight)]
-        best = min(found, key=_evidence, default=None)
+        for candidate in _robust(judge, part, start, plain)[:SCREENED]:
+            tight = judge.screened(candidate.parameters, candidate.scale)
+            screenings += [] if tight is None else [(METHOD, tight)]
+        best = min(screenings, key=_evidence, default=None)
         settled = best is not None and judge.fits_well(best[1])
     if not settled:
         last = find_start(readings, sigma, usable, earlier=start)
         plain = judge.screened(last.parameters)
-        found += [] if plain is None else [(last.method, plain)]
-    if not found:
+        screenings += [] if plain is None else [(last.method, plain)]
+    if not screenings:
         return Consensus(start, everything, last.parameters, last.method, None)
-    method, kept = min(found, key=_evidence)
-    kept = _with_better_beams(judge, kept)
-    return Consensus(start, kept.kept, kept.parameters, method, kept.range_sigma)
+    method, screening = min(screenings, key=_evidence)
+    # The rejected readings may be the ones that contradict a beam in a wrong minimum.
+    better = with_better_beams(screening.parameters, readings, MISFIT * screening.range_sigma)
+    other = None if better is None else screen(readings, better, usable, sigma)
+    if other is not None and other.evidence < screening.evidence:
+        screening = other
+    return Consensus(start, screening.kept, screening.parameters, method, screening.range_sigma)
 
 
-def _with_better_beams(judge: PlainJudge, one: Screening) -> Screening:
-    """Return a screening with beams in lower minima, where there is more evidence for it.
-
-    What was left out may be what contradicts a beam in a wrong one.
-    """
-    readings = judge.readings
-    better = with_better_beams(one.parameters, readings, CONVINCING * one.range_sigma)
-    found = None if better is None else screen(readings, better, judge.terms, judge.range_sigma)
-    return one if found is None or found.evidence >= one.evidence else found
-
-
-def _evidence(found: tuple[str, Screening]) -> float:
-    return found[1].evidence
+def _evidence(screening: tuple[str, Screening]) -> float:
+    return screening[1].evidence
 
 
 def _robust(
@@ -205,11 +198,17 @@ def _robust(
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [part.restricted(parameters) for parameters in others]
-    known += [rival.parameters for rival in start.found[1 : RIVALS + 1]]
-    found = robust_search(readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma))
+    known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
+    candidates = robust_search(
+        readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma)
+    )
     if part.is_whole:
-        return found
-    rule = Scale(least_scale(part.whole, sigma), MAJORITY)
-    grown = [part.extended(candidate.parameters) for candidate in found[:SCREENED]]
-    whole = refine_many(grown, part.whole, terms, STEPS, Loss("cauchy"), rule)
-    return [Candidate(METHOD, one.parameters, 0.0, one.scale) for one in whole if one is not None]
+        return candidates
+    rule = LossScale(least_scale(part.whole, sigma), MAJORITY)
+    grown = [part.extended(candidate.parameters) for candidate in candidates[:SCREENED]]
+    whole = refine_many(grown, part.whole, terms, LAST_STEPS, Loss("cauchy"), rule)
+    return [
+        Candidate(METHOD, refined.parameters, 0.0, refined.scale)
+        for refined in whole
+        if refined is not None
+    ]

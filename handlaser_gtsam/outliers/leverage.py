@@ -1,9 +1,9 @@
 r"""How much each reading pulls the solution to itself.
 
 With unit weights the variance of a predicted range is h = J inv(J'J) J', its leverage. The residual of
-a reading that was used has variance sigma^2 (1 - h), that of one left out sigma^2 (1 + h). With S the
+a reading that was used has variance sigma^2 (1 - h), and sigma^2 (1 + h) if it was not. With S the
 covariance of the beams, W_p the response of a plane and P_p its covariance for known beams, a reading
-with the derivatives a of its own beam i and c of its plane has
+with the derivatives a by its beam i and c by its plane has
 
     h = a' S_ii a - 2 a' (S W_p')_i c + c' (W_p S W_p' + P_p) c
 
@@ -16,28 +16,29 @@ from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..observability.rank import Observability
+from ..quantities import NEGLIGIBLE
 from ..solvers.normal_equations import jacobian_columns
 
-MOST_WORK = 50_000_000
-"""Readings times beam unknowns beyond which leverages are taken as zero: so many readings share so many
-unknowns that one weighs little, and the information takes too long to invert."""
-LEAST_FREEDOM = 1e-6
-"""A reading with less than this part of its variance left checks nothing."""
+LARGEST_LEVERAGES = 50_000_000
+"""Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
+there, and the information takes too long to invert."""
 
 
 def negligible(readings: Readings, terms: int) -> bool:
     """Tell whether leverages are taken as zero."""
-    return len(readings) * readings.beams * (5 + terms) > MOST_WORK
+    return len(readings) * readings.beams * (5 + terms) > LARGEST_LEVERAGES
 
 
-def leverages(parameters: Parameters, readings: Readings, found: Observability) -> FloatArray:
-    """Return h (N,) of all readings for the information behind `found` (of those that were used)."""
-    reduced = found.reduced
+def leverages(
+    parameters: Parameters, readings: Readings, observability: Observability
+) -> FloatArray:
+    """Return h (N,) of all readings for the information `observability` of the readings in use."""
+    reduced = observability.reduced
     active = reduced.active.reshape(readings.beams, -1)
     width = active.shape[1]
     columns, _ = jacobian_columns(parameters, readings, width - 5, reduced.centres)
     unit = reduced.padded(reduced.beam_unit[:, None]).reshape(active.shape)
-    own = columns[:width].T * unit[readings.beam]
+    rows_of_beams = columns[:width].T * unit[readings.beam]
     plane = columns[width : width + 3].T * reduced.plane_unit
     S, W = reduced.covariance(), reduced.information.plane_response
     follow = S @ np.swapaxes(W, 1, 2)
@@ -49,16 +50,16 @@ def leverages(parameters: Parameters, readings: Readings, found: Observability) 
         rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
         beams[i][np.ix_(has, has)] = S[rows, rows]
         across[:, i, has] = follow[:, rows]
-    h = _product(own, beams[readings.beam], own)
-    h -= 2.0 * _product(own, across[readings.plane, readings.beam], plane)
+    h = _product(rows_of_beams, beams[readings.beam], rows_of_beams)
+    h -= 2.0 * _product(rows_of_beams, across[readings.plane, readings.beam], plane)
     h += _product(plane, rest[readings.plane], plane)
     return h
 
 
 def _product(a: FloatArray, matrix: FloatArray, b: FloatArray) -> FloatArray:
     """Return a' M b (N,) for rows a (N, i) and b (N, j) and matrices (N, i, j)."""
-    found: FloatArray = ((a[:, None] @ matrix)[:, 0] * b).sum(axis=1)
-    return found
+    products: FloatArray = ((a[:, None] @ matrix)[:, 0] * b).sum(axis=1)
+    return products
 
 
 def standardized(
@@ -66,6 +67,6 @@ def standardized(
 ) -> FloatArray:
     """Return residuals (N,) in their own standard deviations; zero where a reading checks nothing."""
     variance = np.where(used, 1.0 - leverage, 1.0 + leverage)
-    checks = variance > LEAST_FREEDOM
+    checks = variance > NEGLIGIBLE
     scale = range_sigma * np.sqrt(np.where(checks, variance, 1.0))
     return np.where(checks, residual / scale, 0.0)

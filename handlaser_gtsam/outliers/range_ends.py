@@ -13,15 +13,13 @@ from scipy.special import bdtrc
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
 
-CHANCE = 0.01
-"""Outliers that have nothing to do with the range look like this in so many recordings at most."""
-LEAST = 2
-"""One reading is no pattern."""
+END_CHANCE = 0.01
+"""Part of the recordings in which outliers of other causes may look like an end of a range."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeEnd:
-    """Readings of one beam that were left out at an end of its range.
+    """Rejected readings of one beam at an end of its range.
 
     Attributes
     ----------
@@ -29,9 +27,9 @@ class RangeEnd:
     far : bool
         Whether at the far end.
     rows : (N,)
-        Of the readings, the most extreme first.
+        Rows of the rejected readings, the most extreme first.
     extreme : int
-        So many readings are as extreme as these; most of them are these.
+        Number of readings that are as extreme as these: most of them are rejected.
     limit : float
         The least extreme of them [m].
     """
@@ -46,32 +44,32 @@ class RangeEnd:
 def range_ends(
     readings: Readings, unexplained: BoolArray, residual: FloatArray
 ) -> tuple[RangeEnd, ...]:
-    """Return the ends that show, for outliers `unexplained` (N,) otherwise and residuals (N,) [m].
+    """Return the ends that show among outliers that are `unexplained` (N,), by residuals (N,) [m].
 
     A residual is positive where the plane is farther than the reading.
     """
-    found = []
+    ends = []
     for beam in range(readings.beams):
-        own = np.flatnonzero(readings.beam == beam)
-        own = own[np.argsort(readings.distance[own], kind="stable")]
-        share = float(unexplained[own].mean()) if len(own) else 0.0
-        for rows, far in ((own[::-1], True), (own, False)):
+        of_beam = np.flatnonzero(readings.beam == beam)
+        of_beam = of_beam[np.argsort(readings.distance[of_beam], kind="stable")]
+        share = float(unexplained[of_beam].mean()) if len(of_beam) else 0.0
+        for rows, far in ((of_beam[::-1], True), (of_beam, False)):
             towards = np.isfinite(residual[rows]) & ((residual[rows] > 0.0) == far)
             marked = unexplained[rows] & towards
-            extreme = _end(marked, 0.5 * share, CHANCE / (2.0 * readings.beams))
+            extreme = _end(marked, 0.5 * share, END_CHANCE / (2.0 * readings.beams))
             if extreme:
                 limit = float(readings.distance[rows[extreme - 1]])
-                found.append(RangeEnd(beam, far, rows[:extreme][marked[:extreme]], extreme, limit))
-    return tuple(found)
+                ends.append(RangeEnd(beam, far, rows[:extreme][marked[:extreme]], extreme, limit))
+    return tuple(ends)
 
 
 def _end(marked: BoolArray, share: float, chance: float) -> int:
-    """Return how many of the first rows hold more that are `marked` than chance puts there, or 0.
+    """Return the length of the first rows with more `marked` than chance explains, or 0.
 
-    By chance, each row is marked with the probability `share`.
+    By chance, each row is marked with the probability `share`. One reading is no pattern.
     """
     place = np.flatnonzero(marked) + 1
     count = np.arange(1, len(place) + 1)
     odds = len(place) * bdtrc(count - 1.0, place, share)
-    odds[(count < LEAST) | (2 * count <= place)] = np.inf
+    odds[(count < 2) | (2 * count <= place)] = np.inf
     return int(place[odds.argmin()]) if (odds <= chance).any() else 0

@@ -1,12 +1,12 @@
-r"""Which readings to leave out: those that the others contradict.
+r"""Which readings to reject: the ones that the others contradict.
 
-From a candidate that fits most readings, the far ones are left out, the rest is fitted again, and all
-readings are tested anew against that fit, until nothing changes. Candidates are compared by the
+From a candidate that fits most readings, the far ones are rejected, the rest is fitted again, and all
+readings are tested again against that fit, until nothing changes. Candidates are compared by the
 evidence for "Gaussian among m readings, anything within the span W for the others":
 
     2 N ln sigma + RSS / sigma^2 + 2 (N - m) price - 2 ln(share of each)
 
-so that leaving a reading out has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
+so that rejecting a reading has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
 """
 
 from dataclasses import dataclass
@@ -21,26 +21,23 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import observability
+from ..quantities import EXACT, MAJORITY, MOST_ROUNDS
 from ..solvers.refine import refine
+from ..starts.search import LAST_STEPS
 from .leverage import leverages, negligible, standardized
 
-LEAST_CUT, MOST_CUT = 3.0, 4.0
-"""A reading further off than a cut between these, in its standard deviations, is an outlier."""
+LEAST_CUT = 3.0
+"""The cut in standard deviations is at least this: Gaussian errors exceed it once in 370."""
+MOST_CUT = 4.0
+"""The cut in standard deviations is at most this, and equal to it in the first round."""
 CAUTION = 0.5
-"""So much below even odds is the cut: a gross error that stays costs more than a reading that goes."""
-FIRST_CUT = 4.0
-"""The same for the candidate's own scale, in the first round."""
+"""The cut lies this far below even odds: a gross error costs more than a rejected good reading."""
 MOST_SPAN = 0.5
-"""A reading that was left out is not taken back where the cut about its prediction is wider than this
-part of the span of the good readings: far from the spots of its plane, or along it, that test passes
-what is grossly wrong, and the fit would follow."""
-ROUNDS, STEPS = 20, 25
-LEAST_SHARE = 0.6
-"""At least this part of the readings must remain: a bare majority may agree by chance."""
-PRICE = 2.0
+"""A rejected reading is not taken back where the cut about its prediction is wider than this part of
+the span of good readings: far from the spots of its plane, or along it, that test passes gross errors,
+and the fit would follow them."""
+PRICE_OF_UNKNOWN = 2.0
 """Logarithm of how many different values of an unknown a search may have tried, to be safe."""
-ROUNDING = 1e-12
-"""Residuals below this part of the readings are rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +68,7 @@ def screen(
     range_sigma: float | None,
     scale: float | None = None,
 ) -> Screening | None:
-    """Leave out what contradicts the rest, from `candidate` on.
+    """Reject readings that contradict the rest, from `candidate` on.
 
     Parameters
     ----------
@@ -91,10 +88,10 @@ def screen(
     """
     kept = np.ones(len(readings), dtype=bool)
     if scale is not None:
-        kept = np.abs(residuals(candidate, readings)) <= FIRST_CUT * scale
+        kept = np.abs(residuals(candidate, readings)) <= MOST_CUT * scale
     parameters, sigma = candidate, 0.0
     seen: set[bytes] = set()
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         if not enough(readings, kept, terms):
             return None
         try:
@@ -117,7 +114,7 @@ def quick_evidence(
     """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
     e = np.abs(residuals(parameters, readings))
     best = np.inf
-    for cut in (FIRST_CUT * scale, 2.0 * FIRST_CUT * scale):
+    for cut in (MOST_CUT * scale, 2.0 * MOST_CUT * scale):
         kept = e <= cut
         good = readings.subset(np.flatnonzero(kept))
         if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
@@ -140,39 +137,39 @@ def beyond_chance(
     of which this is the negative logarithm, for readings within a cut of the `scale`.
     """
     e = np.abs(residuals(parameters, readings))
-    kept = e <= FIRST_CUT * scale
+    kept = e <= MOST_CUT * scale
     total, good, unknowns = len(e), int(kept.sum()), readings.unknowns(terms)
     if good <= unknowns:
         return -np.inf
     sigma = _sigma_of(readings, e[kept], terms, range_sigma)
     each = price(readings.distance[kept], sigma) - 0.5
     choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
-    return float((good - unknowns) * each - choices - PRICE * unknowns)
+    return float((good - unknowns) * each - choices - PRICE_OF_UNKNOWN * unknowns)
 
 
 def _sigma_of(
     readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
 ) -> float:
-    """Return the sigma [m] of the residuals of those that agree, not below the given one."""
+    """Return the sigma [m] of the residuals of agreeing readings, at least the given one."""
     free = max(len(residual) - readings.unknowns(terms), 1)
     estimated = float(np.sqrt((residual @ residual) / free))
-    return max(range_sigma or 0.0, estimated, ROUNDING * readings.largest_range())
+    return max(range_sigma or 0.0, estimated, EXACT * readings.largest_range())
 
 
 def price(distance: FloatArray, range_sigma: float) -> float:
-    """Return ln(W / (sqrt(2 pi) sigma)) for the span W of readings: what it costs to leave one out.
+    """Return ln(W / (sqrt(2 pi) sigma)) for the span W of readings: the price of rejecting one.
 
-    That is the logarithm of how much rarer a reading is that may be anything within the span than one
-    without error whose standard deviation is sigma [m].
+    That is the logarithm of a ratio of densities: of an exact reading with the standard deviation
+    sigma [m], and of a reading that may be anything within the span.
     """
     span = max(float(np.ptp(distance)), range_sigma)
     return float(np.log(span / (np.sqrt(2.0 * np.pi) * range_sigma)))
 
 
 def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
-    """Return how many standard deviations off an outlier is, by the share of those left out so far.
+    """Return the standard deviations beyond which readings are outliers, by the share of outliers.
 
-    A residual of z standard deviations is as likely that of a gross error as of a good reading where
+    A residual of z standard deviations is as likely from a gross error as from a good reading where
     z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
     """
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
@@ -186,7 +183,7 @@ def test(
 ) -> tuple[Parameters, float, FloatArray]:
     """Fit the `kept` readings from `start`; return parameters, sigma and residuals in their sigmas."""
     part = readings.subset(np.flatnonzero(kept))
-    refined = refine(start, part, terms, STEPS)
+    refined = refine(start, part, terms, LAST_STEPS)
     parameters = start if refined is None else refined.parameters
     sigma, t = judge(readings, kept, parameters, terms, np.full(len(readings), range_sigma or 0.0))
     return parameters, sigma, t
@@ -207,7 +204,7 @@ def judge(
     ----------
     readings : Readings
     kept : (N,) of bool
-        Those that `parameters` were fitted to.
+        Readings that `parameters` were fitted to.
     parameters : Parameters
     terms : int
     sigmas : (N,)
@@ -223,27 +220,25 @@ def judge(
     estimated = float(np.sqrt((z @ z) / free))
     typical = float(np.median(unit[kept]))
     least = 1.0 if known and (sigmas > 0.0).all() else 0.0
-    scale = max(least, estimated, ROUNDING * readings.largest_range() / typical)
+    scale = max(least, estimated, EXACT * readings.largest_range() / typical)
     h = np.zeros(len(readings))
     if not negligible(readings, terms):
-        found = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
+        observed = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
         steep = np.flatnonzero(np.isfinite(e))
-        h[steep] = leverages(parameters, readings.subset(steep), found)
+        h[steep] = leverages(parameters, readings.subset(steep), observed)
     t = standardized(e / unit, h, kept, scale)
-    t[~kept & _vague(readings, kept, scale * unit * np.sqrt(1.0 + h))] = np.inf
+    # A vague prediction would let almost any rejected reading pass.
+    predicted = scale * unit * np.sqrt(1.0 + h)
+    vague = MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept]))
+    t[~kept & vague] = np.inf
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf
     return scale * typical, t
 
 
-def _vague(readings: Readings, kept: BoolArray, predicted: FloatArray) -> BoolArray:
-    """Tell of readings (N,) whether their prediction sigmas [m] would let almost any reading pass."""
-    return np.asarray(MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept])))
-
-
 def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
     """Tell whether the `kept` readings are a majority, and enough for every beam and plane."""
-    if kept.sum() < max(LEAST_SHARE * len(readings), readings.unknowns(terms) + 1):
+    if kept.sum() < max(MAJORITY * len(readings), readings.unknowns(terms) + 1):
         return False
     beams = np.bincount(readings.beam[kept], minlength=readings.beams)
     planes = np.bincount(readings.plane[kept], minlength=readings.planes)

@@ -10,9 +10,9 @@ from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters
-from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import InputError
+from ..quantities import LARGEST_LENGTH
 from .plate import STEEPEST_TILT, Plate, directions, vectors
 
 
@@ -53,7 +53,7 @@ class Bounds(Value):
             raise InputError(found, "one of each for every beam")
         object.__setattr__(self, "locations", locations)
         object.__setattr__(self, "directions", axes)
-        require_number("location_within", self.location_within, 0.0, LARGEST, unit="m")
+        require_number("location_within", self.location_within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("cone", self.cone, 0.0, STEEPEST_TILT, unit="rad")
 
     def middle(self) -> Parameters:

@@ -7,12 +7,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number, require_word
-from ..data.noise import MOST_SIGMA
-from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
 from ..results.systematic_columns import OF_READINGS
 from .choice import CRITERIA, Criterion
@@ -62,9 +60,11 @@ class Goal:
         require_word("criterion", self.criterion, CRITERIA)
         for name in ("location_sigma", "direction_sigma", "spot"):
             if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), 0.0, MOST_SIGMA, above=True)
+                require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True)
         if self.working_distance is not None:
-            require_number("working_distance", self.working_distance, -LARGEST, LARGEST, unit="m")
+            require_number(
+                "working_distance", self.working_distance, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m"
+            )
         require_kind("tells", self.tells, tuple, "codes of systematic errors in a tuple")
         for code in self.tells:
             require_word("tells", code, OF_READINGS)

@@ -8,9 +8,9 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..checks import number_array, require_count, require_number
-from ..data.recording import LARGEST
 from ..data.value import Value
 from ..errors import ArgumentError, InputError
+from ..quantities import LARGEST_LENGTH
 
 STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""
@@ -56,7 +56,7 @@ class Plate(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", vectors("point", self.point, 1)[0])
         object.__setattr__(self, "normal", directions("normal", self.normal, 1)[0])
-        require_number("within", self.within, 0.0, LARGEST, unit="m")
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
 
 
@@ -87,7 +87,7 @@ class Placement:
     def __post_init__(self) -> None:
         require_count("planes", self.count, 1, MOST_PLACEMENTS)
         require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
-        require_number("within", self.within, 0.0, LARGEST, unit="m")
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
 
     def orientations(self, plate: Plate) -> list[Plate]:
@@ -136,7 +136,7 @@ def vectors(name: str, values: object, count: int | None = None) -> FloatArray:
     rows = np.atleast_2d(number_array(name, values))  # type: ignore[arg-type]
     if rows.ndim != 2 or rows.shape[1] != 3 or (count is not None and len(rows) != count):
         raise InputError(f"{name} of shape {rows.shape}", "three numbers each")
-    if not (np.abs(rows) <= LARGEST).all():
+    if not (np.abs(rows) <= LARGEST_LENGTH).all():
         raise InputError(f"{name} with numbers that are not finite", "finite numbers")
     return rows
 

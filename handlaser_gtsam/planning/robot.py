@@ -10,12 +10,12 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..checks import number_array, require_number
-from ..data.recording import LARGEST
 from ..data.recording_checks import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.robots.arm import Arm
 from ..model.robots.scene import Scene
+from ..quantities import LARGEST_LENGTH
 from .plate import Plate, vectors
 
 STARTS = 8
@@ -90,9 +90,9 @@ class Robot(Value):
         object.__setattr__(self, "urdf", str(self.urdf))
         require_number("clearance", self.clearance, 0.0, LARGEST_CLEARANCE, unit="m")
         for name in ("plate_across", "plate_thickness"):
-            require_number(name, getattr(self, name), 0.0, LARGEST, above=True, unit="m")
+            require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True, unit="m")
         if self.table is not None:
-            require_number("table", self.table, -LARGEST, LARGEST, unit="m")
+            require_number("table", self.table, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
 
     @property
     def joint_names(self) -> tuple[str, ...]:

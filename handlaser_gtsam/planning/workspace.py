@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind, require_number
-from ..data.recording import LARGEST, Recording
+from ..data.recording import Recording
 from ..data.recording_checks import rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..quantities import LARGEST_LENGTH
 from ..validation.simulate import Stations
 from .belief import Belief
 from .information import Outlook, outlook
@@ -90,7 +91,9 @@ class Workspace(Value):
         object.__setattr__(self, "home", rotation_matrix("home", self.home))
         require_number("largest_turn", self.largest_turn, 0.0, math.pi, above=True, unit="rad")
         if self.largest_step != math.inf:  # which says that there is no limit
-            require_number("largest_step", self.largest_step, 0.0, LARGEST, above=True, unit="m")
+            require_number(
+                "largest_step", self.largest_step, 0.0, LARGEST_LENGTH, above=True, unit="m"
+            )
         if self.robot is not None:
             require_kind("robot", self.robot, Robot)
 

@@ -17,10 +17,9 @@ from ..model.weighting import Variances, whitening
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.rank import observability
 from ..observability.wording import (
-    LEAK,
     MIRROR,
     MIRROR_ADVICE,
-    Names,
+    BeamAndPlaneNames,
     advice,
     open_coordinates,
     open_parts,
@@ -28,7 +27,7 @@ from ..observability.wording import (
     weakest,
 )
 from ..outliers.reasons import Reasons
-from ..quantities import IN_MM
+from ..quantities import IN_MM, NEGLIGIBLE
 from ..solvers.progress import tell
 from .calibration import Calibration
 from .calibration_fields import Status, strong_correlations
@@ -146,7 +145,7 @@ def _estimates(
         problem.in_world(solution.best),
         tuple(solution.problem.terms[i] for i in beams),
         joint,
-        (open_beams[beams] > LEAK, open_planes[planes] > LEAK),
+        (open_beams[beams] > NEGLIGIBLE, open_planes[planes] > NEGLIGIBLE),
     )
 
 
@@ -256,7 +255,9 @@ def _way(
     return CalibrationWarning("file-mistake", words) if words else None
 
 
-def _determined_by(names: Names, used: Readings, solution: Solution, fit: Fit) -> Determined:
+def _determined_by(
+    names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit
+) -> Determined:
     """Return what the readings that were used, each plane in its own frame, determine."""
     found, parameters = solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)

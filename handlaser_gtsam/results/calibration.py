@@ -11,6 +11,7 @@ from ..model.errors_in_variables import weighed
 from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
 from ..model.losses import Loss
 from ..model.weighting import whitening
+from ..quantities import UNIT_SIGMA
 from .calibration_fields import CalibrationData
 from .description.description import Description
 from .description.notebook import notebook_html
@@ -26,8 +27,7 @@ if TYPE_CHECKING:  # both take long to import, and few need them
 
     from ..solvers.graph import CalibrationGraph
 
-UNIT_SIGMA = 1e-3
-"""Range sigma [m] of readings that fit exactly, which show none."""
+
 UNITS = {"x": "_m", "y": "_m", "z": "_m", "b": "_m", "k2": "_per_m"}
 """Ends of the names of coordinates that have a unit."""
 

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
-from ..data.recording import LARGEST, Recording
+from ..data.recording import Recording
 from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
-from ..quantities import INCH, MM
+from ..quantities import INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
 from .rereading import MUCH_BETTER, Change, Rereading, misfit, misfits, one_beam, tells
 
@@ -367,7 +367,7 @@ def _scaled(
 ) -> Recording:
     """Return a recording in other units; as it is where that is beyond what a recording may hold."""
     t, d = positions * recording.world_t_hand, ranges * recording.ranges
-    if np.abs(t).max() > LARGEST or np.nanmax(d) > LARGEST:
+    if np.abs(t).max() > LARGEST_LENGTH or np.nanmax(d) > LARGEST_LENGTH:
         return recording
     return replace(recording, world_t_hand=t, ranges=d)
 

@@ -7,8 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ..checks import require_number
-from ..data.noise import MOST_SIGMA
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from .calibration_fields import CalibrationData
 from .systematic import SystematicError
 
@@ -37,7 +36,7 @@ class Limits:
         for name in get_args(Quantity):
             value = getattr(self, name)
             if value is not None:
-                require_number(name, value, 0.0, MOST_SIGMA, above=True)
+                require_number(name, value, 0.0, LARGEST_LENGTH, above=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ from ..checks import (
     require_names,
     require_number,
 )
-from ..data.noise import LEAST_SIGMA, MOST_SIGMA, Noise
-from ..data.recording import LARGEST
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording_checks import require_once
 from ..data.value import Value
 from ..errors import InputError
+from ..quantities import LARGEST_LENGTH
 from ..text import shown
 from .calibration import Calibration
 
@@ -140,15 +140,15 @@ def _check_numbers(mounts: Mounts) -> None:
         ("location", mounts.locations, " m"),
         ("range error", mounts.range_errors, ""),
     ):
-        wrong = ~(np.abs(values) <= LARGEST)
+        wrong = ~(np.abs(values) <= LARGEST_LENGTH)
         if wrong.any():
             found = f"a {name} of {values[wrong][0]:g}{unit}"
-            raise InputError(found, f"finite numbers, at most {LARGEST:g}")
+            raise InputError(found, f"finite numbers, at most {LARGEST_LENGTH:g}")
     v = mounts.directions
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(v, axis=1)
     wrong = ~(np.abs(length - 1.0) <= UNIT)
     if wrong.any():
         raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
-    require_covariance("a covariance of the beams", mounts.covariance, MOST_SIGMA, ROUNDING)
-    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, MOST_SIGMA, unit="m")
+    require_covariance("a covariance of the beams", mounts.covariance, LARGEST_LENGTH, ROUNDING)
+    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")

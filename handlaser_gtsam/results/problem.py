@@ -13,7 +13,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..model.joint import JointCovariance
 from ..model.sensor import Sensor
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
 from .reports import Beam, Plane
 
 
@@ -56,10 +56,10 @@ class Problem:
         return cls(recording, readings, order, origins, noise, sensor)
 
     @property
-    def names(self) -> Names:
+    def names(self) -> BeamAndPlaneNames:
         """Beams and planes with their numbers in the readings, in the order of the recording."""
         beams, planes = np.argsort(self.order.beams), np.argsort(self.order.planes)
-        return Names(
+        return BeamAndPlaneNames(
             tuple(zip(self.recording.beam_names, beams.tolist(), strict=True)),
             tuple(zip(self.recording.plane_names, planes.tolist(), strict=True)),
         )

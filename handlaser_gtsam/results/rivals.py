@@ -10,13 +10,14 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
-from ..estimation.task import ROUNDING
 from ..model.equation import residuals, scene
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
+from ..quantities import EXACT
 from ..solvers.refine import refine
-from ..starts.beam_minima import SAME, beam_minima
+from ..starts.beam_minima import beam_minima
+from ..starts.search import SAME_DIRECTION
 
 FIRST_LOOK = 100.0
 """A minimum for the planes as they are is looked at where its chi2 is larger by at most this,"""
@@ -45,7 +46,7 @@ def rivals(
     turned = np.linalg.norm(found.directions - solution.directions[:, None], axis=2)
     each = np.maximum(np.bincount(readings.beam, minlength=readings.beams) / found.readings, 1.0)
     worse = each[:, None] * (found.cost - found.now[:, None]) / range_sigma**2
-    worse = np.where(turned > SAME, worse, np.inf)
+    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
     least = worse.min(axis=1)
     for beam in np.argsort(least)[:TRIED].tolist():
         if least[beam] > FIRST_LOOK:
@@ -64,7 +65,7 @@ def rivals(
 
 
 def rival_warnings(
-    used: Readings, solution: Solution, joint: JointCovariance | None, names: Names
+    used: Readings, solution: Solution, joint: JointCovariance | None, names: BeamAndPlaneNames
 ) -> Iterator[CalibrationWarning]:
     """Yield a warning of every mount that is nearly as probable, and not within what is stated."""
     known = joint is not None and solution.observability.full and solution.redundancy > 0
@@ -72,7 +73,7 @@ def rival_warnings(
         return
     e = residuals(scene(solution.parameters, used), used.distance)
     size = float(np.sqrt(e @ e / solution.redundancy))
-    if size <= ROUNDING * used.largest_range():
+    if size <= EXACT * used.largest_range():
         return
     sigma, listed = direction_sigmas(joint), {i: name for name, i in names.beams}
     for one in rivals(solution.parameters, used, max(solution.problem.terms), size):

@@ -36,11 +36,12 @@ from scipy.linalg import eigh
 from .. import model
 from ..arrays import FloatArray
 from ..checks import require_number
-from ..data.recording import LARGEST, Readings
+from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
+from ..quantities import LARGEST_LENGTH
 from ..solvers.normal_equations import normal_equations
 from .calibration_fields import CalibrationData
 from .reports import Beam
@@ -70,7 +71,7 @@ def spot_at(
     InputError
         A reading that the sensor cannot give: one that is not positive, for most.
     """
-    require_number("a reading of", reading, -LARGEST, LARGEST, unit="m")
+    require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
     least = 0.0 if calibration.recording is None else calibration.recording.range_min
     if not (reading > 0.0 or (least < 0.0 and least <= reading)):
         expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"

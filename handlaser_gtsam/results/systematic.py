@@ -24,7 +24,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import Rows
@@ -117,7 +117,7 @@ class SystematicError(Value):
 
 def systematic_errors(
     rows: Rows,
-    names: Names,
+    names: BeamAndPlaneNames,
     stations: Sequence[str],
     *,
     known: bool,
@@ -132,7 +132,7 @@ def systematic_errors(
     Parameters
     ----------
     rows : Rows
-    names : Names
+    names : BeamAndPlaneNames
     stations : sequence of str
         Names of the stations by position.
     known : bool
@@ -179,7 +179,7 @@ def _report(
     subject: str,
     explained: str,
     others: tuple[str, ...],
-    names: Names,
+    names: BeamAndPlaneNames,
 ) -> SystematicError:
     code, p, size = str(found.codes[member]), float(found.p[member]), float(found.size[member])
     words, beams, clear = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
@@ -222,7 +222,7 @@ def _report(
 
 
 def _confounded(
-    found: ScoreTests, code: str, names: Names, plausible: Mapping[str, float]
+    found: ScoreTests, code: str, names: BeamAndPlaneNames, plausible: Mapping[str, float]
 ) -> SystematicError:
     """Return the report of an error that the recording cannot show."""
     words, size = WORDING[code], plausible.get(code, np.inf)
@@ -298,7 +298,9 @@ def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: st
     )
 
 
-def _subject(found: ScoreTests, member: int, names: Names, stations: Sequence[str]) -> str:
+def _subject(
+    found: ScoreTests, member: int, names: BeamAndPlaneNames, stations: Sequence[str]
+) -> str:
     """Return in words which plane, beam or station a member concerns."""
     number, beam = int(found.plane[member]), int(found.beam[member])
     if number < 0:

@@ -16,7 +16,7 @@ from ..estimation.solution import Solution
 from ..model.distributions import chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
-from ..observability.wording import Names
+from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_DEG, IN_MM
 from .dependence import Dependence
 from .lines import count
@@ -103,7 +103,7 @@ def poor_fit(readings: Readings, fit: Fit) -> CalibrationWarning:
 
 
 def implausible_mounts(
-    readings: Readings, parameters: Parameters, names: Names
+    readings: Readings, parameters: Parameters, names: BeamAndPlaneNames
 ) -> CalibrationWarning | None:
     """Say that beams lie where none can be: far from the hand, or on both sides of a plane."""
     far = float(np.linalg.norm(parameters.locations, axis=1).max())

@@ -1,4 +1,4 @@
-"""The batch solution of what is in a session, for comparison and for whole results."""
+"""The batch solution of the planes in a session, for comparison and for whole results."""
 
 from dataclasses import dataclass, replace
 
@@ -13,11 +13,12 @@ from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..estimation.task import SETTLED
+from ..estimation.task import WEIGHTS_SETTLED
 from ..model.errors_in_variables import weighed
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
 from ..observability.rank import Observability, ObservabilityOptions, observability
+from ..quantities import MOST_ROUNDS
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
@@ -29,26 +30,25 @@ from .config import SessionConfig
 from .contents import Contents
 from .reports import Comparison
 
-ROUNDS = 10
 METHOD = "incremental"
 
 
 @dataclass(frozen=True, slots=True)
 class BatchProblem:
-    """What is in the graph of a session, as one problem.
+    """The planes in the graph of a session, as one problem.
 
     Attributes
     ----------
     config : SessionConfig
     recording : Recording
-        Planes in the order of the contents, beams in that of the config; rejected readings included.
+        Planes in the order of the contents, beams in the order of the config, with rejected readings.
     readings : Readings
-        All of them, in the world frame.
+        All readings, in the world frame.
     used : (N,) of bool
     origins : (P, 3)
-        Of the planes' frames [m].
-    at : Parameters
-        Beams and planes, each plane in its own frame.
+        Origins of the planes' frames in the world [m].
+    parameters : Parameters
+        Beams and planes, each plane in its frame.
     poses : gtsam.Values or None
         Hand poses that are variables, by station of the recording.
     """
@@ -58,36 +58,41 @@ class BatchProblem:
     readings: Readings
     used: BoolArray
     origins: FloatArray
-    at: Parameters
+    parameters: Parameters
     poses: gtsam.Values | None = None
 
     @classmethod
-    def of(cls, contents: Contents, config: SessionConfig, at: Parameters) -> "BatchProblem":
+    def of(
+        cls, contents: Contents, config: SessionConfig, parameters: Parameters
+    ) -> "BatchProblem":
         """Return the problem of `contents`; the planes of `at` in their order."""
         whole = contents.inside()
         columns = [whole.beam_names.index(name) for name in config.names]
         whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=config.names)
         readings = config.readings(whole)
-        found = cls(config, whole, readings, np.empty(0, dtype=bool), contents.origins(), at)
-        return replace(found, used=~found.rejected(contents))
+        problem = cls(
+            config, whole, readings, np.empty(0, dtype=bool), contents.origins(), parameters
+        )
+        return replace(problem, used=~problem.rejected(contents))
 
-    def own(self) -> Readings:
-        """Return the readings that are used, every plane in its own frame."""
+    def local_readings(self) -> Readings:
+        """Return the readings that are used, every plane in its frame."""
         return self.readings.subset(np.flatnonzero(self.used)).seen_from(self.origins)
 
     def problem(
-        self, at: Parameters, poses: gtsam.Values | None
+        self, parameters: Parameters, poses: gtsam.Values | None
     ) -> tuple[CalibrationGraph, Whitening]:
         """Return the graph at some parameters and poses, and the whitening with poses eliminated."""
         config, variances = self.config, self.config.variances(len(self.recording.plane_labels))
-        readings, marginal = weighed(self.own(), at, variances, max(config.terms))
+        local = self.local_readings()
+        readings, marginal = weighed(local, parameters, variances, max(config.terms))
         how = marginal
         priors: PosePriors | None = None
         if config.poses == "estimated" and variances.pose is not None:
-            how = whitening(at, readings, variances.without_poses())
+            how = whitening(parameters, readings, variances.without_poses())
             priors = pose_priors(readings, variances.pose, poses)
         problem = build_graph(
-            readings, at, config.terms, how, priors=priors, range_errors=config.prior
+            readings, parameters, config.terms, how, priors=priors, range_errors=config.prior
         )
         for link in config.links:
             for factor in link.factors(problem.beams, config.terms):
@@ -96,13 +101,13 @@ class BatchProblem:
 
     def solved(self) -> tuple[CalibrationGraph, LevenbergResult]:
         """Return the batch solution, weights settled, from the present estimate."""
-        at, poses = self.at, self.poses
-        for _ in range(ROUNDS):
-            problem, _ = self.problem(at, poses)
+        parameters, poses = self.parameters, self.poses
+        for _ in range(MOST_ROUNDS):
+            problem, _ = self.problem(parameters, poses)
             result = levenberg_marquardt(problem)
-            at = read_parameters(problem, result.values)
+            parameters = read_parameters(problem, result.values)
             poses = None if poses is None else result.values
-            if not result.history or result.history[0].step < SETTLED:
+            if not result.history or result.history[0].step < WEIGHTS_SETTLED:
                 break
             if not self.config.weights_depend:
                 break
@@ -116,27 +121,27 @@ class BatchProblem:
     def compared(self, state: BeamState) -> Comparison:
         """Compare the beams, scales integrated over, with the batch solution."""
         problem, result = self.solved()
-        at = read_parameters(problem, result.values)
+        parameters = read_parameters(problem, result.values)
         if self.config.learned is not None:
-            found = posterior(self.scale_problem(at), self.config.learned)
-            at, joint = found.parameters, found.joint
+            integrated = posterior(self.scale_problem(parameters), self.config.learned)
+            parameters, joint = integrated.parameters, integrated.joint
         else:
             joint = covariance(problem, result.values)
         sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, 8)
-        return Comparison(*state.apart(at.beams, sigmas))
+        return Comparison(*state.apart(parameters.beams, sigmas))
 
-    def scale_problem(self, at: Parameters) -> ScaleProblem:
+    def scale_problem(self, parameters: Parameters) -> ScaleProblem:
         """Return the scales of the session as a problem about some parameters."""
-        config, readings = self.config, self.own()
+        config, readings = self.config, self.local_readings()
         learned = config.learned
         if learned is None:
             raise ValueError("no scales are learned")
         stations = int(readings.station.max()) + 1
-        readings, _ = weighed(readings, at, config.variances(stations), max(config.terms))
+        readings, _ = weighed(readings, parameters, config.variances(stations), max(config.terms))
         variances = learned.base.for_stations(stations)
-        known = config.history(at.beams).known[None]
+        known = config.history(parameters.beams).known[None]
         return ScaleProblem(
-            at,
+            parameters,
             readings,
             learned.terms,
             variances,
@@ -151,38 +156,41 @@ class BatchProblem:
         """Return the scales that the readings in the session call for, about the present estimate."""
         if self.config.learned is None:
             return None
-        problem = self.scale_problem(self.at)
+        problem = self.scale_problem(self.parameters)
         return problem.learned(problem.mode(self.config.learned.mode))
 
     def range_sigma(self) -> tuple[float, int]:
         """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
-        problem, marginal = self.problem(self.at, self.poses)
+        problem, marginal = self.problem(self.parameters, self.poses)
         result = evaluated(problem, METHOD)
-        solution = Solution(problem, result, self.at, self._observability(problem, marginal))
+        solution = Solution(
+            problem, result, self.parameters, self._observability(problem, marginal)
+        )
         white = float(result.white @ result.white) / problem.range_sigma**2
         return self.config.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
 
     def determined(self) -> bool:
         """Tell whether the readings determine everything, as a batch calibration judges it."""
-        return self._observability(*self.problem(self.at, self.poses)).full
+        return self._observability(*self.problem(self.parameters, self.poses)).full
 
     def _observability(self, graph: CalibrationGraph, how: Whitening) -> Observability:
         terms, options = self.config.terms, ObservabilityOptions()
         prior = self.config.prior
-        return observability(self.at, graph.readings, terms, how.sigma, options, how, prior)
+        return observability(self.parameters, graph.readings, terms, how.sigma, options, how, prior)
 
     def calibration(self, contents: Contents) -> Calibration:
-        """Return the calibration at the present estimate; nothing is solved anew."""
-        graph, marginal = self.problem(self.at, self.poses)
+        """Return the calibration at the present estimate; nothing is solved again."""
+        graph, marginal = self.problem(self.parameters, self.poses)
         result = evaluated(graph, "the incremental estimate")
         variances = self.config.variances(len(self.recording.plane_labels))
         differ = unequal(variances, max(self.config.terms), graph.readings)
-        found, learned = self._observability(graph, marginal), self.config.learned
-        own, how = (variances, marginal) if differ else (None, None)
-        prior = self.config.prior
-        solution = Solution(graph, result, self.at, found, own, how, prior)
+        observability, learned = self._observability(graph, marginal), self.config.learned
+        weighted_by, how = (variances, marginal) if differ else (None, None)
+        solution = Solution(
+            graph, result, self.parameters, observability, weighted_by, how, self.config.prior
+        )
         if learned is not None:
-            whole = posterior(self.scale_problem(self.at), learned)
+            whole = posterior(self.scale_problem(self.parameters), learned)
             solution = replace(solution, posterior=whole, scales=whole.scales)
         rms = float(np.sqrt(np.mean(result.residual**2)))
         selection = Selection(

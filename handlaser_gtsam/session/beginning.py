@@ -1,4 +1,4 @@
-"""What a session was given, and how it begins: from a batch calibration of everything so far."""
+"""The arguments of a session, and how it begins: from a batch calibration of everything so far."""
 
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +19,7 @@ from .state import SessionState, begin
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class SessionArguments:
     """Noise and options of a session.
 
     Raises
@@ -44,8 +44,8 @@ class Given:
                 expected = "sigmas that are given: estimate them with calibrate"
                 raise ArgumentError(name, "while planes are added", expected)
         if self.options.loss != "gaussian":
-            found = f"{self.options.loss} while planes are added"
-            raise ArgumentError("loss", found, "the gaussian loss")
+            loss = f"{self.options.loss} while planes are added"
+            raise ArgumentError("loss", loss, "the gaussian loss")
         self.options.require_consistent(self.noise)
 
     @property
@@ -57,32 +57,32 @@ class Given:
         """Return the batch calibration of everything."""
         return calibrate(contents.everything(), self.noise, self.options)
 
-    def config(self, found: Calibration) -> SessionConfig:
+    def config(self, calibration: Calibration) -> SessionConfig:
         """Return what all planes have in common after a calibration."""
-        beams = found.beams.values()
+        beams = calibration.beams.values()
         known = self.noise.range_sigma is not None
         return SessionConfig(
             tuple(beam.name for beam in beams),
             tuple(beam.terms for beam in beams),
-            found.fit.typical_range,
-            found.fit.range_sigma,
-            np.inf if known else float(max(found.fit.dof, 1)),
+            calibration.fit.typical_range,
+            calibration.fit.range_sigma,
+            np.inf if known else float(max(calibration.fit.dof, 1)),
             self.noise,
-            found.fit.poses,
+            calibration.fit.poses,
             self.options.sensor,
-            learned=found.learned,
+            learned=calibration.learned,
         )
 
     def begun(
-        self, contents: Contents, found: Calibration, beams: Beams | None = None
+        self, contents: Contents, calibration: Calibration, beams: Beams | None = None
     ) -> SessionState:
-        """Begin anew from a calibration of everything; from other beams, in its order, where given."""
-        contents = rejected_from(contents, found)
-        start = found.parameters().beams if beams is None else beams
-        return begin(contents, self.config(found), start, self.incremental)
+        """Restart from a calibration of everything, or from other beams in its order where given."""
+        contents = rejected_from(contents, calibration)
+        start = calibration.parameters().beams if beams is None else beams
+        return begin(contents, self.config(calibration), start, self.incremental)
 
 
-def rejected_from(contents: Contents, found: Calibration) -> Contents:
+def rejected_from(contents: Contents, calibration: Calibration) -> Contents:
     """Return contents of which nothing is in a graph, without the readings that `found` rejected."""
     plane_of = {
         station: name
@@ -90,8 +90,8 @@ def rejected_from(contents: Contents, found: Calibration) -> Contents:
         for station in plane.recording.station_names
     }
     rejected: dict[str, list[Rejected]] = {name: [] for name in contents.planes}
-    for one in found.fit.rejected:
-        rejected[plane_of[one.station]].append(replace(one, residual=None))
+    for reading in calibration.fit.rejected:
+        rejected[plane_of[reading.station]].append(replace(reading, residual=None))
     planes = {
         name: replace(plane, rejected=tuple(rejected[name]), culprit=None)
         for name, plane in contents.planes.items()
@@ -99,8 +99,8 @@ def rejected_from(contents: Contents, found: Calibration) -> Contents:
     return replace(contents, planes=planes).numbered({})
 
 
-def beams_of(found: Calibration, names: tuple[str, ...]) -> Beams:
+def beams_of(calibration: Calibration, names: tuple[str, ...]) -> Beams:
     """Return the beams of a calibration by their names."""
-    order = [list(found.beams).index(name) for name in names]
-    r, v, k = (array[order] for array in found.parameters().beams)
+    order = [list(calibration.beams).index(name) for name in names]
+    r, v, k = (array[order] for array in calibration.parameters().beams)
     return r, v, k

@@ -1,4 +1,4 @@
-"""What all planes of a session have in common until its graph is begun anew."""
+"""What all planes of a session have in common until its graph is restarted."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,14 +20,14 @@ from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
-from .drift import History
+from .drift import DriftHistory
 from .reference import Reference
 from .reports import Change
 
-SAME_SCALE = 0.02
+SCALES_KEPT = 0.02
 """Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
-SAME_SIGMA = 0.005
-"""An estimated range sigma that changes by a smaller part stays as it is."""
+SIGMA_KEPT = 0.005
+"""An estimated range sigma that changes by a smaller part stays: no standard deviation shows that."""
 TWO_TERMS = "q"
 """Letter of range errors with two terms: iSAM2 has one threshold a letter."""
 
@@ -88,7 +88,7 @@ class SessionConfig:
     Attributes
     ----------
     names : tuple of str
-        Of the beams; a beam that has moved is there once more for every time before.
+        Names of the beams; a beam that has moved is there once more for every time before.
     terms : tuple of int
         Range-error terms of each.
     length : float
@@ -121,13 +121,13 @@ class SessionConfig:
     @cached_property
     def beams(self) -> tuple[BeamKeys, ...]:
         """Keys of the beams."""
-        found = []
+        beams = []
         for i, terms in enumerate(self.terms):
             keys = beam_keys(i, terms)
             if terms == 2:
                 keys = replace(keys, range_error=gtsam.symbol(TWO_TERMS, i))
-            found.append(keys)
-        return tuple(found)
+            beams.append(keys)
+        return tuple(beams)
 
     @property
     def weights_depend(self) -> bool:
@@ -144,31 +144,31 @@ class SessionConfig:
         unit = np.array([self.length] * 3 + [1.0] * 3 + [1.0, 1.0 / self.length])
         return bool((state.sigmas() < KNOWN * unit).all())
 
-    def apart(self, one: Beams, other: Beams) -> float:
+    def apart(self, beams: Beams, other: Beams) -> float:
         """Return how far two estimates of the beams are apart, in natural units."""
-        shift = float(np.abs(one[0] - other[0]).max()) / self.length
-        turn = float(np.abs(one[1] - other[1]).max())
-        stretch = np.abs(one[2] - other[2]) @ [1.0, self.length]
+        shift = float(np.abs(beams[0] - other[0]).max()) / self.length
+        turn = float(np.abs(beams[1] - other[1]).max())
+        stretch = np.abs(beams[2] - other[2]) @ [1.0, self.length]
         return max(shift, turn, float(stretch.max()))
 
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""
         if self.learned is not None and before.learned is not None:
-            same = self.learned.apart(before.learned) < SAME_SCALE
-            return () if same else (Change("scales", "scales learned anew"),)
-        if abs(self.sigma / before.sigma - 1.0) < SAME_SIGMA:
+            same = self.learned.apart(before.learned) < SCALES_KEPT
+            return () if same else (Change("scales", "scales learned again"),)
+        if abs(self.sigma / before.sigma - 1.0) < SIGMA_KEPT:
             return ()
         return (Change("range-sigma", f"range sigma {1e3 * self.sigma:.3g} mm"),)
 
     @property
     def members(self) -> IntArray:
-        """Beams whose range errors have the prior of all: not those that were before a move."""
+        """Beams whose range errors have the prior of all: not the states of beams before a move."""
         before = {link.before for link in self.links}
         return np.array([i for i in range(len(self.names)) if i not in before], dtype=np.intp)
 
     @property
     def prior(self) -> RangeErrorPrior | None:
-        """Of the range errors."""
+        """Prior of the range errors."""
         if self.learned is None:
             return None
         return self.learned.prior(self.members, len(self.names))
@@ -176,14 +176,16 @@ class SessionConfig:
     @property
     def known(self) -> tuple[gtsam.NonlinearFactor, ...]:
         """Factors of the beams alone: links, and priors of range errors."""
-        links = [one for link in self.links for one in link.factors(self.beams, self.terms)]
+        links = [factor for link in self.links for factor in link.factors(self.beams, self.terms)]
         return (*links, *range_error_priors(self.beams, self.terms, self.prior))
 
     def variances(self, stations: int) -> Variances:
-        """Return what makes up the covariance of the readings of that many stations."""
+        """Return the variances behind the covariance of the readings of that many stations."""
         if self.learned is not None:
-            found = self.learned.variances().for_stations(stations)
-            return replace(found, pose=None if found.pose is None else found.pose[:stations])
+            variances = self.learned.variances().for_stations(stations)
+            return replace(
+                variances, pose=None if variances.pose is None else variances.pose[:stations]
+            )
         pose = None if self.poses == "exact" else self.noise.pose_covariances(stations)
         ranges = np.full(len(self.names), self.sigma)
         return Variances(ranges, self.noise.incidence_sigma, pose)
@@ -196,13 +198,13 @@ class SessionConfig:
         order = np.lexsort((readings.station, beam, readings.plane))
         return replace(readings, beam=beam, beams=len(self.names)).subset(order)
 
-    def start(self, at: Beams) -> BeamStart:
+    def start(self, start: Beams) -> BeamStart:
         """Return the beams as the start of a graph, with their links."""
-        beams = Parameters(*at, np.empty((0, 3)), np.empty(0))
+        beams = Parameters(*start, np.empty((0, 3)), np.empty(0))
         return BeamStart(start_values(beams, self.beams, (), self.terms), self.known)
 
-    def history(self, at: Beams) -> History:
+    def history(self, origin: Beams) -> DriftHistory:
         """Return a history without planes, counted from these beams."""
-        reference = Reference(self.names, at, self.terms, self.length)
+        reference = Reference(self.names, origin, self.terms, self.length)
         links = [(link.before, link.now, link.sigmas()) for link in self.links]
-        return History.empty(reference, links)
+        return DriftHistory.empty(reference, links)

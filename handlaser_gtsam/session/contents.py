@@ -1,4 +1,4 @@
-"""What has been put into a session, plane by plane; never changed, only replaced."""
+"""The recordings of a session, plane by plane; never changed, only replaced."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,11 +25,11 @@ class PlaneContents:
     rejected : tuple of Rejected
         Readings that are not used.
     number : int or None
-        Of the plane in the graph; None where it is not in.
+        Number of the plane in the graph; None where it is not in.
     origin : (3,) or None
-        Of its frame in the world [m].
+        Origin of its frame in the world [m].
     culprit : str or None
-        Of a plane that is excluded because it fits no beams as they are: the beam without which it
+        For a plane that is excluded because it fits no beams as they are: the beam without which it
         would fit, or an empty name. None where it is not excluded.
     """
 
@@ -44,8 +44,8 @@ class PlaneContents:
         row = {name: j for j, name in enumerate(self.recording.station_names)}
         column = {name: i for i, name in enumerate(self.recording.beam_names)}
         mask = np.zeros(self.recording.ranges.shape, dtype=bool)
-        for one in self.rejected:
-            mask[row[one.station], column[one.beam]] = True
+        for reading in self.rejected:
+            mask[row[reading.station], column[reading.beam]] = True
         return mask
 
     def used(self) -> Recording:
@@ -88,8 +88,8 @@ class Contents:
     @cached_property
     def numbers(self) -> dict[str, int]:
         """Number of every plane that is in the graph, in their order."""
-        found = {name: p.number for name, p in self.planes.items() if p.number is not None}
-        return dict(sorted(found.items(), key=lambda one: one[1]))
+        numbers = {name: p.number for name, p in self.planes.items() if p.number is not None}
+        return dict(sorted(numbers.items(), key=lambda item: item[1]))
 
     @property
     def waiting(self) -> tuple[str, ...]:
@@ -99,13 +99,13 @@ class Contents:
     @property
     def rejected(self) -> tuple[Rejected, ...]:
         """Readings that are not used, under the names that beams have now."""
-        return tuple(one for plane in self.planes.values() for one in plane.rejected)
+        return tuple(reading for plane in self.planes.values() for reading in plane.rejected)
 
     @property
     def excluded(self) -> dict[str, str]:
         """Planes that fit no beams as they are, with the beam without which they would, if any."""
-        found = self.planes.items()
-        return {name: p.culprit for name, p in found if p.culprit is not None}
+        planes = self.planes.items()
+        return {name: p.culprit for name, p in planes if p.culprit is not None}
 
     def origins(self) -> FloatArray:
         """Return the origins (P, 3) of the planes in the graph [m], in their order."""
@@ -127,14 +127,14 @@ class Contents:
             raise InputError("an empty session", "a recording added first")
         original = []
         for plane in self.planes.values():
-            one = plane.recording
-            names = tuple(self.names.get(name, name) for name in one.beam_names)
+            recording = plane.recording
+            names = tuple(self.names.get(name, name) for name in recording.beam_names)
             beams = tuple(dict.fromkeys(names))
-            ranges = np.full((len(one.ranges), len(beams)), np.nan)
+            ranges = np.full((len(recording.ranges), len(beams)), np.nan)
             for column, name in enumerate(names):
-                mine = ~np.isnan(one.ranges[:, column])
-                ranges[mine, beams.index(name)] = one.ranges[mine, column]
-            original.append(replace(one, ranges=ranges, beam_names=beams))
+                mine = ~np.isnan(recording.ranges[:, column])
+                ranges[mine, beams.index(name)] = recording.ranges[mine, column]
+            original.append(replace(recording, ranges=ranges, beam_names=beams))
         return join(original)
 
     def added(self, recording: Recording, sensor: Sensor) -> "Contents":
@@ -163,8 +163,8 @@ class Contents:
 
     def rejecting(self, plane: str, more: tuple[Rejected, ...]) -> "Contents":
         """Return the contents with more readings of a plane rejected."""
-        own = self.planes[plane]
-        return self._with(plane, replace(own, rejected=(*own.rejected, *more)))
+        before = self.planes[plane]
+        return self._with(plane, replace(before, rejected=(*before.rejected, *more)))
 
     def without_plane(self, name: str) -> "Contents":
         """Return the contents without a plane.
@@ -206,28 +206,28 @@ class Contents:
         """
         name = self.plane_of(station)
         plane = self.planes[name]
-        one = plane.recording
-        rows = np.array([j for j, other in enumerate(one.station_names) if other != station])
-        if not rows.size or np.isnan(one.ranges[rows]).all():
+        recording = plane.recording
+        rows = np.array([j for j, other in enumerate(recording.station_names) if other != station])
+        if not rows.size or np.isnan(recording.ranges[rows]).all():
             return self.without_plane(name)
         rejected = tuple(other for other in plane.rejected if other.station != station)
-        less = self._with(name, replace(plane, recording=one.part(rows), rejected=rejected))
+        less = self._with(name, replace(plane, recording=recording.part(rows), rejected=rejected))
         numbers = {s: number for s, number in self.station_numbers.items() if s != station}
         return replace(less, station_numbers=numbers)
 
     def placed(self, plane: str, number: int, origin: FloatArray) -> "Contents":
         """Return the contents with a plane in the graph under a number; it is not excluded."""
-        own = self.planes[plane]
-        return self._with(plane, replace(own, number=number, origin=origin, culprit=None))
+        before = self.planes[plane]
+        return self._with(plane, replace(before, number=number, origin=origin, culprit=None))
 
     def taken_out(self, plane: str, culprit: str | None = None) -> "Contents":
         """Return the contents with a plane out of the graph; excluded where a culprit is given."""
-        own = self.planes[plane]
-        culprit = own.culprit if culprit is None else culprit
-        return self._with(plane, replace(own, number=None, origin=None, culprit=culprit))
+        before = self.planes[plane]
+        culprit = before.culprit if culprit is None else culprit
+        return self._with(plane, replace(before, number=None, origin=None, culprit=culprit))
 
     def numbered(self, origins: Mapping[str, FloatArray]) -> "Contents":
-        """Return the contents with just these planes in the graph, numbered anew."""
+        """Return the contents with just these planes in the graph, numbered from zero."""
         number = {name: number for number, name in enumerate(origins)}
         planes = {
             name: replace(plane, number=number.get(name), origin=origins.get(name))

@@ -25,10 +25,10 @@ from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
 from ..quantities import KNOWN
-from .reference import MOVES, Reference
+from .reference import MOUNT_UNKNOWNS, Reference
 
 FALSE_ALARMS = 2e-5
-"""How often a search may find something where nothing has moved."""
+"""Probability that a search finds a move where there is none; a session searches at every change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -41,14 +41,13 @@ class Moved(Value):
     since : str
         The first plane that saw it moved.
     statistic : float
-        By how much chi2 falls.
+        Fall of chi2.
     p_value : float
         Probability of so clear a sign if nothing has moved, all epochs and beams considered.
     shift : (3,)
-        By how much its location would have moved [m]; NaN where it has moved so far that planes fit
-        only without it.
+        Move of its location [m]; NaN where it has moved so far that planes fit only without it.
     turn : float
-        By how much its direction would have [rad]; NaN likewise.
+        Turn of its direction [rad]; NaN likewise.
     """
 
     beam: str
@@ -60,19 +59,19 @@ class Moved(Value):
 
 
 @dataclass(frozen=True, slots=True)
-class History:
-    """Running totals of what the planes knew, in the order in which they came.
+class DriftHistory:
+    """Running totals of the information of the planes, in the order in which they came.
 
     Attributes
     ----------
     reference : Reference
     known : Information
-        Beside the planes.
+        Information beside the planes.
     planes : tuple of str
     pieces : tuple of Information
-        Of each plane.
+        Information of each plane.
     totals : tuple of Information
-        Of the first 1, 2, ... planes.
+        Information of the first 1, 2, ... planes.
     """
 
     reference: Reference
@@ -82,7 +81,9 @@ class History:
     totals: tuple[Information, ...] = ()
 
     @classmethod
-    def empty(cls, reference: Reference, links: Sequence[tuple[int, int, FloatArray]]) -> "History":
+    def empty(
+        cls, reference: Reference, links: Sequence[tuple[int, int, FloatArray]]
+    ) -> "DriftHistory":
         """Return a history without planes.
 
         Parameters
@@ -93,13 +94,13 @@ class History:
         """
         size = len(reference.unit)
         matrix, vector = np.zeros((size, size)), np.zeros(size)
-        at = reference.active.tolist()
+        active = reference.active.tolist()
         basis = model.tangent_basis(reference.beams[1])
         for a, b, sigmas in links:
-            own = [at.index(7 * a + i) for i in range(MOVES + reference.terms[a])]
-            other = [at.index(7 * b + i) for i in range(MOVES + reference.terms[b])]
-            J = np.zeros((len(own), size))
-            J[:, own], J[:, other] = -np.eye(len(own)), np.eye(len(own))
+            rows = [active.index(7 * a + i) for i in range(MOUNT_UNKNOWNS + reference.terms[a])]
+            other = [active.index(7 * b + i) for i in range(MOUNT_UNKNOWNS + reference.terms[b])]
+            J = np.zeros((len(rows), size))
+            J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
             J[3:5, other[3:5]] = basis[a].T @ basis[b]
             error = np.concatenate(
                 (
@@ -108,40 +109,40 @@ class History:
                     (reference.beams[2][b] - reference.beams[2][a])[: reference.terms[a]],
                 )
             )
-            J = J * reference.unit / sigmas[: len(own), None]
+            J = J * reference.unit / sigmas[: len(rows), None]
             matrix += J.T @ J
-            vector -= J.T @ (error / sigmas[: len(own)])
+            vector -= J.T @ (error / sigmas[: len(rows)])
         return cls(reference, Information(matrix, vector, np.zeros(())))
 
-    def with_plane(self, name: str, found: Information) -> "History":
+    def with_plane(self, name: str, piece: Information) -> "DriftHistory":
         """Return the history with one more plane, or with more known of one."""
         if name not in self.planes:
-            total = found + self.totals[-1] if self.totals else found
-            return History(
+            total = piece + self.totals[-1] if self.totals else piece
+            return DriftHistory(
                 self.reference,
                 self.known,
                 (*self.planes, name),
-                (*self.pieces, found),
+                (*self.pieces, piece),
                 (*self.totals, total),
             )
-        at = self.planes.index(name)
-        return self._summed(self.planes, (*self.pieces[:at], found, *self.pieces[at + 1 :]))
+        index = self.planes.index(name)
+        return self._summed(self.planes, (*self.pieces[:index], piece, *self.pieces[index + 1 :]))
 
-    def with_planes(self, planes: Sequence[str], pieces: Sequence[Information]) -> "History":
+    def with_planes(self, planes: Sequence[str], pieces: Sequence[Information]) -> "DriftHistory":
         """Return the history of these planes and no others."""
         return self._summed(tuple(planes), tuple(pieces))
 
-    def without_plane(self, name: str) -> "History":
+    def without_plane(self, name: str) -> "DriftHistory":
         """Return the history without a plane, whether it is there or not."""
         if name not in self.planes:
             return self
-        at = self.planes.index(name)
-        planes = self.planes[:at] + self.planes[at + 1 :]
-        return self._summed(planes, self.pieces[:at] + self.pieces[at + 1 :])
+        index = self.planes.index(name)
+        planes = self.planes[:index] + self.planes[index + 1 :]
+        return self._summed(planes, self.pieces[:index] + self.pieces[index + 1 :])
 
-    def _summed(self, planes: tuple[str, ...], pieces: tuple[Information, ...]) -> "History":
+    def _summed(self, planes: tuple[str, ...], pieces: tuple[Information, ...]) -> "DriftHistory":
         totals = tuple(accumulate(pieces))
-        return History(self.reference, self.known, planes, pieces, totals)
+        return DriftHistory(self.reference, self.known, planes, pieces, totals)
 
     def recent(self) -> IntArray:
         """Return the epochs 1, 2, 4, ... planes ago, as numbers of planes before them."""
@@ -170,23 +171,22 @@ class History:
             return None
         whole = self.totals[-1]
         if np.linalg.eigvalsh(whole.matrix)[0] < KNOWN**-2:
-            whole = (
-                whole + self.known
-            )  # else what is assumed of a move would count as a sign of one
+            # Otherwise the process noise that is assumed of a move would count as a sign of one.
+            whole = whole + self.known
         try:
             x = np.linalg.solve(whole.matrix, whole.vector)
             covariance = np.linalg.inv(whole.matrix)
         except np.linalg.LinAlgError:
             return None
         late = [self.totals[-1] - self.totals[epoch - 1] for epoch in epochs.tolist()]
-        L = np.stack([one.matrix for one in late])
-        s = np.stack([one.vector for one in late]) - L @ x
+        L = np.stack([information.matrix for information in late])
+        s = np.stack([information.vector for information in late]) - L @ x
         M = L - L @ covariance @ L
-        found = self._clearest(s, M, dof, epochs)
-        if found.p_value >= false_alarms:
+        clearest = self._clearest(s, M, dof, epochs)
+        if clearest.p_value >= false_alarms:
             return None
         if len(epochs) == count - 1:
-            return found
+            return clearest
         return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
 
     def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
@@ -199,13 +199,13 @@ class History:
         statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
         moves = np.einsum("ebij,ebj->ebi", axes, np.where(keep, along / safe, 0.0))
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
-        at = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-        d = moves[at] * self.reference.unit[beams[at[1]]]
+        best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
+        d = moves[best] * self.reference.unit[beams[best[1]]]
         return Moved(
-            self.reference.names[at[1]],
-            self.planes[int(epochs[at[0]])],
-            float(statistic[at]),
-            min(float(np.exp(log_p[at])) * log_p.size, 1.0),
+            self.reference.names[best[1]],
+            self.planes[int(epochs[best[0]])],
+            float(statistic[best]),
+            min(float(np.exp(log_p[best])) * log_p.size, 1.0),
             d[:3],
             float(np.linalg.norm(d[3:])),
         )

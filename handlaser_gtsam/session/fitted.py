@@ -17,7 +17,7 @@ from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.errors_in_variables import weighed
 from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
-from ..quantities import KNOWN
+from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
@@ -25,17 +25,15 @@ from ..solvers.poses import pose_priors
 from .config import SessionConfig
 from .reference import Reference, plane_information
 
-PASSES = 2
-"""Of weighing a plane: what its readings hold of noise is judged by the plane that the weights make,
-which is not the one through the laser spots."""
+WEIGHT_PASSES = 2
+"""Passes of weighing a plane: the second judges the noise of its readings by the weighted plane, not by
+the plane through the laser spots."""
 DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
-CUT = 4.5
+SESSION_CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
-MOST_REJECTED = 0.3
-"""Part of the new readings of a plane: if more contradict the beams, the readings are not at fault."""
-UNLIKELY = 1e-6
-"""Readings with so improbable a chi2 fit no plane."""
+MOST_CONTRADICTED = 0.3
+"""If a larger part of the new readings of a plane contradicts the beams, the beams are at fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class FittedPlane:
     ----------
     config : SessionConfig
     readings : Readings
-    at : Parameters
+    parameters : Parameters
     residual : (N,)
         [m]
     whitening : Whitening
@@ -54,12 +52,12 @@ class FittedPlane:
     normal : NormalEquations
         With two range-error terms; to first order about the plane through the laser spots.
     origin : (3,)
-        Of the frame in the world [m].
+        Origin of the frame in the world [m].
     """
 
     config: SessionConfig
     readings: Readings
-    at: Parameters
+    parameters: Parameters
     residual: FloatArray
     whitening: Whitening
     normal: NormalEquations
@@ -72,7 +70,7 @@ class FittedPlane:
         return bool(np.linalg.eigvalsh(information)[0] > KNOWN**-2)
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
-        """Return where some of the readings stand in the recording (M, B) that they are of."""
+        """Return the mask (M, B) of some of the readings in their recording."""
         column = {name: i for i, name in enumerate(recording.beam_names)}
         mask = np.zeros(recording.ranges.shape, dtype=bool)
         for row in np.flatnonzero(rows).tolist():
@@ -82,38 +80,40 @@ class FittedPlane:
 
     def information(self, reference: Reference) -> Information:
         """Return what the plane knows of the beams."""
-        return plane_information(self.normal, self.whitening.sigma, self.at.beams, reference)
+        return plane_information(
+            self.normal, self.whitening.sigma, self.parameters.beams, reference
+        )
 
-    def fits(self, own: Information, reference: Reference) -> bool:
+    def fits(self, information: Information, reference: Reference) -> bool:
         """Tell whether its readings agree with each other, whatever the beams are.
 
         Parameters
         ----------
-        own : Information
-            Of this plane.
+        information : Information
+            Information of this plane.
         reference : Reference
-            What it is counted from.
+            Beams that it is counted from.
         """
         white = self.whitening.apply(self.residual) / self.whitening.sigma
-        values, axes = np.linalg.eigh(own.matrix)
+        values, axes = np.linalg.eigh(information.matrix)
         keep = values > 1.0
-        here = reference.coordinates(self.at.beams)
-        along = axes.T @ (own.vector - own.matrix @ here)
+        here = reference.coordinates(self.parameters.beams)
+        along = axes.T @ (information.vector - information.matrix @ here)
         fall = (along[keep] ** 2 / values[keep]).sum()
         return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))
 
     def standardized(self, state: BeamState) -> FloatArray:
-        """Return by how many standard deviations (N,) each reading is off what all others say of it.
+        """Return the residual (N,) of each reading from the others, in its standard deviations.
 
-        Baarda's w-test: plane free, beams known with their covariance, readings with theirs. For a
-        reading that decides something by itself the others say nothing: zero.
+        Baarda's w-test: plane free, beams known with their covariance, readings with theirs. Zero for a
+        reading that decides something by itself, of which the others say nothing.
         """
         how, back = self.whitening, self.whitening.transposed()
         G, e, K = self._normal(state)
         left = back.apply(e - G @ (K @ (G.T @ e)))
-        own, across = how.squares(), back.apply_rows(G)
-        free = own - ((across @ K) * across).sum(axis=1)
-        tested = free > DECIDES_ITSELF * own
+        squares, across = how.squares(), back.apply_rows(G)
+        free = squares - ((across @ K) * across).sum(axis=1)
+        tested = free > DECIDES_ITSELF * squares
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
 
     def misfit(self, state: BeamState) -> float:
@@ -128,9 +128,9 @@ class FittedPlane:
 
     def _likely(self, chi2: float, free: int) -> bool:
         dof = self.config.sigma_dof
-        if np.isfinite(dof):  # an estimated sigma may be wrong by so much
+        if np.isfinite(dof):  # an estimated sigma may be wrong by this factor
             chi2 /= 1.0 + 4.0 / np.sqrt(0.5 * dof)
-        return free <= 0 or bool(chi2_sf(chi2, free) > UNLIKELY)
+        return free <= 0 or bool(chi2_sf(chi2, free) > NEGLIGIBLE)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""
@@ -145,12 +145,12 @@ class FittedPlane:
 
     def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
-        config, at, readings = self.config, self.at, self.readings
-        columns, _ = jacobian_columns(at, readings, 2)
+        config, parameters, readings = self.config, self.parameters, self.readings
+        columns, _ = jacobian_columns(parameters, readings, 2)
         active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
         J = np.zeros((len(readings), len(config.names), 7))
         J[np.arange(len(J)), readings.beam] = columns[:7].T
-        lift = beams_lift(model.tangent_basis(at.directions), config.terms)
+        lift = beams_lift(model.tangent_basis(parameters.directions), config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
         prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
@@ -159,7 +159,7 @@ class FittedPlane:
     def factors(
         self, number: int, stations: Mapping[str, int], recording: Recording
     ) -> PlaneFactors:
-        """Return what plane `number` brings into a graph.
+        """Return the factors of plane `number` in a graph.
 
         Parameters
         ----------
@@ -167,10 +167,11 @@ class FittedPlane:
         stations : mapping of str to int
             Number of every station in the session, for the keys of estimated poses.
         recording : Recording
-            Of this plane.
+            Recording of this plane.
         """
         readings, values = self.readings, gtsam.Values()
-        values.insert(plane_key(number), self._plane())
+        normal, offset = gtsam.Unit3(self.parameters.normals[0]), self.parameters.offsets[0]
+        values.insert(plane_key(number), gtsam.OrientedPlane3(normal, offset))
         rows: IntArray = np.lexsort((readings.beam, readings.station))
         plane = (plane_key(number),)
         if self.config.poses != "estimated":
@@ -178,23 +179,20 @@ class FittedPlane:
             blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
             return PlaneFactors(blocks, (), values)
         names = recording.station_names
-        own = np.array([stations[name] for name in names])
+        number_of = np.array([stations[name] for name in names])
         variances = self.config.variances(len(names))
         if variances.pose is None:
             raise ValueError("estimated poses without a covariance")
-        how = whitening(self.at, readings, variances.without_poses())
+        how = whitening(self.parameters, readings, variances.without_poses())
         local = pose_priors(readings, variances.pose)
-        priors = replace(local, stations=own[local.stations])
-        here = replace(readings, station=own[readings.station])
+        priors = replace(local, stations=number_of[local.stations])
+        here = replace(readings, station=number_of[readings.station])
         keys_of_poses = (self.config.beams, plane, priors)
         blocks = station_blocks(here, how, rows, here.station, keys_of_poses)
         graph = gtsam.NonlinearFactorGraph()
         priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
         others = tuple(graph.at(i) for i in range(graph.size()))
         return PlaneFactors(blocks, others, values)
-
-    def _plane(self) -> gtsam.OrientedPlane3:
-        return gtsam.OrientedPlane3(gtsam.Unit3(self.at.normals[0]), self.at.offsets[0])
 
 
 def fit_plane(
@@ -206,26 +204,26 @@ def fit_plane(
     ----------
     config : SessionConfig
     recording : Recording
-        Of one plane.
+        Recording of one plane.
     beams : Beams
     origin : (3,), optional
-        Of the plane's frame [m]; amid its stations where not given.
+        Origin of the plane's frame [m]; amid its stations where not given.
     """
     readings = config.readings(recording)
     if origin is None:
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
     variances = config.variances(len(recording.plane_labels))
-    at, terms = _through_spots(beams, readings), max(config.terms)
+    parameters, terms = _through_spots(beams, readings), max(config.terms)
     try:
-        for _ in range(PASSES if terms and config.weights_depend else 1):
-            own, how = weighed(readings, at, variances, terms)
-            normal = normal_equations(at, own, 2, whitening=how)
-            at, normal = _stepped(at, normal, own)
-        e = model.residuals(model.scene(at, own), own.distance)
+        for _ in range(WEIGHT_PASSES if terms and config.weights_depend else 1):
+            corrected, how = weighed(readings, parameters, variances, terms)
+            normal = normal_equations(parameters, corrected, 2, whitening=how)
+            parameters, normal = _stepped(parameters, normal, corrected)
+        e = model.residuals(model.scene(parameters, corrected), corrected.distance)
     except GrazingBeamError:
         return None
-    return FittedPlane(config, own, at, e, how, normal, origin)
+    return FittedPlane(config, corrected, parameters, e, how, normal, origin)
 
 
 def _through_spots(beams: Beams, readings: Readings) -> Parameters:
@@ -240,30 +238,30 @@ def _through_spots(beams: Beams, readings: Readings) -> Parameters:
 
 
 def _stepped(
-    at: Parameters, normal: NormalEquations, readings: Readings
+    parameters: Parameters, normal: NormalEquations, readings: Readings
 ) -> tuple[Parameters, NormalEquations]:
     """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
     unit = np.array([1.0, 1.0, readings.typical_range()])
-    found = normal.reduced(np.ones(normal.beam_gradient.shape[1]), unit)
-    step = unit * found.plane_step[0]
-    n, centre = at.normals, normal.centres[0, 0]
+    reduced = normal.reduced(np.ones(normal.beam_gradient.shape[1]), unit)
+    step = unit * reduced.plane_step[0]
+    n, centre = parameters.normals, normal.centres[0, 0]
     moved = model.normalized(n + model.tangent_basis(n)[0] @ step[:2])
-    offset = at.offsets + n @ centre + step[2] - moved @ centre
+    offset = parameters.offsets + n @ centre + step[2] - moved @ centre
     none = np.zeros_like(normal.plane_gradient)
     return (
-        replace(at, normals=moved, offsets=offset),
-        replace(normal, beam_gradient=found.gradient[None], plane_gradient=none),
+        replace(parameters, normals=moved, offsets=offset),
+        replace(normal, beam_gradient=reduced.gradient[None], plane_gradient=none),
     )
 
 
 def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:
-    """Return which readings (M, B) of a recording its others and the beams contradict.
+    """Return which readings (M, B) of a recording the other readings and the beams contradict.
 
     The farthest is rejected, the plane fitted again, until none is far. None where that does not end
     soon: then it is not the readings that are at fault.
     """
     dof = fitted.config.sigma_dof
-    cut = CUT if np.isinf(dof) else -float(student_quantile(gaussian_sf(CUT), dof))
+    cut = SESSION_CUT if np.isinf(dof) else -float(student_quantile(gaussian_sf(SESSION_CUT), dof))
     bad = np.zeros(recording.ranges.shape, dtype=bool)
     total, now = int((~np.isnan(recording.ranges)).sum()), fitted
     while True:
@@ -271,11 +269,11 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
         worst = int(np.argmax(t))
         if t[worst] <= cut:
             return bad
-        if bad.sum() + 1 > MOST_REJECTED * total:
+        if bad.sum() + 1 > MOST_CONTRADICTED * total:
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)
-        again = fit_plane(fitted.config, rest, fitted.at.beams, fitted.origin)
+        again = fit_plane(fitted.config, rest, fitted.parameters.beams, fitted.origin)
         if again is None or not again.determined():
             return None
         now = again

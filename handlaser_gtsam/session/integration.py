@@ -1,9 +1,9 @@
 r"""Unknown scales in a session, integrated over as in the batch solution.
 
-Every plane is remembered by what it says of the beams for each set of noise scales
-(`estimation.information`), counted from beams that all share. The graph holds the most probable scales;
-what integrating over all of them changes in mean and covariance follows from the sums over the planes,
-and is added to what iSAM2 has. So a new plane costs what one plane costs.
+Every plane is remembered by its information on the beams for each set of noise scales
+(`estimation.information`), counted from beams that all share. The graph holds the most probable scales.
+Integrating over all scales changes mean and covariance; both changes follow from the sums over the
+planes, and are added to the estimate of iSAM2. So the cost of a new plane does not grow.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import IntArray
 from ..data.parameters import Beams
 from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
@@ -27,7 +27,7 @@ from .reference import Reference, turns
 
 @dataclass(frozen=True, slots=True)
 class ScaleSums:
-    """What all planes of a session say of the beams, for all sets of noise scales.
+    """The information of all planes of a session on the beams, for all sets of noise scales.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class ScaleSums:
     members : (b,)
         Beams whose range errors have the prior.
     known : Information
-        Of the beams, beside the planes.
+        Information on the beams beside the planes.
     pieces : mapping of str to Information
-        By plane.
+        Information by plane.
     """
 
     learned: LearnedScales
@@ -61,24 +61,28 @@ class ScaleSums:
         return empty.changed(fitted, fitted)
 
     def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
-        """Return the sums with a plane, in place of what was known of it."""
+        """Return the sums with a plane, in place of its earlier information."""
         learned, readings = self.learned, fitted.readings
         variances = learned.base.for_stations(int(readings.station.max()) + 1)
-        rows = LinearReadings(fitted.at, readings, learned.terms, learned.length, variances)
+        rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
         points = [learned.mode, *learned.points]
-        found, _ = rows.information([learned.scales.noise(u) for u in points])
-        turn = turns(fitted.at.directions, self.reference)
-        shift = self.reference.coordinates(fitted.at.beams)
-        counted = _counted_from(found, turn, shift)
+        information, _ = rows.information([learned.scales.noise(u) for u in points])
+        # Counted from the reference: the unknowns here are turn (x - shift).
+        turn = turns(fitted.parameters.directions, self.reference)
+        shift = self.reference.coordinates(fitted.parameters.beams)
+        matrix = turn.T @ information.matrix @ turn
+        vector = information.vector @ turn
+        constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
+        counted = Information(matrix, vector + matrix @ shift, constant)
         return replace(self, pieces={**self.pieces, plane: counted})
 
     def changed(self, fitted: Mapping[str, FittedPlane], inside: Collection[str]) -> "ScaleSums":
-        """Return the sums of the planes that are `inside`, of which some have been fitted anew."""
-        kept = {plane: one for plane, one in self.pieces.items() if plane in inside}
-        found = replace(self, pieces=kept)
-        for plane, one in fitted.items():
-            found = found.with_plane(plane, one)
-        return found
+        """Return the sums of the planes that are `inside`, of which some have been fitted again."""
+        kept = {plane: piece for plane, piece in self.pieces.items() if plane in inside}
+        sums = replace(self, pieces=kept)
+        for plane, refitted in fitted.items():
+            sums = sums.with_plane(plane, refitted)
+        return sums
 
     def integrated(self, state: BeamState) -> BeamState:
         """Return beams at the most probable scales with all scales integrated over."""
@@ -101,27 +105,15 @@ class ScaleSums:
         k = state.range_errors.copy()
         k[:, : learned.terms] += step[:, 5:]
         turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
-        # The reference has other tangents than the state, of which those of a batch solution are.
-        across = block_diag(*(_across(v) for v in state.directions))
+        # The reference has other tangents than the state, which has the tangents of a batch solution:
+        # project along every beam out of the coordinates (8,).
+        across = np.tile(np.eye(8), (len(state.directions), 1, 1))
+        across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
+        project = block_diag(*across)
         return replace(
             state,
             locations=state.locations + step[:, :3],
             directions=model.normalized(state.directions + turned),
             range_errors=k,
-            covariance=across @ (state.covariance + lift @ change @ lift.T) @ across,
+            covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
         )
-
-
-def _across(direction: FloatArray) -> FloatArray:
-    """Return the projector (8, 8) of the coordinates of a beam that takes out what is along it."""
-    projector = np.eye(8)
-    projector[3:6, 3:6] -= np.outer(direction, direction)
-    return projector
-
-
-def _counted_from(found: Information, turn: FloatArray, shift: FloatArray) -> Information:
-    """Return information counted from a reference: unknowns here are turn (x - shift)."""
-    matrix = turn.T @ found.matrix @ turn
-    vector = found.vector @ turn
-    constant = found.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-    return Information(matrix, vector + matrix @ shift, constant)

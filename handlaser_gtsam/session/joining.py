@@ -12,23 +12,25 @@ from ..outliers.snooping import price
 from ..solvers.beam_state import BeamState, PlaneFactors
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
-from .drift import History
+from .drift import DriftHistory
 from .fitted import FittedPlane, fit_plane, outliers
-from .reference import MOVES
+from .reference import MOUNT_UNKNOWNS
 
-GROSS_ERROR, DISPLACED = 0.02, 1e-3
-"""How often a reading is a gross error, and how often a beam is displaced between two planes."""
+GROSS_ERROR = 0.02
+"""Prior probability that a reading is a gross error."""
+DISPLACED = 1e-3
+"""Prior probability that a beam is displaced between two planes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joining:
-    """What became of planes that were to join.
+    """The outcome of planes that were to join.
 
     Attributes
     ----------
     contents : Contents
         With outliers rejected, and planes that are not determined out of the graph.
-    history : History
+    history : DriftHistory
     factors : dict of int to PlaneFactors
     fitted : mapping of str to FittedPlane
         Planes that joined.
@@ -38,7 +40,7 @@ class Joining:
     """
 
     contents: Contents
-    history: History
+    history: DriftHistory
     factors: Mapping[int, PlaneFactors] = field(default_factory=dict)
     fitted: Mapping[str, FittedPlane] = field(default_factory=dict)
     inconsistent: tuple[str, ...] = ()
@@ -69,7 +71,7 @@ def join_planes(
     *,
     reject: bool,
 ) -> Joining:
-    """Return what becomes of `planes` beside the beams as they are.
+    """Return the outcome of joining `planes` to the beams as they are.
 
     Parameters
     ----------
@@ -81,53 +83,63 @@ def join_planes(
     reject : bool
         Whether readings that the others contradict are rejected.
     """
-    found = start
+    joining = start
     free = max(start.contents.numbers.values(), default=-1) + 1
     for plane in planes:
-        own = found.contents.planes.get(plane)
-        fitted = None if own is None else fit_plane(config, own.used(), state.beams, own.origin)
-        if own is None or fitted is None or not fitted.determined():
-            found = found.without(plane)
+        plane_contents = joining.contents.planes.get(plane)
+        fitted = (
+            None
+            if plane_contents is None
+            else fit_plane(config, plane_contents.used(), state.beams, plane_contents.origin)
+        )
+        if plane_contents is None or fitted is None or not fitted.determined():
+            joining = joining.without(plane)
             continue
-        contents, fitted = _within_incidence(fitted, found.contents, plane, state)
+        contents, fitted = _within_incidence(fitted, joining.contents, plane, state)
         if reject:
-            contents, fitted = _screened(fitted, contents, plane, state, found.history)
-        known = fitted.information(found.history.reference)
-        fits = fitted.fits(known, found.history.reference)
-        history = found.history.without_plane(plane)
+            contents, fitted = _screened(fitted, contents, plane, state, joining.history)
+        known = fitted.information(joining.history.reference)
+        fits = fitted.fits(known, joining.history.reference)
+        history = joining.history.without_plane(plane)
         if fits:
-            history = found.history.with_plane(plane, known)
+            history = joining.history.with_plane(plane, known)
         elif reject:
             culprit = _culprit(fitted, contents.planes[plane].used(), state)
             contents = contents.taken_out(plane, culprit)
-        inconsistent = found.inconsistent if fits else (*found.inconsistent, plane)
-        found = replace(found, contents=contents, history=history, inconsistent=inconsistent)
+        inconsistent = joining.inconsistent if fits else (*joining.inconsistent, plane)
+        joining = replace(joining, contents=contents, history=history, inconsistent=inconsistent)
         if fits or not reject:
-            number = free + len(found.fitted) if own.number is None else own.number
-            found = found.joined(plane, fitted, number)
-    return found
+            number = (
+                free + len(joining.fitted)
+                if plane_contents.number is None
+                else plane_contents.number
+            )
+            joining = joining.joined(plane, fitted, number)
+    return joining
 
 
 def fitted_planes(
     contents: Contents, config: SessionConfig, beams: Beams
 ) -> Mapping[str, FittedPlane]:
     """Return the planes that are determined beside `beams`, and not excluded."""
-    found = {}
+    determined = {}
     for name, plane in contents.planes.items():
         fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
         if fitted is not None and fitted.determined():
-            found[name] = fitted
-    return found
+            determined[name] = fitted
+    return determined
 
 
 def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
-    """Return what planes of the contents bring into a graph, by their number."""
-    found = {}
-    for plane, one in fitted.items():
-        own = contents.planes[plane]
-        if own.number is not None:
-            found[own.number] = one.factors(own.number, contents.station_numbers, own.used())
-    return found
+    """Return the factors of planes of the contents, by their number."""
+    factors = {}
+    for plane, fitted_plane in fitted.items():
+        plane_contents = contents.planes[plane]
+        if plane_contents.number is not None:
+            factors[plane_contents.number] = fitted_plane.factors(
+                plane_contents.number, contents.station_numbers, plane_contents.used()
+            )
+    return factors
 
 
 def _less(
@@ -151,7 +163,7 @@ def _within_incidence(
     if config.sensor.max_incidence >= 0.5 * np.pi:
         return contents, fitted
     flat = np.ones(len(readings), dtype=bool)
-    flat[within_incidence(readings, fitted.at, config.sensor)] = False
+    flat[within_incidence(readings, fitted.parameters, config.sensor)] = False
     if not flat.any() or flat.all():
         return contents, fitted
     used = contents.planes[plane].used()
@@ -161,18 +173,18 @@ def _within_incidence(
 
 def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
     """Return the only beam without which the plane would fit; empty where there is none."""
-    found = []
+    culprits = []
     for name in used.beam_names if len(used.beam_names) > 1 else ():
         bad = np.zeros(used.ranges.shape, dtype=bool)
         bad[:, used.beam_names.index(name)] = True
         rest = fit_plane(fitted.config, used.without(bad), state.beams, fitted.origin)
         if rest is not None and rest.determined() and rest.agrees(state):
-            found.append(name)
-    return found[0] if len(found) == 1 else ""
+            culprits.append(name)
+    return culprits[0] if len(culprits) == 1 else ""
 
 
 def _screened(
-    fitted: FittedPlane, contents: Contents, plane: str, state: BeamState, history: History
+    fitted: FittedPlane, contents: Contents, plane: str, state: BeamState, history: DriftHistory
 ) -> tuple[Contents, FittedPlane]:
     """Reject readings that the others contradict, unless a beam that has moved explains them."""
     used = contents.planes[plane].used()
@@ -186,9 +198,9 @@ def _screened(
 
 
 def _rather_moved(
-    fitted: FittedPlane, again: FittedPlane, known: History, plane: str, state: BeamState
+    fitted: FittedPlane, again: FittedPlane, known: DriftHistory, plane: str, state: BeamState
 ) -> bool:
-    """Tell whether a beam has moved rather than that the readings rejected are gross errors.
+    """Tell whether a beam has moved rather than that the rejected readings are gross errors.
 
     The explanation with the larger fall of chi2 beyond its price is believed. A reading that is
     anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
@@ -203,5 +215,5 @@ def _rather_moved(
     gross = fitted.misfit(state) - again.misfit(state)
     gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
     beams = len(fitted.config.names)
-    move = moved.statistic - MOVES * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
+    move = moved.statistic - MOUNT_UNKNOWNS * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
     return bool(move > gross)

@@ -1,4 +1,4 @@
-"""Beams that all unknowns of a session are counted from, and what one plane knows of those."""
+"""Beams that all unknowns of a session are counted from, and the information of one plane on them."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from ..data.parameters import Beams
 from ..estimation.information import Information
 from ..solvers.normal_equations import NormalEquations
 
-MOVES = 5
-"""Of the unknowns of a beam, those of a mount: its range error belongs to the sensor."""
+MOUNT_UNKNOWNS = 5
+"""The first unknowns of a beam are its mount, which may move; its range error belongs to the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Reference:
     @property
     def mask(self) -> BoolArray:
         """Whether each of 7 unknowns a beam is estimated."""
-        return np.concatenate([np.arange(7) < MOVES + terms for terms in self.terms])
+        return np.concatenate([np.arange(7) < MOUNT_UNKNOWNS + terms for terms in self.terms])
 
     @property
     def active(self) -> IntArray:
@@ -45,13 +45,13 @@ class Reference:
     @property
     def unit(self) -> FloatArray:
         """Natural units of the active unknowns."""
-        one = [self.length] * 3 + [1.0] * 3 + [1.0 / self.length]
-        return np.tile(one, len(self.terms))[self.active]
+        of_beam = [self.length] * 3 + [1.0] * 3 + [1.0 / self.length]
+        return np.tile(of_beam, len(self.terms))[self.active]
 
     def moves(self) -> IntArray:
-        """Return which of the active unknowns are those of each mount, (B, 5)."""
+        """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
         active = self.active
-        return np.flatnonzero(active % 7 < MOVES).reshape(-1, MOVES)
+        return np.flatnonzero(active % 7 < MOUNT_UNKNOWNS).reshape(-1, MOUNT_UNKNOWNS)
 
     def coordinates(self, beams: Beams) -> FloatArray:
         """Return the unknowns of other beams."""
@@ -70,29 +70,29 @@ class Reference:
 def plane_information(
     normal: NormalEquations, sigma: float, beams: Beams, reference: Reference
 ) -> Information:
-    """Return what one plane knows of the beams: matrix (n, n) and vector (n,), natural units.
+    """Return the information of one plane on the beams, (n, n) and (n,), in natural units.
 
     Parameters
     ----------
     normal : NormalEquations
-        Of that plane alone, fitted, with 2 range-error terms.
+        Normal equations of that plane alone, fitted, with 2 range-error terms.
     sigma : float
-        Of a whitened residual [m].
+        Standard deviation of a whitened residual [m].
     beams : Beams
-        Where they were taken.
+        Beams at which they were taken.
     reference : Reference
     """
     plane_unit, unit = np.array([1.0, 1.0, reference.length]), np.ones(len(reference.mask))
     unit[reference.mask] = reference.unit
-    found = normal.reduced(unit, plane_unit, reference.mask)
+    reduced = normal.reduced(unit, plane_unit, reference.mask)
     turn = turns(beams[1], reference)
-    L = turn.T @ found.matrix @ turn / sigma**2
-    gradient = turn.T @ found.gradient / sigma**2
+    L = turn.T @ reduced.matrix @ turn / sigma**2
+    gradient = turn.T @ reduced.gradient / sigma**2
     return Information(L, L @ reference.coordinates(beams) - gradient, np.zeros(()))
 
 
 def turns(directions: FloatArray, reference: Reference) -> FloatArray:
-    """Return the matrix from unknowns in the bases of the reference to those in the bases here."""
+    """Return the matrix from unknowns in the bases of the reference to unknowns in the bases here."""
     here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
     turns = np.tile(np.eye(7), (len(directions), 1, 1))
     turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
@@ -100,5 +100,5 @@ def turns(directions: FloatArray, reference: Reference) -> FloatArray:
     each = np.arange(len(directions))
     whole[each, :, each, :] = turns
     size, active = 7 * len(directions), reference.active
-    found: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
-    return found
+    matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
+    return matrix

@@ -15,14 +15,15 @@ ChangeCode = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Something that a comparison with the batch solution found otherwise, and that was taken over.
+    """A difference that a comparison with the batch solution has shown, and that was taken over.
 
     Attributes
     ----------
     code : str
         `scales` of noise and range errors, an estimated `range-sigma`, the choice of `outliers`,
-        `excluded-planes` that take part again, or `from-batch`: the graph was begun anew from the batch
-        solution, which it had left. `not-converged`: the batch calibration did not, and nothing was.
+        `excluded-planes` that take part again, or `from-batch`: the graph was restarted from the batch
+        solution, which it had left. `not-converged`: the batch calibration did not converge, and
+        nothing was taken over.
     message : str
     """
 
@@ -44,7 +45,7 @@ class Comparison(Value):
     largest_sigma : float
         Largest relative difference of a standard deviation.
     changes : tuple of Change
-        What followed from it; none where the two agree and nothing was chosen anew.
+        Changes that followed; none where the two agree and nothing was chosen again.
     """
 
     largest: float
@@ -54,7 +55,7 @@ class Comparison(Value):
     @property
     def message(self) -> str:
         """The changes in words; empty where there are none."""
-        return "; ".join(one.message for one in self.changes)
+        return "; ".join(change.message for change in self.changes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -64,18 +65,18 @@ class Update(Value):
     Attributes
     ----------
     planes : tuple of str
-        That joined, or got further stations.
+        Planes that joined, or got further stations.
     waiting : tuple of str
         Planes whose readings do not determine them yet; everything, until the beams are determined.
     information : float
-        What the readings taught about the beams [nats]: half the growth of the logarithm of the
-        determinant of their information; NaN for the first calibration, and where a comparison with
-        the batch solution changed weights or terms.
+        Gain of information on the beams [nats]: half the growth of the logarithm of the determinant of
+        their information; NaN for the first calibration, and where a comparison with the batch solution
+        changed weights or terms.
     sigma, before : (B, 8) or None
         Standard deviations of the beams (x, y, z, vx, vy, vz, k1, k2) now, and before; None where there
         is no calibration.
     message : str
-        Why there is no calibration yet, or that it was begun anew; empty otherwise.
+        Why there is no calibration yet, or that it was restarted; empty otherwise.
     rejected : tuple of Rejected
         New readings that the others contradict; they are kept, and not used.
     moved : Moved or None

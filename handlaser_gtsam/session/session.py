@@ -21,7 +21,7 @@ from ..model.sensor import Rejected
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.incremental import IncrementalOptions
-from .beginning import Given
+from .beginning import SessionArguments
 from .comparing import compared, recalibrate
 from .contents import Contents
 from .drift import Moved
@@ -39,10 +39,10 @@ class Session:
     Parameters
     ----------
     noise : Noise, optional
-        An unknown range sigma is that of the first calibration, and of every comparison with the batch.
-        One pose covariance for all stations.
+        An unknown range sigma is taken from the first calibration, then from every comparison with the
+        batch. One pose covariance for all stations.
     options : CalibrationOptions, optional
-        Of the first calibration; unknown scales are learned anew in every comparison with the batch.
+        Options of the first calibration; every comparison with the batch learns unknown scales again.
     incremental : IncrementalOptions, optional
 
     Raises
@@ -57,7 +57,7 @@ class Session:
         options: CalibrationOptions | None = None,
         incremental: IncrementalOptions | None = None,
     ) -> None:
-        self._given = Given(
+        self._given = SessionArguments(
             Noise() if noise is None else noise,
             CalibrationOptions() if options is None else options,
             IncrementalOptions() if incremental is None else incremental,
@@ -76,7 +76,7 @@ class Session:
             return {name: value for name, value in self.__dict__.items() if name != "_lock"}
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        """Take everything over, with a lock of its own."""
+        """Take everything over, with a new lock."""
         self.__dict__.update(state)
         self._lock = RLock()
 
@@ -142,9 +142,9 @@ class Session:
             raise InputError(
                 f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
             )
-        found = screened(recording, self.noise.range_sigma)
-        if found.warnings:
-            recording = found.recording.part(~np.isnan(found.recording.ranges).all(axis=1))
+        screening = screened(recording, self.noise.range_sigma)
+        if screening.warnings:
+            recording = screening.recording.part(~np.isnan(screening.recording.ranges).all(axis=1))
         with self._lock:
             now, given = self._now, self._given
             contents = self._contents.added(recording, given.options.sensor)
@@ -153,7 +153,7 @@ class Session:
                 self._early = contents
             else:
                 self._now, update = changed(now, contents, recording.plane_names, given)
-            self._screening += found.warnings
+            self._screening += screening.warnings
         return update
 
     def remove_plane(self, name: str) -> Update:
@@ -194,10 +194,10 @@ class Session:
         direction_sigma: float = 0.05,
         range_error_sigmas: tuple[float, float] = (1e-5, 1e-5),
     ) -> None:
-        """Let a beam have moved before a plane came: process noise between what it was and what it is.
+        """Let a beam have moved before a plane came, with process noise between both states.
 
-        Nothing is thrown away: planes before `since` go on to tell what the beam was, which stays in
-        the session as `<beam> until <since>`, and, as far as the noise lets them, what it is.
+        Nothing is thrown away: planes before `since` go on to determine the earlier state, which stays
+        in the session as `<beam> until <since>`, and, as far as the noise lets them, the present one.
 
         Parameters
         ----------
@@ -205,11 +205,11 @@ class Session:
         since : str
             The first plane that saw it displaced; one that is in the calibration.
         location_sigma : float
-            Of each coordinate of the shift [m].
+            Sigma of each coordinate of the shift [m].
         direction_sigma : float
-            Of the turn about each axis across the beam [rad].
+            Sigma of the turn about each axis across the beam [rad].
         range_error_sigmas : (float, float)
-            Of the change of k1 [1] and k2 [1/m]; small, for a range error belongs to the sensor.
+            Sigmas of the change of k1 [1] and k2 [1/m]; small, for a range error belongs to the sensor.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class Session:
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
 
-        A range sigma that was not given is that of the last comparison, or of `recalibrate`.
+        A range sigma that was not given is taken from the last comparison, or from `recalibrate`.
         """
         now = self.state
         state, config = now.integrated(), now.config
@@ -232,31 +232,31 @@ class Session:
         return mounts if now.current == mounts.names else mounts.arranged(now.current)
 
     def calibration(self) -> Calibration:
-        """Return the calibration at the present estimate, with everything a batch calibration tells.
+        """Return the calibration at the present estimate, with all that a batch calibration states.
 
-        Nothing is solved anew, but every reading is looked at. What a beam was before it moved stands
-        beside it as a beam of its own.
+        Nothing is solved again, but every reading is looked at. The state of a beam before it moved
+        stands beside it as a further beam.
         """
         now = self.state
-        found = now.inside().calibration(now.contents)
-        warnings = (*self._screening, *found.warnings)
+        calibration = now.inside().calibration(now.contents)
+        warnings = (*self._screening, *calibration.warnings)
         planes = len(now.contents.numbers)
         learns = now.config.learned is not None or self.noise.range_sigma is None
         if learns and now.learned_with != planes and not now.config.links:
             words = (
                 f"the scales of noise and range errors were learned from {now.learned_with} of "
-                f"{planes} planes: recalibrate() learns them anew"
+                f"{planes} planes: recalibrate() learns them again"
             )
             warnings = (*warnings, CalibrationWarning("scales-of-fewer-planes", words))
-        return replace(found, warnings=warnings)
+        return replace(calibration, warnings=warnings)
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes as they are now.
 
-        Every plane is in a frame of its own amid its stations, with the axes of the world.
+        Every plane has a frame amid its stations, with the axes of the world.
         """
         inside = self.state.inside()
-        return inside.own(), inside.at
+        return inside.local_readings(), inside.parameters
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
@@ -267,11 +267,11 @@ class Session:
         return self.state.moved()
 
     def recalibrate(self) -> Comparison:
-        """Calibrate everything so far at once, and compare; take over what that finds otherwise.
+        """Calibrate everything so far at once, compare, and take over scales and outliers that differ.
 
-        That is scales of noise and range errors, and outliers. The same happens, except for outliers,
-        in every comparison that is due; but not once a beam has been split.
+        Scales of noise and range errors are meant. The same happens, except for outliers, in every
+        comparison that is due; but not once a beam has been split.
         """
         with self._lock:
-            self._now, found = recalibrate(self.state, self._given)
-        return found
+            self._now, comparison = recalibrate(self.state, self._given)
+        return comparison

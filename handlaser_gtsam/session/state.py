@@ -11,27 +11,26 @@ from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
+from ..quantities import MOST_ROUNDS
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import parameters_of
 from ..solvers.incremental import IncrementalGraph, IncrementalOptions
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import History, Moved
+from .drift import DriftHistory, Moved
 from .fitted import fit_plane
 from .integration import ScaleSums
 from .joining import Joining, factors_of, fitted_planes, join_planes
 
-MOVED = 3e-3
-"""Weights, and what planes say of the beams, are taken anew when the beams have moved by this part of
-their natural units since: 1 rad, the typical range, a relative change of the range."""
-MOVED_WITH_SCALES = 5e-4
-"""The same where scales are integrated over: how probable they are depends on how well all planes fit,
+REWEIGHED_MOVE = 3e-3
+"""Weights, and the information of planes, are updated once the beams have moved by this part of their
+natural units: 1 rad, the typical range, a relative change of the range."""
+REWEIGHED_MOVE_OF_SCALES = 5e-4
+"""The same move where scales are integrated over: their probability depends on how well all planes fit,
 which is known to second order in such a move."""
-TRUSTED = 4
-"""Planes inside from which others may be excluded."""
-ROUNDS = 5
-"""Of new weights after a new beginning."""
+TRUSTED_PLANES = 4
+"""With fewer planes in the graph none is excluded: the first planes may have begun with wrong beams."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,22 +44,22 @@ class SessionState:
     options : IncrementalOptions
     graph : IncrementalGraph
     factors : mapping of int to PlaneFactors
-        What every plane brought into the graph, by its number.
+        Factors of every plane in the graph, by its number.
     state : BeamState
         The beams of the graph.
     weighed : Beams
-        Those behind the weights and the history.
+        The beams behind the weights and the history.
     compared : BeamState
-        Those of the last comparison with the batch solution.
+        The beams of the last comparison with the batch solution.
     changes : int
-        Since then.
-    history : History
+        Number of changes since that comparison.
+    history : DriftHistory
     inconsistent : frozenset of str
         Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
     sums : ScaleSums or None
-        What the planes say for all scales; None where none are integrated over.
+        Information of the planes for all scales; None where none are integrated over.
     estimate : BeamState or None
         The beams with all scales integrated over, once that has been done.
     """
@@ -74,7 +73,7 @@ class SessionState:
     weighed: Beams
     compared: BeamState
     changes: int
-    history: History
+    history: DriftHistory
     inconsistent: frozenset[str]
     learned_with: int
     sums: ScaleSums | None = None
@@ -88,7 +87,7 @@ class SessionState:
 
     @property
     def current(self) -> tuple[str, ...]:
-        """Names of the beams as they are, without those that were before a move."""
+        """Names of the beams as they are, without their states before a move."""
         return tuple(name for name in self.config.names if name not in self.contents.names)
 
     @property
@@ -100,32 +99,34 @@ class SessionState:
         inside, excluded = len(self.contents.numbers), self.contents.excluded
         culprits = set(excluded.values())
         agree = len(culprits) == 1 and "" not in culprits
-        return inside >= TRUSTED and (len(excluded) <= 0.5 * inside or agree)
+        return inside >= TRUSTED_PLANES and (len(excluded) <= 0.5 * inside or agree)
 
     def inside(self) -> BatchProblem:
-        """Return what is in the graph as one problem, at the present estimate."""
+        """Return the planes in the graph as one problem, at the present estimate."""
         graph, contents = self.graph, self.contents
-        at = graph.parameters()
+        parameters = graph.parameters()
         place = {number: index for index, number in enumerate(graph.planes)}
         order = [place[number] for number in contents.numbers.values()]
-        at = replace(at, normals=at.normals[order], offsets=at.offsets[order])
-        found = BatchProblem.of(contents, self.config, at)
+        parameters = replace(
+            parameters, normals=parameters.normals[order], offsets=parameters.offsets[order]
+        )
+        problem = BatchProblem.of(contents, self.config, parameters)
         if self.config.poses != "estimated":
-            return found
-        poses, names = gtsam.Values(), found.recording.station_names
-        for j in np.unique(found.readings.station[found.used]).tolist():
-            own = pose_key(contents.station_numbers[names[j]])
-            poses.insert(pose_key(j), graph.pose(own))
-        return replace(found, poses=poses)
+            return problem
+        poses, names = gtsam.Values(), problem.recording.station_names
+        for j in np.unique(problem.readings.station[problem.used]).tolist():
+            key = pose_key(contents.station_numbers[names[j]])
+            poses.insert(pose_key(j), graph.pose(key))
+        return replace(problem, poses=poses)
 
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        found, far = self.history.search(self.config.sigma_dof, epochs), self._moved_far()
-        if found is None or far is None or far.beam != found.beam:
-            return found or far
+        moved, far = self.history.search(self.config.sigma_dof, epochs), self._moved_far()
+        if moved is None or far is None or far.beam != moved.beam:
+            return moved or far
         order = list(self.contents.planes)
-        return replace(found, since=min(found.since, far.since, key=order.index))
+        return replace(moved, since=min(moved.since, far.since, key=order.index))
 
     def _moved_far(self) -> Moved | None:
         """Return the beam without which planes that were excluded would fit: it has moved far."""
@@ -138,7 +139,7 @@ class SessionState:
     def changed(
         self, contents: Contents, planes: tuple[str, ...], *, reject: bool
     ) -> tuple["SessionState", Joining]:
-        """Return what follows from `contents`, in which only `planes` differ from what is in.
+        """Return the state with `contents`, in which only `planes` differ from the present ones.
 
         Raises
         ------
@@ -153,7 +154,7 @@ class SessionState:
                 raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
         inside = joining.contents.numbers
         gone = [number for plane, number in self.contents.numbers.items() if plane not in inside]
-        kept = {number: one for number, one in self.factors.items() if number not in gone}
+        kept = {number: of_plane for number, of_plane in self.factors.items() if number not in gone}
         new = replace(
             self,
             contents=joining.contents,
@@ -193,33 +194,32 @@ class SessionState:
             if not fitted:
                 raise RuntimeError("no plane is left")
             contents = self.contents.numbered({plane: p.origin for plane, p in fitted.items()})
-            planes = [one.at for one in fitted.values()]
-            normals = np.concatenate([one.normals for one in planes])
-            offsets = np.concatenate([one.offsets for one in planes])
-            at = Parameters(*self.state.beams, normals, offsets)
-            beams = BatchProblem.of(contents, self.config, at).batch_beams()
-            found = begin(self.contents, self.config, beams, self.options)
-            if not self.config.determines(found.state):
+            normals = np.concatenate([p.parameters.normals for p in fitted.values()])
+            offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
+            parameters = Parameters(*self.state.beams, normals, offsets)
+            beams = BatchProblem.of(contents, self.config, parameters).batch_beams()
+            begun = begin(self.contents, self.config, beams, self.options)
+            if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
             raise _undetermined(f" ({error})") from error
         return replace(
-            found, compared=self.compared, changes=self.changes, learned_with=self.learned_with
+            begun, compared=self.compared, changes=self.changes, learned_with=self.learned_with
         )
 
     def reweighed(self) -> "SessionState":
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
-        limit = MOVED if config.learned is None else MOVED_WITH_SCALES
+        limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
         if config.apart(beams, self.weighed) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
-            own = self.contents.planes[plane]
-            found = fit_plane(config, own.used(), beams, own.origin)
-            if found is None:
+            contents = self.contents.planes[plane]
+            refitted = fit_plane(config, contents.used(), beams, contents.origin)
+            if refitted is None:
                 return self
-            fitted[plane] = found
+            fitted[plane] = refitted
         history, planes = config.history(beams), self.history.planes
         pieces = [fitted[plane].information(history.reference) for plane in planes]
         now = replace(self, history=history.with_planes(planes, pieces), weighed=beams)
@@ -237,20 +237,24 @@ class SessionState:
         )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Let the state be copied and pickled: what GTSAM holds is made anew, linearised as it is."""
+        """Let the state be copied and pickled: the graph is rebuilt, linearised where it is."""
         point, config = self.graph.linearization_point(), self.config
-        at = parameters_of(point, config.beams, [plane_key(number) for number in self.factors])
-        blocks = [block for one in self.factors.values() for block in one.blocks]
+        parameters = parameters_of(
+            point, config.beams, [plane_key(number) for number in self.factors]
+        )
+        blocks = [block for of_plane in self.factors.values() for block in of_plane.blocks]
         poses = {key: point.atPose3(key) for key in poses_of(blocks)}
-        brought = {number: (one.blocks, one.others) for number, one in self.factors.items()}
-        known = [getattr(self, one.name) for one in fields(self)]
+        brought = {
+            number: (of_plane.blocks, of_plane.others) for number, of_plane in self.factors.items()
+        }
+        known = [getattr(self, of_plane.name) for of_plane in fields(self)]
         fine = bool(self.inconsistent)
-        return _restored, (brought, at, poses, fine, tuple(known[:3]), tuple(known[5:]))
+        return _restored, (brought, parameters, poses, fine, tuple(known[:3]), tuple(known[5:]))
 
 
 def _restored(
     brought: Mapping[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
-    at: Parameters,
+    parameters: Parameters,
     poses: Mapping[int, gtsam.Pose3],
     fine: bool,
     first: tuple[Contents, SessionConfig, IncrementalOptions],
@@ -259,14 +263,14 @@ def _restored(
     """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
     _, config, options = first
     factors = {}
-    for number, normal, offset in zip(brought, at.normals, at.offsets, strict=True):
+    for number, normal, offset in zip(brought, parameters.normals, parameters.offsets, strict=True):
         values, (blocks, others) = gtsam.Values(), brought[number]
         values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
         for key in poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = PlaneFactors(blocks, others, values)
     graph = IncrementalGraph(config.beams, config.terms, config.length, options)
-    graph, _ = graph.changed(factors, (), config.start(at.beams), fine=fine)
+    graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
     return SessionState(*first, graph, factors, *rest)
 
 
@@ -281,13 +285,13 @@ def begin(
         GTSAM calls the system indeterminate, or the estimate does not settle.
     """
     fitted = fitted_planes(contents, config, beams)
-    contents = contents.numbered({plane: one.origin for plane, one in fitted.items()})
+    contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
     factors = factors_of(contents, fitted)
     history, inconsistent = config.history(beams), set[str]()
-    for plane, one in fitted.items():
-        own = one.information(history.reference)
-        if one.fits(own, history.reference):
-            history = history.with_plane(plane, own)
+    for plane, plane_fit in fitted.items():
+        information = plane_fit.information(history.reference)
+        if plane_fit.fits(information, history.reference):
+            history = history.with_plane(plane, information)
         else:
             inconsistent.add(plane)
     graph = IncrementalGraph(config.beams, config.terms, config.length, options)
@@ -307,7 +311,7 @@ def begin(
         len(fitted),
         ScaleSums.of(config, beams, fitted),
     )
-    for _ in range(ROUNDS):
+    for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
             break
@@ -320,5 +324,5 @@ def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
 
 
 def _undetermined(why: str = "") -> InputError:
-    found = f"a change after which the beams are undetermined{why}"
-    return InputError(found, "planes that determine them")
+    change = f"a change after which the beams are undetermined{why}"
+    return InputError(change, "planes that determine them")

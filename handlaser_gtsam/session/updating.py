@@ -8,21 +8,21 @@ from ..data.parameters import Beams
 from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
 from ..pipeline import calibrate
-from .beginning import Given, beams_of
+from .beginning import SessionArguments, beams_of
 from .comparing import compare_if_due
 from .config import ProcessNoise, SessionConfig
 from .contents import Contents
 from .reports import Update
 from .state import SessionState, begin
 
-BEGUN_ANEW = (
-    "begun anew from everything: the planes so far did not fit the calibration they began with"
+RESTARTED = (
+    "restarted from everything: the planes so far did not fit the calibration they began with"
 )
 UNKNOWN = float("nan")
 
 
 def started(
-    now: SessionState | None, contents: Contents, given: Given
+    now: SessionState | None, contents: Contents, given: SessionArguments
 ) -> tuple[SessionState | None, Update]:
     """Calibrate everything together, and start the graph from there if that converges.
 
@@ -32,8 +32,8 @@ def started(
         The readings of a new beam do not determine it, or a beam has moved before it came.
     """
     if now is not None and now.config.links:
-        found = "a new beam after another one was split"
-        raise InputError(found, "a session of its own for it")
+        beam = "a new beam after another one was split"
+        raise InputError(beam, "a session of its own for it")
     batch = given.calibrated(contents)
     if batch.status != "converged":
         if now is not None:  # a new beam that is not determined: nothing is lost
@@ -53,9 +53,9 @@ def started(
 
 
 def changed(
-    now: SessionState, contents: Contents, planes: tuple[str, ...], given: Given
+    now: SessionState, contents: Contents, planes: tuple[str, ...], given: SessionArguments
 ) -> tuple[SessionState, Update]:
-    """Bring a session to `contents`, in which only `planes` differ from what is in.
+    """Bring a session to `contents`, in which only `planes` differ from the present ones.
 
     Raises
     ------
@@ -63,33 +63,33 @@ def changed(
         The beams would not be determined.
     """
     new, joining = now.changed(contents, planes, reject=given.reject)
-    gain, anew = 0.5 * (new.state.information - now.state.information), False
+    gain, restarted = 0.5 * (new.state.information - now.state.information), False
     if joining.inconsistent and given.reject and not (new.trusted or new.config.links):
         batch = given.calibrated(new.contents)
-        anew = batch.status == "converged"
-        new = given.begun(new.contents, batch) if anew else new
+        restarted = batch.status == "converged"
+        new = given.begun(new.contents, batch) if restarted else new
     new, comparison = compare_if_due(new)
-    if anew or (comparison is not None and comparison.changes):
+    if restarted or (comparison is not None and comparison.changes):
         gain = UNKNOWN
     new = replace(new, estimate=new.integrated())
     old = set(now.contents.rejected)
     return new, Update(
-        tuple(new.contents.numbers if anew else joining.fitted),
+        tuple(new.contents.numbers if restarted else joining.fitted),
         new.contents.waiting,
         gain,
         new.integrated().sigmas(),
         now.integrated().sigmas() if new.config.names == now.config.names else None,
-        BEGUN_ANEW if anew else "",
-        tuple(one for one in new.contents.rejected if one not in old),
+        RESTARTED if restarted else "",
+        tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),
-        () if anew else joining.inconsistent,
+        () if restarted else joining.inconsistent,
         comparison,
     )
 
 
 def split_beam(
     now: SessionState,
-    given: Given,
+    given: SessionArguments,
     beam: str,
     since: str,
     sigmas: tuple[float, float, tuple[float, float]],
@@ -99,7 +99,7 @@ def split_beam(
     contents = _split_contents(now, beam, since, before)
     index, count = config.names.index(beam), len(config.names)
     noise = ProcessNoise(count, index, *sigmas)
-    old = tuple(replace(one, now=count) if one.now == index else one for one in config.links)
+    old = tuple(replace(link, now=count) if link.now == index else link for link in config.links)
     learned = None if config.learned is None else config.learned.for_beams(count + 1)
     config = replace(
         config,
@@ -112,14 +112,14 @@ def split_beam(
     try:
         return begin(contents, config, (r, v, k), given.incremental)
     except (RuntimeError, GrazingBeamError) as error:
-        found = _begun_from_nowhere(contents, config, given)
-        if found is None:
+        begun = _begun_from_nowhere(contents, config, given)
+        if begun is None:
             raise InputError(
                 f"a move that process noise of {noise.location_sigma:g} m and "
                 f"{noise.direction_sigma:g} rad does not settle ({error})",
                 "noise as large as the move, or more planes after it",
             ) from error
-        return found
+        return begun
 
 
 def _split_contents(now: SessionState, beam: str, since: str, before: str) -> Contents:
@@ -143,21 +143,21 @@ def _split_contents(now: SessionState, beam: str, since: str, before: str) -> Co
     split = contents.split(beam, since, before).included(order[order.index(since) :])
     for name in (before, beam):
         if not any(name in split.planes[plane].recording.beam_names for plane in order):
-            found = f"no reading of beam {beam} on one side of plane {since}"
-            raise InputError(found, "some on both")
+            missing = f"no reading of beam {beam} on one side of plane {since}"
+            raise InputError(missing, "some on both")
     return split
 
 
 def _begun_from_nowhere(
-    contents: Contents, config: SessionConfig, given: Given
+    contents: Contents, config: SessionConfig, given: SessionArguments
 ) -> SessionState | None:
     """Begin from a batch calibration: the beam has moved too far for the present estimate."""
     recording = join([plane.used() for plane in contents.planes.values()])
     options = replace(given.options, outliers="keep")
-    found = calibrate(recording, replace(given.noise, range_sigma=config.sigma), options)
-    if found.status != "converged":
+    calibration = calibrate(recording, replace(given.noise, range_sigma=config.sigma), options)
+    if calibration.status != "converged":
         return None
-    r, v, k = beams_of(found, config.names)
+    r, v, k = beams_of(calibration, config.names)
     estimated = np.arange(2) < np.array(config.terms)[:, None]
     beams: Beams = (r, v, np.where(estimated, k, 0.0))
     try:

@@ -21,7 +21,7 @@ class BeamState:
     covariance : (8 B, 8 B)
         Ambient, over (x, y, z, vx, vy, vz, k1, k2) of every beam.
     information : float
-        Logarithm of the determinant of the tangent information [nats, up to the units].
+        Logarithm of the determinant of the tangent information [nats], up to the units.
     """
 
     locations: FloatArray
@@ -46,7 +46,7 @@ class BeamState:
         ----------
         beams : Beams
         sigmas : (B, 8)
-            Of that estimate: the unit of the first number; the second is relative to them.
+            Standard deviations of that estimate: the unit of the first number; the second is relative.
         """
         seen = sigmas > 0.0
         difference = np.abs(np.hstack(self.beams) - np.hstack(beams))[seen] / sigmas[seen]
@@ -65,7 +65,7 @@ class PlaneFactors:
     others : factors
         Priors of its hand poses.
     start : gtsam.Values
-        Of its variables; those that are in the graph already are not started anew.
+        Start of its variables; variables that are in the graph already keep their values.
     """
 
     blocks: tuple[RangeBlock, ...]

@@ -9,21 +9,16 @@ from scipy.linalg.lapack import dposv, dpotri
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ..arrays import FloatArray
+from ..quantities import SINGULAR, TINY
 
-LARGE = 400
-"""Unknowns of the beams beyond which not all eigenvalues are computed where nothing is undetermined."""
-NEARLY = 1e-2
-"""The relative accuracy of the extreme eigenvalues of so many unknowns."""
-FEW = (1, 16)
-"""How many of these are sought from below, until one is large enough."""
-RANK = 1e-12
-"""Information of a plane below this part of its largest is rounding."""
-NOTHING = 1e-280
-"""Information of an unknown below this is none, as where no reading of a plane counts."""
-NEARLY_TOLD = 1e6
-"""Where the others leave less than one such part of an unknown, a plain inverse loses many digits."""
-CERTAIN = 1e3
-"""Where all pivots exceed what is needed so many times, all eigenvalues do exceed it."""
+LARGE_MATRIX = 400
+"""With more unknowns, Cholesky factors and a few eigenvalues take less time than all eigenvalues."""
+EIGENVALUE_TOLERANCE = 1e-2
+"""Relative accuracy of the extreme eigenvalues of a large matrix; they only meet a bound."""
+EIGENVALUES_SOUGHT = (1, 16)
+"""Smallest eigenvalues of a large matrix that are computed: more if the first are below the bound."""
+PIVOT_MARGIN = 1e3
+"""Where all pivots exceed a bound by this factor, all eigenvalues exceed the bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +30,8 @@ class ReducedInformation:
     matrix : (..., n, n)
         Information of the beams, S.
     gradient : (..., n)
-        Of half the sum of squares at the linearisation: the step of the beams is -inv(S) gradient.
+        Gradient of half the sum of squares at the linearisation: the step of the beams is
+        -inv(S) gradient.
     plane_values : (..., P, 3)
         Information of the planes along their own axes, ascending.
     plane_axes : (..., P, 3, 3)
@@ -62,25 +58,25 @@ class ReducedInformation:
     def covariance(self, floor: float, least: float = 0.0) -> FloatArray:
         """Return the inverse (n, n) of the only copy, along axes of at least `floor` information.
 
-        All have that where the least eigenvalue is known to.
+        No axis is tested where the caller knows that the least eigenvalue is `least` >= `floor`.
         """
         try:
             root = np.linalg.cholesky(self.matrix)
-            if least >= floor or np.diagonal(root).min() ** 2 > CERTAIN * floor:
+            if least >= floor or np.diagonal(root).min() ** 2 > PIVOT_MARGIN * floor:
                 return _inverse_of_root(root)
         except np.linalg.LinAlgError:
             pass
         values, axes = np.linalg.eigh(self.matrix)
         known = values >= floor
-        found: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
-        return found
+        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return inverse
 
     def step(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the steps of beams (..., n) and planes (..., P, 3), and the decrement -g' delta.
 
-        The decrement is what the step saves of the sum of squares.
+        The decrement is the decrease of the sum of squares by the step.
         """
-        unit = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", self.matrix), 1e-300))
+        unit = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", self.matrix), TINY))
         scaled = self.matrix * unit[..., :, None] * unit[..., None, :]
         beam = -unit * solve_stack(scaled, (self.gradient * unit)[..., None])[..., 0]
         plane = self.plane_step - np.einsum("...pij,...j->...pi", self.plane_response, beam)
@@ -95,12 +91,12 @@ def eliminated(
     plane_gradient: FloatArray,
     floor: float | None = None,
 ) -> ReducedInformation:
-    """Eliminate planes; blocks as those of `NormalEquations`, with any leading axes.
+    """Eliminate planes; the blocks are defined in `NormalEquations` and have any leading axes.
 
-    Information of a plane below `floor` is none; below `RANK` of its largest where that is not given.
+    Information of a plane below `floor` counts as zero; the default is `SINGULAR` times its largest.
     """
     values, axes = np.linalg.eigh(plane)
-    least = RANK * np.maximum(values[..., -1:], 0.0) if floor is None else floor
+    least = SINGULAR * np.maximum(values[..., -1:], 0.0) if floor is None else floor
     known = (values >= least) & (values > 0.0)
     weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
     inverse = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
@@ -165,26 +161,27 @@ def solve_stack(A: FloatArray, rhs: FloatArray) -> FloatArray:
 def inverse_stack(A: FloatArray) -> FloatArray:
     """Return the inverses of symmetric matrices (..., n, n), without the axes that are rounding.
 
-    An unknown that the others nearly tell, as where a plane has one station, makes the plain inverse
-    useless. The units of the unknowns make no difference.
+    The plain inverse is useless where the others nearly determine an unknown, as where a plane has one
+    station. The units of the unknowns make no difference.
     """
     try:
         inverse = np.asarray(np.linalg.inv(A))
     except np.linalg.LinAlgError:
         inverse = np.full_like(A, np.nan)
-    # What an unknown has of information, over what the others leave of it.
-    alone = np.einsum("...ii,...ii->...i", A, inverse)
-    if alone.min() > 0.0 and alone.max() < NEARLY_TOLD:
+    # The variance inflation of each unknown. Beyond 1 / sqrt(SINGULAR) half of all digits are lost.
+    inflation = np.einsum("...ii,...ii->...i", A, inverse)
+    sound = (inflation > 0.0) & (inflation < SINGULAR**-0.5)
+    if sound.all():
         return inverse
-    poor = ~((alone > 0.0) & (alone < NEARLY_TOLD)).all(axis=-1)
-    own = np.einsum("...ii->...i", A[poor])
-    some = own > NOTHING
-    scale = np.where(some, 1.0 / np.sqrt(np.where(some, own, 1.0)), 0.0)
+    poor = ~sound.all(axis=-1)
+    diagonal = np.einsum("...ii->...i", A[poor])
+    some = diagonal > TINY
+    scale = np.where(some, 1.0 / np.sqrt(np.where(some, diagonal, 1.0)), 0.0)
     values, axes = np.linalg.eigh(A[poor] * scale[..., :, None] * scale[..., None, :])
-    known = values > RANK
+    known = values > SINGULAR
     weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
-    found = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    inverse[poor] = found * scale[..., :, None] * scale[..., None, :]
+    restricted = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    inverse[poor] = restricted * scale[..., :, None] * scale[..., None, :]
     return inverse
 
 
@@ -193,14 +190,14 @@ def solve_definite(A: FloatArray, rhs: FloatArray) -> FloatArray:
 
     The units of the unknowns make no difference.
     """
-    found = np.empty_like(rhs)
+    solved = np.empty_like(rhs)
     for k, (matrix, right) in enumerate(zip(A, rhs, strict=True)):
-        _, found[k], failed = dposv(matrix.T, right)
+        _, solved[k], failed = dposv(matrix.T, right)
         if failed:
-            scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), 1e-300))
+            scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), TINY))
             scaled = matrix * scale[:, None] * scale
-            found[k] = scale * solve_stack(scaled, (right * scale)[:, None])[:, 0]
-    return found
+            solved[k] = scale * solve_stack(scaled, (right * scale)[:, None])[:, 0]
+    return solved
 
 
 def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
@@ -208,7 +205,7 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float
 
     All of them, or of a large matrix those below `floor` and one beyond, if they are few.
     """
-    if len(matrix) > LARGE and np.isfinite(floor):
+    if len(matrix) > LARGE_MATRIX and np.isfinite(floor):
         try:
             root = np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError:
@@ -217,18 +214,22 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float
             factor = (root.T, False)  # LAPACK's order: nothing is copied
 
             def inverse(x: FloatArray) -> FloatArray:
-                found: FloatArray = cho_solve(factor, x, check_finite=False)
-                return found
+                solved: FloatArray = cho_solve(factor, x, check_finite=False)
+                return solved
 
             solve = LinearOperator(matrix.shape, inverse, dtype=float)
             start = np.ones(len(matrix))
-            for count in FEW:
-                small, axes = eigsh(matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=NEARLY)
+            for count in EIGENVALUES_SOUGHT:
+                small, axes = eigsh(
+                    matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=EIGENVALUE_TOLERANCE
+                )
                 if small.max() >= floor:
-                    top = eigsh(matrix, 1, v0=start, tol=NEARLY, return_eigenvectors=False)
+                    top = eigsh(
+                        matrix, 1, v0=start, tol=EIGENVALUE_TOLERANCE, return_eigenvectors=False
+                    )
                     mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
                     order = np.argsort(small)
                     return small[order], float(top[0]), mean_log, axes[:, order]
     values, axes = np.linalg.eigh(matrix)
-    mean_log = float(np.log(np.maximum(values, 1e-300)).mean())
+    mean_log = float(np.log(np.maximum(values, TINY)).mean())
     return values, float(values[-1]), mean_log, axes

@@ -16,7 +16,7 @@ from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening, stations_from_zero
 from .poses import PosePriors
-from .steps import MANY_BEAMS
+from .steps import UNKNOWNS_RATIO
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +106,26 @@ def build_graph(
         prior_rows += 6 * len(poses)
     coupled = whitening is not None and whitening.is_coupled
     whitening = None if whitening is None else whitening.reordered(rows)
-    ordering, keys = _ordering(poses, planes, beams, coupled), (beams, planes, poses)
-    what = graph, values, blocks, sigma, ordering
+    of_beams = [key for beam in beams for key in beam.variables]
+    # Uncoupled beams are independent given the planes: they go first where there are far more.
+    order = [*poses, *planes, *of_beams]
+    if not coupled and len(of_beams) > UNKNOWNS_RATIO * len(planes):
+        order = [*poses, *of_beams, *planes]
     return CalibrationGraph(
-        *what, *keys, counts, loss, rows, whitening, readings, prior_rows=prior_rows
+        graph,
+        values,
+        blocks,
+        sigma,
+        gtsam.Ordering(order),
+        beams,
+        planes,
+        poses,
+        counts,
+        loss,
+        rows,
+        whitening,
+        readings,
+        prior_rows=prior_rows,
     )
 
 
@@ -152,22 +168,13 @@ def range_error_priors(
     beams: Sequence[BeamKeys], terms: Sequence[int], prior: RangeErrorPrior | None
 ) -> list[gtsam.NonlinearFactor]:
     """Return a prior factor for the range error of every beam that has one."""
-    found = []
+    factors = []
     for i, (beam, count) in enumerate(zip(beams, terms, strict=True)):
         if prior is None or beam.range_error is None or np.isinf(prior.sigma[i, :count]).any():
             continue
         mean = np.zeros(count) if prior.mean is None else prior.mean[i, :count]
-        found.append(range_error_prior(beam.range_error, prior.sigma[i, :count], mean))
-    return found
-
-
-def _ordering(
-    poses: tuple[int, ...], planes: tuple[int, ...], beams: tuple[BeamKeys, ...], coupled: bool
-) -> gtsam.Ordering:
-    of_beams = [key for beam in beams for key in beam.variables]
-    if not coupled and len(of_beams) > MANY_BEAMS * len(planes):
-        return gtsam.Ordering([*poses, *of_beams, *planes])
-    return gtsam.Ordering([*poses, *planes, *of_beams])
+        factors.append(range_error_prior(beam.range_error, prior.sigma[i, :count], mean))
+    return factors
 
 
 def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:
@@ -224,18 +231,18 @@ def with_tangents(
     k = np.zeros((len(beams), 2))
     for i, beam in enumerate(beams):
         if beam.range_error is not None:
-            own = values.atVector(beam.range_error)
-            k[i, : own.size] = own
-    found = [values.atOrientedPlane3(key) for key in planes]
+            range_error = values.atVector(beam.range_error)
+            k[i, : range_error.size] = range_error
+    variables = [values.atOrientedPlane3(key) for key in planes]
     units = [values.atUnit3(beam.direction) for beam in beams]
-    units += [plane.normal() for plane in found]
+    units += [plane.normal() for plane in variables]
     vectors = np.array([unit.point3() for unit in units]).reshape(-1, 3)
     parameters = Parameters.unchecked(
         np.array([values.atPoint3(beam.location) for beam in beams]),
         vectors[: len(beams)],
         k,
         vectors[len(beams) :],
-        np.array([plane.distance() for plane in found]),
+        np.array([plane.distance() for plane in variables]),
     )
     return parameters, np.array([unit.basis() for unit in units]).reshape(-1, 3, 2)
 
@@ -250,7 +257,7 @@ def _blocks_by_beam(
     ends = np.append(starts[1:], len(readings))
     weights = None if whitening is None else whitening.coefficients()[:, :, None]
 
-    def own(a: int, e: int) -> Whitening | None:
+    def whitening_of(a: int, e: int) -> Whitening | None:
         if whitening is None or weights is None:
             return None
         alone = np.arange(e - a)
@@ -264,7 +271,7 @@ def _blocks_by_beam(
     for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
         rows = d[a:e], R[a:e], t[a:e], first[a:e]
         blocks.append(
-            RangeBlock.of_checked(beams[beam], planes[plane], rows, own(a, e), taken[a:e])
+            RangeBlock.of_checked(beams[beam], planes[plane], rows, whitening_of(a, e), taken[a:e])
         )
     return tuple(blocks)
 
@@ -281,23 +288,23 @@ def station_blocks(
     whitening = whitening.by_station(stations_from_zero(readings), readings.beam, readings.beams)
     runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
     blocks = []
-    for own in runs:
-        seen, beam_of = np.unique(readings.beam[own], return_inverse=True)
-        R, t, pose = readings.world_R_hand[own], readings.world_t_hand[own], None
+    for run in runs:
+        seen, beam_of = np.unique(readings.beam[run], return_inverse=True)
+        R, t, pose = readings.world_R_hand[run], readings.world_t_hand[run], None
         if priors is not None:
             R, t = np.broadcast_to(np.eye(3), R.shape), np.zeros(t.shape)
-            pose = pose_key(int(readings.station[own[0]]))
+            pose = pose_key(int(readings.station[run[0]]))
         blocks.append(
             RangeBlock(
                 [beams[i] for i in seen],
-                planes[readings.plane[own[0]]],
-                readings.distance[own],
+                planes[readings.plane[run[0]]],
+                readings.distance[run],
                 R,
                 t,
                 pose,
                 beam_of,
-                whitening.of_rows(own),
-                None if readings.regressors is None else readings.regressors[own],
+                whitening.of_rows(run),
+                None if readings.regressors is None else readings.regressors[run],
             )
         )
     return tuple(blocks)

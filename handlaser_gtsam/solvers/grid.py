@@ -23,14 +23,14 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from ..model.weighting import Whitening
 
-LONGEST = 32
-"""Slots of a chunk; a plane with more stations has several, so that unequal planes waste little."""
-FREE = 4
-"""Columns beside those of the beam: along the plane's tangents, its offset, and the residual."""
+CHUNK_SLOTS = 32
+"""Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
+PLANE_COLUMNS = 4
+"""Columns of a row after those by its beam: two tangents of the plane, its offset, the residual."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class GridRows:
     """The rows of all readings of K problems.
 
     Attributes
@@ -73,33 +73,35 @@ class Grid:
     Parameters
     ----------
     problems : sequence of Readings
-        Only one where all problems have the same: how many these are is then told by the parameters.
+        A single element where all problems share their readings: the parameters then say how many
+        problems there are.
     """
 
     def __init__(self, problems: Sequence[Readings]) -> None:
-        one = problems[0]
-        rows, station, planes = _stations(one)
-        sizes = np.bincount(planes, minlength=one.planes)
-        self.beams, self.planes, self.slots = one.beams, one.planes, int(min(sizes.max(), LONGEST))
-        self._sizes: FloatArray = np.maximum(one.beams * sizes, 1).astype(float)
+        shape = problems[0]
+        self.beams, self.planes = shape.beams, shape.planes
+        rows, station, planes = _stations(shape)
+        sizes = np.bincount(planes, minlength=self.planes)
+        self.slots = int(min(sizes.max(), CHUNK_SLOTS))
+        self._sizes: FloatArray = np.maximum(self.beams * sizes, 1).astype(float)
         chunks = np.maximum(-(-sizes // self.slots), 1)
         self.first: IntArray = np.cumsum(chunks) - chunks
         self._first_cell: IntArray = self.first * self.slots
-        self.plane: IntArray = np.repeat(np.arange(one.planes), chunks * self.slots)
+        self.plane: IntArray = np.repeat(np.arange(self.planes), chunks * self.slots)
         place = np.arange(len(planes)) + (self._first_cell - np.cumsum(sizes) + sizes)[planes]
         self.cells = len(self.plane)
         self.place: IntArray = place[station]
-        self._at = one.beam * self.cells + self.place
+        self._index = shape.beam * self.cells + self.place
         self.read: BoolArray | None = None
-        if len(one) < self.beams * self.cells:
-            self.read = self.spread(np.ones((1, len(one)))) > 0.0
+        if len(shape) < self.beams * self.cells:
+            self.read = self.spread(np.ones((1, len(shape)))) > 0.0
         self.distance = self.spread(np.array([p.distance for p in problems]))
         self.measured: FloatArray | Regressors = self.distance
-        if one.regressors is not None:
-            own = [p.regressors for p in problems if p.regressors is not None]
+        if shape.regressors is not None:
+            regressors = [p.regressors for p in problems if p.regressors is not None]
             self.measured = Regressors(
-                self.spread(np.array([each.constant for each in own])),
-                self.spread(np.array([each.level for each in own])),
+                self.spread(np.array([p.constant for p in regressors])),
+                self.spread(np.array([p.level for p in regressors])),
             )
         self._by_k = np.array(model.range_error_derivatives(self.measured))
         self.poses = np.zeros((len(problems), 3, 4, self.cells))
@@ -117,42 +119,48 @@ class Grid:
     def spread(self, values: FloatArray) -> FloatArray:
         """Return values (K, N) of readings on the grid (K, B, cells), zero where there is none."""
         grid = np.zeros((len(values), self.beams * self.cells))
-        grid[:, self._at] = values
+        grid[:, self._index] = values
         return grid.reshape(len(values), self.beams, -1)
 
     def gathered(self, grid: FloatArray) -> FloatArray:
-        """Return what stands on the grid (K, B, cells), a reading each: (K, N)."""
-        values: FloatArray = grid.reshape(len(grid), -1)[:, self._at]
+        """Return the values (K, N) of the readings from values on the grid (K, B, cells)."""
+        values: FloatArray = grid.reshape(len(grid), -1)[:, self._index]
         return values
 
-    def residuals(self, at: Parameters) -> tuple[FloatArray, FloatArray]:
+    def residuals(self, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
         """Return residuals [m] and cosines of the incidence (K, B, cells) at parameters of K problems.
 
         Parameters stand one problem after the other. Residuals of beams that graze mean nothing.
         """
-        seen = self._seen(at, at.normals[:, :, None], at.directions[:, None], self.read)
-        return self._residual(seen, at), seen.cosine
+        seen = self._seen(
+            parameters, parameters.normals[:, :, None], parameters.directions[:, None], self.read
+        )
+        return self._residual(seen, parameters), seen.cosine
 
-    def facing(self, at: Parameters) -> Parameters:
+    def facing(self, parameters: Parameters) -> Parameters:
         """Return parameters of K problems with the normals of all planes away from the sensors."""
-        _, cosine = self.residuals(at)
+        _, cosine = self.residuals(parameters)
         cosine = cosine if self.read is None else cosine * self.read
         ahead = np.add.reduceat(cosine.sum(axis=1), self._first_cell, axis=1)
         sign = np.where(ahead.ravel() < 0.0, -1.0, 1.0)
-        return replace(at, normals=at.normals * sign[:, None], offsets=at.offsets * sign)
+        return replace(
+            parameters,
+            normals=parameters.normals * sign[:, None],
+            offsets=parameters.offsets * sign,
+        )
 
     def rows(
         self,
-        at: Parameters,
+        parameters: Parameters,
         terms: int,
         counted: BoolArray | None = None,
         bases: FloatArray | None = None,
-    ) -> Rows:
+    ) -> GridRows:
         """Return the rows of all readings at parameters of K problems, one after the other.
 
         Parameters
         ----------
-        at : Parameters
+        parameters : Parameters
         terms : int
         counted : (K, B, cells), optional
             Readings that count; the others may graze their planes.
@@ -161,14 +169,14 @@ class Grid:
         """
         counted = self.read if counted is None else counted
         if bases is None:
-            bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))
-        v_basis, basis = bases[: len(at.directions)], bases[len(at.directions) :]
-        axes = np.concatenate((at.normals[:, :, None], basis), axis=2)
-        turns = np.concatenate((at.directions[:, None], v_basis.swapaxes(1, 2)), axis=1)
-        seen = self._seen(at, axes, turns, counted)
+            bases = model.tangent_basis(np.concatenate((parameters.directions, parameters.normals)))
+        v_basis, basis = bases[: len(parameters.directions)], bases[len(parameters.directions) :]
+        axes = np.concatenate((parameters.normals[:, :, None], basis), axis=2)
+        turns = np.concatenate((parameters.directions[:, None], v_basis.swapaxes(1, 2)), axis=1)
+        seen = self._seen(parameters, axes, turns, counted)
         c, s, along = seen.c, seen.s, seen.along
         copies, width = len(c), 5 + terms
-        columns = np.empty((width + FREE, *c.shape))
+        columns = np.empty((width + PLANE_COLUMNS, *c.shape))
         np.multiply(c, seen.turned[:, 0, :3].transpose(1, 0, 2)[:, :, None], out=columns[:3])
         np.multiply(s * c, along[:, 0, 2:].transpose(1, 0, 2, 3), out=columns[3:5])
         columns[5:width] = self._by_k[:terms]
@@ -178,12 +186,12 @@ class Grid:
         middle = self._plane_means(spot, counted)
         spot -= middle.take(self.plane, axis=-1)[:, :, None]
         np.multiply(c, spot, out=columns[width : width + 2])
-        columns[-2], columns[-1] = c, self._residual(seen, at)
+        columns[-2], columns[-1] = c, self._residual(seen, parameters)
         if counted is not None:
             columns *= counted
         centres = (basis @ middle.transpose(1, 2, 0).reshape(-1, 2, 1))[..., 0]
-        centres -= at.offsets[:, None] * at.normals
-        return Rows(columns, centres.reshape(copies, -1, 3), seen.flattest, bases)
+        centres -= parameters.offsets[:, None] * parameters.normals
+        return GridRows(columns, centres.reshape(copies, -1, 3), seen.flattest, bases)
 
     def reach(self) -> FloatArray:
         """Return the largest coordinate of a hand plus the largest reading [m] of each problem (K,)."""
@@ -212,23 +220,23 @@ class Grid:
         total = np.add.reduceat((values * counted).sum(axis=2), first, axis=2)
         return np.asarray(total / np.maximum(size, 1))
 
-    def _residual(self, seen: _Seen, at: Parameters) -> FloatArray:
-        k = at.range_errors.reshape(len(seen.c), self.beams, 1, 2)
+    def _residual(self, seen: _Seen, parameters: Parameters) -> FloatArray:
+        k = parameters.range_errors.reshape(len(seen.c), self.beams, 1, 2)
         return seen.s - model.corrected(self.measured, k)
 
     def _seen(
-        self, at: Parameters, axes: FloatArray, turns: FloatArray, counted: BoolArray | None
+        self, parameters: Parameters, axes: FloatArray, turns: FloatArray, counted: BoolArray | None
     ) -> _Seen:
         """Return what readings have in common.
 
         For axes (K P, 3, q) of the planes, the normal first, and turns (K B, m - 1, 3) of the beams,
         the direction first.
         """
-        copies, beams = len(at.locations) // self.beams, self.beams
+        copies, beams = len(parameters.locations) // self.beams, self.beams
         by_plane = axes.reshape(copies, self.planes, 3, -1).transpose(0, 2, 3, 1)
         turned = np.einsum("kjic,kjac->kaic", self.poses, by_plane.take(self.plane, axis=-1))
         arms = np.zeros((copies, turns.shape[1] + 1, beams, 4))
-        arms[:, 0, :, :3] = at.locations.reshape(copies, beams, 3)
+        arms[:, 0, :, :3] = parameters.locations.reshape(copies, beams, 3)
         arms[:, 0, :, 3] = 1.0
         arms[:, 1:, :, :3] = turns.reshape(copies, beams, -1, 3).swapaxes(1, 2)
         along = arms.reshape(copies, 1, -1, 4) @ turned
@@ -240,10 +248,10 @@ class Grid:
         flattest = steep.reshape(copies, -1).min(axis=1)
         finite = cosine
         if not (flattest >= model.GRAZING_LIMIT).all():
-            # What grazes is told by its cosine; here it only has to stay finite.
+            # The cosine says what grazes; here the range only has to stay finite.
             finite = np.where(steep < model.GRAZING_LIMIT, model.GRAZING_LIMIT, cosine)
         c = -1.0 / finite
-        height = at.offsets.reshape(copies, -1).take(self.plane, axis=1)
+        height = parameters.offsets.reshape(copies, -1).take(self.plane, axis=1)
         s = (along[:, 0, 0] + height[:, None]) * c
         return _Seen(turned, along, c, s, cosine, flattest)
 
@@ -265,8 +273,8 @@ class Weighing:
 
     def picked(self, rows: IntArray) -> "Weighing":
         """Return the weighing of some problems."""
-        of = (self.root, self.matrix)
-        return Weighing(*(a if a is None or len(a) == 1 else a[rows] for a in of))
+        arrays = (self.root, self.matrix)
+        return Weighing(*(a if a is None or len(a) == 1 else a[rows] for a in arrays))
 
 
 def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:

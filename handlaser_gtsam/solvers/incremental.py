@@ -1,13 +1,13 @@
 """iSAM2 behind a small class that is never left half-updated.
 
 Planes join one by one; the beams stay in the root of the Bayes tree, so that an update with one plane
-eliminates little else anew. What was measured of GTSAM 4.3, and how it is met:
+eliminates little else again. What was measured of GTSAM 4.3, and how it is met:
 
 - an exception inside `update` leaves the object half-updated: every change works on a copy and gives
   a new graph; the old one stays as it was;
 - the default relinearisation threshold ignores moves of a mount in millimetres: each kind of variable
-  has a threshold in its natural unit. iSAM2 would linearise the variables anew one by one, and a
-  beam takes all readings with it each time: here they all are as soon as one of them calls for it;
+  has a threshold in its natural unit. iSAM2 would relinearise the variables one by one, and a
+  beam takes all readings with it each time: here all are relinearised as soon as one must be;
 - all Values are copied for every Python factor unless the linearisation point is held: it is;
 - marginals are in the tangent bases of the linearisation point: they are lifted from there;
 - it is not thread-safe: a graph and those that follow from it share one lock.
@@ -26,16 +26,13 @@ from ..data.parameters import Parameters
 from ..factors import RangeBlock, gathered, range_factor
 from ..factors.keys import BeamKeys, plane_key
 from ..model.joint import beams_lift
+from ..quantities import MOST_ROUNDS
 from .beam_state import BeamStart, BeamState, PlaneFactors
 from .graph import parameters_of
-from .isam import WITH_THE_OTHERS, isam_parameters, letter, thresholds
+from .isam import FINE_PART, isam_parameters, letter, thresholds
 
-BEAMS_LAST = 1
-"""Group of the beams in iSAM2's ordering; all others are in group 0 and are eliminated first."""
-ROUNDS = 15
-"""Of relinearisation after a change: more mean that too little is determined."""
-WEAK = 0.01
-"""Beams are hardly known with standard deviations above this part of their natural units."""
+WEAKLY_KNOWN = 0.01
+"""With standard deviations above this part of its natural units a beam counts as hardly known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +42,11 @@ class IncrementalOptions:
     Attributes
     ----------
     relinearize : float
-        A variable is linearised anew when it has moved by more than this part of its natural unit:
+        A variable is relinearised when it has moved by more than this part of its natural unit:
         1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
     compare_every : int
-        A session compares itself with the batch solution after so many changes, or a quarter as many as
-        there are planes, if fewer; and when the estimate has moved far. Zero: never.
+        Changes after which a session compares itself with the batch solution, at most a quarter of the
+        number of planes; it also does when the estimate has moved far. Zero: never.
     """
 
     relinearize: float = 2e-4
@@ -121,9 +118,9 @@ class IncrementalGraph:
         accept : callable, optional
             Asked before the change takes place.
         fine : bool
-            Whether to linearise anew for much smaller moves: where readings do not fit, the optimum
-            depends on every Jacobian by as much as they are off. Always where beams are hardly known,
-            for their standard deviations then depend on where they were linearised.
+            Whether to relinearise for much smaller moves: where readings do not fit, the optimum
+            depends on every Jacobian by as much as they are off. Always done where beams are hardly
+            known, for their standard deviations then depend on where they were linearised.
 
         Raises
         ------
@@ -135,10 +132,10 @@ class IncrementalGraph:
             gone = {*without, *(number for number in added if number in self._factors)}
             old = new._exchange(added, gone)
             new._add(added, old, beams)
-            new._settle(WITH_THE_OTHERS if fine else 1.0)
+            new._settle(FINE_PART if fine else 1.0)
             state = new.state()
-            if not fine and (state.sigmas() > WEAK * new._unit).any():
-                new._settle(WITH_THE_OTHERS)
+            if not fine and (state.sigmas() > WEAKLY_KNOWN * new._unit).any():
+                new._settle(FINE_PART)
                 state = new.state()
             if accept is not None and not accept(state):
                 raise RuntimeError("too few planes are left")
@@ -179,7 +176,7 @@ class IncrementalGraph:
         old = [index for number in gone for index in self._factors[number]]
         for number in gone:
             del self._factors[number], self._blocks[number]
-        self._blocks |= {number: one.blocks for number, one in added.items()}
+        self._blocks |= {number: factors.blocks for number, factors in added.items()}
         if not self._blocks:
             raise RuntimeError("no plane is left")
         self._limits = self._limits_of_all()
@@ -189,14 +186,14 @@ class IncrementalGraph:
         self, added: Mapping[int, PlaneFactors], old: list[int], beams: BeamStart | None
     ) -> None:
         graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-        for one in added.values():
-            for block in one.blocks:
+        for plane in added.values():
+            for block in plane.blocks:
                 sigma = 1.0 if block.whitening is None else block.whitening.sigma
                 graph.push_back(range_factor(block, sigma))
-            for factor in one.others:
+            for factor in plane.others:
                 graph.push_back(factor)
-            sizes.append(len(one.blocks) + len(one.others))
-            start.insert(_new_ones(one.start, self._isam))
+            sizes.append(len(plane.blocks) + len(plane.others))
+            start.insert(_new_variables(plane.start, self._isam))
         if beams is not None:
             start.insert(beams.values)
             for factor in beams.factors:
@@ -216,14 +213,14 @@ class IncrementalGraph:
     ) -> gtsam.ISAM2Result:
         groups = gtsam.KeyGroupMap()
         for key in self._keys:
-            groups.insert2(key, BEAMS_LAST)
-        blocks = [block for own in self._blocks.values() for block in own]
+            groups.insert2(key, 1)  # eliminated last: all other variables are in group 0
+        blocks = [block for of_plane in self._blocks.values() for block in of_plane]
         with gathered(blocks):
             return self._isam.update(graph, start, old, groups, None, None, relinearize)
 
     def _settle(self, part: float) -> None:
-        """Linearise anew until nothing has moved by a part of its threshold."""
-        for _ in range(ROUNDS):
+        """Relinearise until nothing has moved by a part of its threshold."""
+        for _ in range(MOST_ROUNDS):
             if not self._has_moved(part):
                 return
             self._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
@@ -238,7 +235,7 @@ class IncrementalGraph:
         count = {"p": len(self._blocks)}
         for key in self._keys:
             count[letter(key)] = count.get(letter(key), 0) + 1
-        blocks = (block for own in self._blocks.values() for block in own)
+        blocks = (block for of_plane in self._blocks.values() for block in of_plane)
         count["x"] = len({block.pose for block in blocks if block.pose is not None})
         return np.concatenate(
             [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
@@ -272,7 +269,7 @@ class IncrementalGraph:
         )
 
 
-def _new_ones(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
+def _new_variables(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
     """Return the values of variables that are not in the graph."""
     known = [key for key in start.keys() if isam.valueExists(key)]  # noqa: SIM118
     if not known:

@@ -6,16 +6,14 @@ import numpy as np
 from ..arrays import FloatArray
 from ..factors.keys import BeamKeys
 
-WITH_THE_OTHERS = 0.05
-"""What has moved by more than this part of its threshold is linearised anew once another must be."""
-NEVER = 1_000_000_000
-"""Updates between relinearisations of iSAM2's own: the session says when to linearise."""
+FINE_PART = 0.05
+"""Once one variable must be relinearised, all are that have moved by this part of their threshold."""
 
 
 def thresholds(
     part: float, length: float, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
 ) -> dict[str, FloatArray]:
-    """Return by how much the variables of each letter may move before they are linearised anew."""
+    """Return by how much the variables of each letter may move before they are relinearised."""
     units = {"p": [1.0, 1.0, length], "x": [1.0] * 3 + [length] * 3}
     for beam, count in zip(beams, terms, strict=True):
         units[letter(beam.location)] = [length] * 3
@@ -28,13 +26,13 @@ def thresholds(
 
 
 def isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
-    """Return parameters with which only `IncrementalGraph` decides when to linearise anew."""
+    """Return parameters with which only `IncrementalGraph` decides when to relinearise."""
     fine = gtsam.ISAM2ThresholdMap()
     for letter, threshold in thresholds.items():
-        fine.insert((letter, WITH_THE_OTHERS * threshold))
+        fine.insert((letter, FINE_PART * threshold))
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(fine)
-    parameters.relinearizeSkip = NEVER
+    parameters.relinearizeSkip = int(np.iinfo(np.int32).max)  # iSAM2 never does it by itself
     steps = gtsam.ISAM2GaussNewtonParams()
     steps.setWildfireThreshold(0.0)
     parameters.setOptimizationParams(steps)

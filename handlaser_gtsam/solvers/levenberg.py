@@ -22,6 +22,7 @@ from ..arrays import FloatArray
 from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
+from ..quantities import LARGEST_NUMBER
 from ..text import count
 from .graph import CalibrationGraph
 from .linear import Step
@@ -30,10 +31,10 @@ from .progress import Trial
 from .values import require_values
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
-FAIR, GOOD = 0.25, 0.75
-"""Steps that save less, and more, than these parts of what they promised raise and lower lambda."""
-LARGEST_DAMPING = 1e100
-"""Products with an information matrix must not overflow."""
+POOR_GAIN = 0.25
+"""A step that saves less than this part of what the linear model promised raises lambda."""
+GOOD_GAIN = 0.75
+"""A step that saves more than this part of what the linear model promised lowers lambda."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +66,9 @@ class LevenbergOptions:
     def __post_init__(self) -> None:
         require_count("max_iterations", self.max_iterations, 0, 10**9)
         for name in ("step_tolerance", "least_damping", "first_damping"):
-            require_number(name, getattr(self, name), 0.0, LARGEST_DAMPING)
-        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_DAMPING, above=True)
-        require_number("most_damping", self.most_damping, 0.0, LARGEST_DAMPING, above=True)
+            require_number(name, getattr(self, name), 0.0, LARGEST_NUMBER)
+        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
+        require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,7 @@ def levenberg_marquardt(
     Parameters
     ----------
     problem : CalibrationGraph
-        Its graph may hold further factors beside those of its blocks.
+        Its graph may hold further factors beside the factors of its blocks.
     options : LevenbergOptions, optional
     progress : callable, optional
         Called with every trial step.
@@ -122,7 +123,7 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    return _Search(objective_of(problem), options or LevenbergOptions(), progress).result()
+    return _LevenbergSearch(objective_of(problem), options or LevenbergOptions(), progress).result()
 
 
 def optimize(
@@ -159,15 +160,15 @@ def optimize(
     """
     _require_startable(graph, values)
     objective = GraphObjective(graph, values)
-    return _Search(objective, options or LevenbergOptions(), progress).result()
+    return _LevenbergSearch(objective, options or LevenbergOptions(), progress).result()
 
 
 def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
     """Refuse what is no graph with a start for every variable."""
-    kinds, wanted = (type(graph), type(values)), (gtsam.NonlinearFactorGraph, gtsam.Values)
-    if not all(issubclass(kind, one) for kind, one in zip(kinds, wanted, strict=True)):
-        found = " and ".join(kind.__name__ for kind in kinds)
-        raise InputError(found, "a gtsam.NonlinearFactorGraph, then gtsam.Values")
+    kinds = (gtsam.NonlinearFactorGraph, gtsam.Values)
+    if not all(isinstance(*pair) for pair in zip((graph, values), kinds, strict=True)):
+        given = f"{type(graph).__name__} and {type(values).__name__}"
+        raise InputError(given, "a gtsam.NonlinearFactorGraph, then gtsam.Values")
     keys = graph.keyVector()
     if not keys:
         raise InputError("an empty graph", "factors")
@@ -179,9 +180,11 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
-    """Return the start of `problem` as a result: what somebody else has solved."""
-    at = objective_of(problem).evaluate(problem.values)
-    return LevenbergResult(at.values, "converged", message, at.cost, 0, (), at.residual, at.white)
+    """Return the start of `problem`, which somebody else has solved, as a result."""
+    point = objective_of(problem).evaluate(problem.values)
+    return LevenbergResult(
+        point.values, "converged", message, point.cost, 0, (), point.residual, point.white
+    )
 
 
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
@@ -191,7 +194,7 @@ def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.Gaussian
         return problem.graph.linearize(values)
 
 
-class _Search:
+class _LevenbergSearch:
     """The state of one minimisation."""
 
     def __init__(
@@ -216,9 +219,16 @@ class _Search:
                 "interrupted",
                 f"stopped by Ctrl-C after {count(self.accepted, 'step')}",
             )
-        at, history = self.point, tuple(self.history)
+        point = self.point
         return LevenbergResult(
-            at.values, status, message, at.cost, self.accepted, history, at.residual, at.white
+            point.values,
+            status,
+            message,
+            point.cost,
+            self.accepted,
+            tuple(self.history),
+            point.residual,
+            point.white,
         )
 
     def run(self) -> tuple[Status, str]:
@@ -275,9 +285,9 @@ class _Search:
     def _adapt_damping(self, gain: float) -> bool:
         """Change lambda by how well the linear model did; False when there is no more to try."""
         options = self.options
-        if gain < FAIR:
+        if gain < POOR_GAIN:
             self.damping = max(self.damping * options.damping_factor, options.first_damping)
-        elif gain > GOOD:
+        elif gain > GOOD_GAIN:
             lower = self.damping / options.damping_factor
             keep = lower >= options.first_damping
             self.damping = max(lower if keep else 0.0, options.least_damping)

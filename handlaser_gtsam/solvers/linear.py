@@ -1,8 +1,8 @@
 """The damped linear system of one step, (H + lambda diag(H)) delta = -g, and how it is solved.
 
-GTSAM eliminates any linear graph. That of a calibration has a known structure: the rows of its readings
-are summed up, and planes or beams eliminated, in stacked products in place of a factor for every plane
-and beam. A graph that ties planes or poses together goes to GTSAM as it is.
+GTSAM eliminates any linear graph. The graph of a calibration has a known structure: the rows of its
+readings are summed up, and planes or beams eliminated, in stacked products in place of a factor for
+every plane and beam. A graph that ties planes or poses together goes to GTSAM as it is.
 """
 
 from abc import ABC, abstractmethod
@@ -17,8 +17,9 @@ from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Whitening
+from ..quantities import SINGULAR
 from .graph import CalibrationGraph, with_tangents
-from .grid import Grid, Rows, Weighing, weighing_of
+from .grid import Grid, GridRows, Weighing, weighing_of
 from .normal_equations import NormalEquations, summed_equations
 from .steps import damped_step
 
@@ -63,8 +64,9 @@ class LinearGraph(LinearSystem):
         if damping > 0.0:
             damped = gtsam.GaussianFactorGraph()
             damped.push_back(self.linear)
-            for key, squares in _floored(self.squares()).items():
-                dim = len(squares)
+            for key, columns in self.squares().items():
+                # Marquardt's damping needs at least a trace where a column is empty.
+                squares, dim = np.maximum(columns, SINGULAR * columns.max()), len(columns)
                 unit = gtsam.noiseModel.Unit.Create(dim)
                 damped.add(key, np.diag(np.sqrt(damping * squares)), np.zeros(dim), unit)
         try:
@@ -101,7 +103,7 @@ class Unknowns:
     weighing : Weighing
         The same on the grid, for the gaussian loss.
     others : gtsam.NonlinearFactorGraph
-        Factors beside those of readings, of single beams.
+        Further factors, each of a single beam.
     place : dict
         The beam of every key of beams, and its columns.
     active : (B, 5 + terms) of bool
@@ -126,7 +128,7 @@ class Unknowns:
         place: dict[int, tuple[int, slice]] = {}
         for i, (beam, count) in enumerate(zip(problem.beams, problem.terms, strict=True)):
             columns = slice(0, 3), slice(3, 5), slice(5, 5 + count)
-            place |= {key: (i, own) for key, own in zip(beam.variables, columns, strict=False)}
+            place |= {key: (i, where) for key, where in zip(beam.variables, columns, strict=False)}
         for factor in (others.at(i) for i in range(others.size())):
             tied = {place[key][0] if key in place else -1 for key in factor.keys()}  # noqa: SIM118
             if len(tied) != 1 or -1 in tied:
@@ -138,21 +140,21 @@ class Unknowns:
         weighing = Weighing() if how is None else weighing_of(grid, [how])
         return cls(problem, grid, how, weighing, others, place, active)
 
-    def rows(self, values: gtsam.Values) -> Rows:
+    def rows(self, values: gtsam.Values) -> GridRows:
         """Return the rows of all readings along GTSAM's tangents; raises GrazingBeamError."""
-        at, bases = with_tangents(values, self.problem.beams, self.problem.planes)
+        parameters, bases = with_tangents(values, self.problem.beams, self.problem.planes)
         with np.errstate(invalid="ignore", over="ignore"):
-            rows = self.grid.rows(at, self.active.shape[1] - 5, bases=bases)
+            rows = self.grid.rows(parameters, self.active.shape[1] - 5, bases=bases)
         if not rows.cosine[0] >= GRAZING_LIMIT:
             raise GrazingBeamError(float(rows.cosine[0]), GRAZING_LIMIT)
         return rows
 
     def equations(
-        self, rows: Rows, white: FloatArray, others: gtsam.GaussianFactorGraph
+        self, rows: GridRows, white: FloatArray, others: gtsam.GaussianFactorGraph
     ) -> NormalEquations:
         """Return the normal equations [m] of readings and of other, linearised factors of beams.
 
-        The whitened readings (N,) [m] tell their weights under a robust loss.
+        A robust loss gives every reading a weight by its whitened residual (N,) [m].
         """
         problem, width, columns = self.problem, self.active.shape[1], rows.columns
         if not self.active.all():
@@ -163,9 +165,9 @@ class Unknowns:
             weights = problem.loss.weight(white / problem.range_sigma)
             root = np.sqrt(self.grid.spread(weights[None]))
             weighing = Weighing(root if weighing.root is None else root * weighing.root)
-        found = summed_equations(self.grid, columns, rows.centres, weighing)
+        normal = summed_equations(self.grid, columns, rows.centres, weighing)
         if self.active.all() and not others.size():
-            return found
+            return normal
         variance, each = problem.range_sigma**2, np.arange(width)
         more = ~self.active[..., None] * np.eye(width)  # terms that a beam lacks stay
         gradient = np.zeros(self.active.shape)
@@ -176,13 +178,13 @@ class Unknowns:
                 place += [*each[where]]
             more[beam][np.ix_(place, place)] += variance * known[:-1, :-1]
             gradient[beam, place] -= variance * known[:-1, -1]
-        return found.plus(more, gradient.ravel())
+        return normal.plus(more, gradient.ravel())
 
 
 class CalibrationSystem(LinearSystem):
     """The normal equations of a calibration, of which planes or beams are eliminated in NumPy."""
 
-    def __init__(self, unknowns: Unknowns, rows: Rows, normal: NormalEquations) -> None:
+    def __init__(self, unknowns: Unknowns, rows: GridRows, normal: NormalEquations) -> None:
         self.unknowns, self.rows, self.normal = unknowns, rows, normal
 
     def solved(self, damping: float) -> Step | None:
@@ -194,16 +196,11 @@ class CalibrationSystem(LinearSystem):
         turn = (tangents @ step[:, :2, None])[..., 0]
         step[:, 2] -= np.einsum("pi,pi->p", turn, self.rows.centres[0])  # at the origin
         delta, by_beam = gtsam.VectorValues(), beam.reshape(self.unknowns.active.shape)
-        for key, own in zip(problem.planes, step, strict=True):
-            delta.insert(key, own)
+        for key, of_plane in zip(problem.planes, step, strict=True):
+            delta.insert(key, of_plane)
         for key, (index, where) in self.unknowns.place.items():
             delta.insert(key, by_beam[index, where])
         return _checked(delta, saved / problem.range_sigma**2)
-
-
-def _floored(columns: dict[int, FloatArray]) -> dict[int, FloatArray]:
-    """Return what Marquardt's damping multiplies, at least a trace of it where a column is empty."""
-    return {key: np.maximum(one, 1e-12 * one.max()) for key, one in columns.items()}
 
 
 def _checked(delta: gtsam.VectorValues, decrement: float) -> Step | None:

@@ -1,8 +1,8 @@
 """Levenberg-Marquardt on the reduction, for many problems of one shape at once.
 
-The minimum is that of the factor graph. Each step forms the normal equations of all problems,
+The minimum is the minimum of the factor graph. Each step forms the normal equations of all problems,
 eliminates planes and solves for the beams in stacked products. Every problem has its own damping,
-with the rules of `levenberg`; those that have arrived drop out.
+with the rules of `levenberg`; problems that have arrived drop out.
 """
 
 from collections.abc import Sequence
@@ -17,17 +17,15 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
 from ..model.weighting import Whitening
+from ..quantities import ROWS_AT_ONCE, TINY
 from .grid import Grid, Weighing, weighing_of
-from .levenberg import FAIR, GOOD, LevenbergOptions
+from .levenberg import GOOD_GAIN, POOR_GAIN, LevenbergOptions
 from .normal_equations import NormalEquations, grid_normal_equations
 from .refine import joined, parted, picked
 from .steps import apply_step, damped_step
 from .stopping import COST_RESOLUTION
 
-EPSILON = float(np.finfo(float).eps)
 DEFAULT = LevenbergOptions()
-ROWS = 20_000
-"""Readings worked on at once: more would leave the processor's cache."""
 Stacked = TypeVar("Stacked", Parameters, NormalEquations)
 
 
@@ -40,8 +38,8 @@ class SolvedTogether(Value):
     parameters : tuple of Parameters
         Planes in the frames of the readings.
     cost : (K,)
-        Half the sum of squares in standard deviations, that of the prior included; infinite where a
-        beam grazes its plane at the start.
+        Half the sum of squares in standard deviations, including the prior; infinite where a beam
+        grazes its plane at the start.
     converged : (K,) of bool
     iterations : (K,)
         Steps taken.
@@ -84,17 +82,17 @@ def solve_together(
     options : LevenbergOptions, optional
     """
     options = DEFAULT if options is None else options
-    share = max(ROWS // max(len(problems[0]), 1), 1)
+    share = max(ROWS_AT_ONCE // max(len(problems[0]), 1), 1)
     ended: list[tuple[IntArray, SolvedTogether]] = []
     for first in range(0, len(problems), share):
         some = slice(first, first + share)
-        own = noise if isinstance(noise, float) else noise[some]
-        task = _Task.of(problems[some], terms, own, prior)
-        at = joined(starts[some])
+        noise_of_some = noise if isinstance(noise, float) else noise[some]
+        task = _StackedProblems.of(problems[some], terms, noise_of_some, prior)
+        start = joined(starts[some])
         if terms < 2:
-            at = replace(at, range_errors=at.range_errors * (np.arange(2) < terms))
+            start = replace(start, range_errors=start.range_errors * (np.arange(2) < terms))
         with np.errstate(all="ignore"):  # beams may graze their planes
-            ended += _Search(task, at, options, first).run()
+            ended += _ProblemsSearch(task, start, options, first).run()
     return _in_order(ended)
 
 
@@ -104,18 +102,18 @@ def _in_order(ended: list[tuple[IntArray, SolvedTogether]]) -> SolvedTogether:
         return ended[0][1]
     order = np.argsort(np.concatenate([index for index, _ in ended]))
     parts = [part for _, part in ended]
-    parameters = [own for part in parts for own in part.parameters]
+    parameters = [solution for part in parts for solution in part.parameters]
     cost, converged, iterations, sigma = (
         np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("cost", "converged", "iterations", "sigma")
     )
     normal = NormalEquations.joined([part.normal for part in parts]).picked(order)
-    found = tuple(parameters[k] for k in order)
-    return SolvedTogether(found, cost, converged, iterations, sigma, normal)
+    ordered = tuple(parameters[k] for k in order)
+    return SolvedTogether(ordered, cost, converged, iterations, sigma, normal)
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class _StackedProblems:
     """What is minimised: K problems."""
 
     grid: Grid
@@ -135,17 +133,17 @@ class _Task:
         terms: int,
         noise: float | Sequence[Whitening],
         prior: RangeErrorPrior | None,
-    ) -> "_Task":
-        one, grid = problems[0], Grid(problems)
+    ) -> "_StackedProblems":
+        grid, rows = Grid(problems), len(problems[0])
         if isinstance(noise, float):
             weighing, sigma = Weighing(), np.full(len(problems), noise)
         else:
             weighing, sigma = weighing_of(grid, noise), np.array([how.sigma for how in noise])
-        rounding = len(one) * (4.0 * EPSILON * grid.reach() / sigma) ** 2
-        dof = max(len(one) - (5 + terms) * one.beams - 3 * one.planes, 1)
+        rounding = rows * (4.0 * np.finfo(float).eps * grid.reach() / sigma) ** 2
+        dof = max(rows - problems[0].unknowns(terms), 1)
         return cls(grid, terms, weighing, sigma, sigma**2, prior, rounding, dof)
 
-    def picked(self, rows: IntArray) -> "_Task":
+    def picked(self, rows: IntArray) -> "_StackedProblems":
         """Return some of the problems."""
         if len(rows) == len(self.sigma):
             return self
@@ -153,22 +151,24 @@ class _Task:
         of = {name: getattr(self, name)[rows] for name in ("sigma", "variance", "rounding")}
         return replace(self, grid=grid, weighing=weighing, **of)
 
-    def normal(self, at: Parameters) -> tuple[NormalEquations, FloatArray, FloatArray]:
+    def normal(self, parameters: Parameters) -> tuple[NormalEquations, FloatArray, FloatArray]:
         """Return normal equations, costs (K,), infinite where a beam grazes, and tangent bases."""
-        found, rows = grid_normal_equations(self.grid, at, self.terms, self.weighing)
+        normal, rows = grid_normal_equations(self.grid, parameters, self.terms, self.weighing)
         if self.prior is not None:
-            found = found.with_prior(self.prior, at.range_errors, self.sigma)
-        cost = 0.5 * found.squares / self.variance
+            normal = normal.with_prior(self.prior, parameters.range_errors, self.sigma)
+        cost = 0.5 * normal.squares / self.variance
         usable = (rows.cosine >= model.GRAZING_LIMIT) & (cost < np.inf)
-        return found, cost if usable.all() else np.where(usable, cost, np.inf), rows.bases
+        return normal, cost if usable.all() else np.where(usable, cost, np.inf), rows.bases
 
 
-class _Search:
+class _ProblemsSearch:
     """The problems that are still on their way; arrays have the problems first."""
 
-    def __init__(self, task: _Task, at: Parameters, options: LevenbergOptions, first: int) -> None:
-        self.task, self.at, self.options = task, at, options
-        self.equations, self.cost, bases = task.normal(at)
+    def __init__(
+        self, task: _StackedProblems, start: Parameters, options: LevenbergOptions, first: int
+    ) -> None:
+        self.task, self.at, self.options = task, start, options
+        self.equations, self.cost, bases = task.normal(start)
         self.bases: FloatArray | None = bases
         count = len(self.cost)
         self.index: IntArray = np.arange(first, first + count)
@@ -207,7 +207,7 @@ class _Search:
             if not self.index.size:
                 return
         equations, cost, bases = self.task.normal(trial)
-        good = (decrement >= 0.0) & (self.cost - cost >= 0.5 * FAIR * decrement)
+        good = (decrement >= 0.0) & (self.cost - cost >= 0.5 * POOR_GAIN * decrement)
         if good.all() and not (some or self.damping.any()):  # as most steps
             self.at, self.equations, self.cost, self.bases = trial, equations, cost, bases
             self.iterations += 1
@@ -247,7 +247,7 @@ class _Search:
         resolution = self._resolution()
         saved = self.cost - cost
         level = (np.abs(decrement) <= resolution) & (saved > -resolution)
-        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, 1e-300), -1.0)
+        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, TINY), -1.0)
         return np.where(level, 0.5, gain)
 
     def _little_left(self, decrement: FloatArray) -> BoolArray:
@@ -267,18 +267,20 @@ class _Search:
         lower = self.damping / options.damping_factor
         lower = np.where(lower >= options.first_damping, lower, 0.0)
         lower = np.maximum(lower, options.least_damping)
-        self.damping = np.where(gain < FAIR, higher, np.where(gain > GOOD, lower, self.damping))
+        self.damping = np.where(
+            gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, self.damping)
+        )
 
     def _leave(self, which: BoolArray, converged: BoolArray) -> IntArray:
         """Let problems end; return those that go on."""
         if not which.any():
             return np.arange(len(which))
         rows, rest = np.flatnonzero(which), np.flatnonzero(~which)
-        at, equations = self.at, self.equations
+        parameters, equations = self.at, self.equations
         if rest.size:
-            at, equations = picked(at, self.task.grid, rows), equations.picked(rows)
+            parameters, equations = picked(parameters, self.task.grid, rows), equations.picked(rows)
         ended = SolvedTogether(
-            tuple(parted(at, self.task.grid)),
+            tuple(parted(parameters, self.task.grid)),
             self.cost[rows],
             converged[rows],
             self.iterations[rows],

@@ -6,8 +6,8 @@ couples it to the beams; the reduced system of the beams is
     S = H_bb - sum_p E_p inv(H_pp) E_p'
 
 and costs time linear in the number of planes. Beam unknowns are ordered (r, v, k) a beam, 5 + terms
-each, directions and normals along the tangents of the rows, those of `model.tangent_basis` or GTSAM's;
-plane unknowns are (tangent of n, b).
+each; plane unknowns are (tangent of n, b). Directions and normals move along the tangents of the rows:
+`model.tangent_basis` or GTSAM's.
 
 Several problems of one shape are worked on together, or several candidates for one, as copies: their
 parameters stand one after the other, and every array of the normal equations has the copies first.
@@ -29,7 +29,7 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.weighting import Whitening
 from .elimination import ReducedInformation, eliminated
-from .grid import FREE, Grid, Rows, Weighing, weighing_of
+from .grid import PLANE_COLUMNS, Grid, GridRows, Weighing, weighing_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class NormalEquations:
     Attributes
     ----------
     blocks : (K, B, w, w)
-        The own block of every beam in H_bb, with w = 5 + terms.
+        The diagonal block of every beam in H_bb, with w = 5 + terms.
     border : (K, P, nb, 3)
         E_p, with nb = B w.
     plane : (K, P, 3, 3)
@@ -76,8 +76,8 @@ class NormalEquations:
     @property
     def diagonal(self) -> FloatArray:
         """The diagonal (K, nb) of H_bb."""
-        found: FloatArray = np.einsum("kbii->kbi", self.blocks)
-        return found.reshape(self.beam_gradient.shape)
+        diagonal: FloatArray = np.einsum("kbii->kbi", self.blocks)
+        return diagonal.reshape(self.beam_gradient.shape)
 
     def picked(self, copies: IntArray) -> "NormalEquations":
         """Return the normal equations of some copies."""
@@ -100,8 +100,8 @@ class NormalEquations:
         """Return the copies of several, one after the other."""
         if len(several) == 1:
             return several[0]
-        parts = zip(*(one._arrays() for one in several), strict=True)
-        arrays: list[Any] = [own[0] if own[0] is None else np.concatenate(own) for own in parts]
+        parts = zip(*(normal._arrays() for normal in several), strict=True)
+        arrays: list[Any] = [None if part[0] is None else np.concatenate(part) for part in parts]
         return cls(*arrays)
 
     def _arrays(self) -> list[Any]:
@@ -123,8 +123,8 @@ class NormalEquations:
         squares, coupled = self.squares + (pull * off**2).sum(axis=(1, 2)), self.coupled
         if coupled is not None:
             coupled = coupled.copy()
-            at = (np.arange(beams)[:, None] * width + rows).ravel()
-            coupled[:, at, at] += pull.reshape(copies, -1)
+            diagonal = (np.arange(beams)[:, None] * width + rows).ravel()
+            coupled[:, diagonal, diagonal] += pull.reshape(copies, -1)
         return replace(
             self, blocks=blocks, beam_gradient=gradient, squares=squares, coupled=coupled
         )
@@ -196,7 +196,7 @@ def normal_equations(
         Of each of K problems, or of all of them.
     terms : int
     weights : (K, N), optional
-        Of the readings; one where not given. Those of weight zero may graze their planes.
+        Weights of the readings, 1 where not given. Readings of weight zero may graze their planes.
     whitening : Whitening, optional
         Of the readings of one problem, in place of weights.
 
@@ -211,18 +211,18 @@ def normal_equations(
         weighing = weighing_of(grid, [whitening])
     elif weights is not None:
         weighing = Weighing(np.sqrt(grid.spread(weights)))
-    found, rows = grid_normal_equations(grid, parameters, terms, weighing)
+    normal, rows = grid_normal_equations(grid, parameters, terms, weighing)
     worst = float(rows.cosine.min())
     if not worst >= model.GRAZING_LIMIT:
         raise GrazingBeamError(worst, model.GRAZING_LIMIT)
-    return found
+    return normal
 
 
 def grid_normal_equations(
-    grid: Grid, at: Parameters, terms: int, weighing: Weighing
-) -> tuple[NormalEquations, Rows]:
+    grid: Grid, parameters: Parameters, terms: int, weighing: Weighing
+) -> tuple[NormalEquations, GridRows]:
     """Return the normal equations of K problems, and the rows they are summed of."""
-    rows = grid.rows(at, terms, None if weighing.root is None else weighing.root > 0.0)
+    rows = grid.rows(parameters, terms, None if weighing.root is None else weighing.root > 0.0)
     return summed_equations(grid, rows.columns, rows.centres, weighing), rows
 
 
@@ -239,13 +239,14 @@ def summed_equations(
 def _summed(products: FloatArray, centres: FloatArray) -> NormalEquations:
     """Return the normal equations from the products (K, P, B, q, q) of the columns of every block."""
     copies, planes, beams, size, _ = products.shape
-    width = size - FREE
-    own, rest = products[..., :width, :].sum(axis=1), products[..., width:, width:].sum(axis=2)
+    width = size - PLANE_COLUMNS
+    of_beams = products[..., :width, :].sum(axis=1)
+    rest = products[..., width:, width:].sum(axis=2)
     return NormalEquations(
-        own[..., :width],
+        of_beams[..., :width],
         products[..., :width, width:-1].reshape(copies, planes, beams * width, 3),
         rest[..., :3, :3],
-        own[..., -1].reshape(copies, -1),
+        of_beams[..., -1].reshape(copies, -1),
         rest[..., :3, 3],
         centres,
         rest[..., 3, 3].sum(axis=1),
@@ -257,7 +258,7 @@ def _coupled(
 ) -> NormalEquations:
     """Return the normal equations of readings that are correlated within their stations."""
     beams, copies = grid.beams, columns.shape[1]
-    width = len(columns) - FREE
+    width = len(columns) - PLANE_COLUMNS
     by_cell = np.ascontiguousarray(columns.transpose(1, 3, 2, 0))
     heavy = (weight @ by_cell[..., width:]).transpose(3, 0, 2, 1)
     free = np.swapaxes(grid.by_block(heavy), -1, -2)
@@ -266,8 +267,10 @@ def _coupled(
     H = np.empty((copies, beams, width, beams, width))
     for i in range(beams):
         there = weight[:, :, i, :, None] * by_cell[..., :width]
-        own = np.swapaxes(by_cell[:, :, i, :width], 1, 2)
-        H[:, i] = (own @ there.reshape(copies, grid.cells, -1)).reshape(copies, width, beams, width)
+        here = np.swapaxes(by_cell[:, :, i, :width], 1, 2)
+        H[:, i] = (here @ there.reshape(copies, grid.cells, -1)).reshape(
+            copies, width, beams, width
+        )
     each = np.arange(beams)
     return NormalEquations(
         np.moveaxis(H[:, each, :, each], 0, 1),
@@ -292,10 +295,10 @@ def jacobian_columns(
     Offsets of planes are taken at `centres`: at the middle of the laser spots where not given.
     """
     x = model.scene(parameters, readings)
-    at = model.linearize(x, readings.measured)
+    linear = model.linearize(x, readings.measured)
     if centres is None:
-        centres = readings.plane_means(at.normal / at.offset[:, None])
+        centres = readings.plane_means(linear.normal / linear.offset[:, None])
     v_basis = gathered(model.tangent_basis(parameters.directions), readings.beam)
     n_basis = gathered(model.tangent_basis(parameters.normals), readings.plane)
     middle = gathered(centres, readings.plane)
-    return model.tangent_columns(at, v_basis, n_basis, middle, terms), centres
+    return model.tangent_columns(linear, v_basis, n_basis, middle, terms), centres

@@ -1,4 +1,4 @@
-"""What Levenberg-Marquardt works on: a calibration, or a graph of somebody else."""
+"""What Levenberg-Marquardt works on: a calibration, or any graph of a user."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -10,12 +10,10 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import SolverError
 from ..factors import SharedEvaluation
+from ..quantities import ROUNDING
 from .graph import CalibrationGraph
 from .linear import CalibrationSystem, LinearGraph, LinearSystem, Unknowns, squared_columns
-from .stopping import Stopping
-
-ROUNDING_SIGMAS = 1e-9
-"""Changes of a residual by so few standard deviations are rounding, in a graph of unknown extent."""
+from .stopping import StoppingRule
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +47,7 @@ class Objective(ABC):
         """Return the cost at `values`; raises GrazingBeamError."""
 
     @abstractmethod
-    def stopping(self, tolerance: float, least_damping: float) -> Stopping:
+    def stopping(self, tolerance: float, least_damping: float) -> StoppingRule:
         """Return what tells when to stop."""
 
 
@@ -84,7 +82,7 @@ class GridObjective(Objective):
 
         return Point(values, cost + unknowns.others.error(values), residual, white, linearized)
 
-    def stopping(self, tolerance: float, least_damping: float) -> Stopping:
+    def stopping(self, tolerance: float, least_damping: float) -> StoppingRule:
         """Take the rounding of positions and readings into account."""
         reach = float(self.unknowns.grid.reach()[0])
         return _stopping(self.unknowns.problem, reach, tolerance, least_damping)
@@ -99,28 +97,28 @@ class SharedObjective(Objective):
 
     def evaluate(self, values: gtsam.Values) -> Point:
         """Evaluate all readings at once."""
-        at, problem = self.shared.evaluate(values), self.problem
-        cost = float(problem.loss.cost(at.white / problem.range_sigma).sum())
-        residual, white = np.empty_like(at.residual), np.empty_like(at.white)
-        residual[problem.rows], white[problem.rows] = at.residual, at.white
+        point, problem = self.shared.evaluate(values), self.problem
+        cost = float(problem.loss.cost(point.white / problem.range_sigma).sum())
+        residual, white = np.empty_like(point.residual), np.empty_like(point.white)
+        residual[problem.rows], white[problem.rows] = point.residual, point.white
 
         def squares() -> dict[int, FloatArray]:
-            columns = self.shared.squared_columns(at)
-            return {key: one / problem.range_sigma**2 for key, one in columns.items()}
+            columns = self.shared.squared_columns(point)
+            return {key: column / problem.range_sigma**2 for key, column in columns.items()}
 
         def linearized() -> LinearSystem:
-            with self.shared.handed_out(at):
+            with self.shared.handed_out(point):
                 return LinearGraph(problem.graph.linearize(values), problem.ordering, squares)
 
         return Point(values, cost + self.others.error(values), residual, white, linearized)
 
-    def stopping(self, tolerance: float, least_damping: float) -> Stopping:
+    def stopping(self, tolerance: float, least_damping: float) -> StoppingRule:
         """Take the rounding of positions and readings into account."""
         return _stopping(self.problem, self.shared.reach(), tolerance, least_damping)
 
 
 class GraphObjective(Objective):
-    """A graph of somebody else: every factor evaluates itself."""
+    """Any graph of a user: every factor evaluates itself."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self.graph, self.start = graph, values
@@ -135,19 +133,19 @@ class GraphObjective(Objective):
 
         return Point(values, self.graph.error(values), np.empty(0), np.empty(0), linearized)
 
-    def stopping(self, tolerance: float, least_damping: float) -> Stopping:
-        """Guess the rounding."""
+    def stopping(self, tolerance: float, least_damping: float) -> StoppingRule:
+        """Take a change of `ROUNDING` standard deviations of every residual for rounding."""
         factors = (self.graph.at(i) for i in range(self.graph.size()) if self.graph.exists(i))
         rows = sum(factor.dim() for factor in factors)
         free = max(rows - self.start.dim(), 1)
-        return Stopping(tolerance, least_damping, rows * ROUNDING_SIGMAS**2, free)
+        return StoppingRule(tolerance, least_damping, rows * ROUNDING**2, free)
 
 
 def _stopping(
     problem: CalibrationGraph, reach: float, tolerance: float, least_damping: float
-) -> Stopping:
+) -> StoppingRule:
     """Return what tells when to stop, for coordinates and readings up to `reach` [m]."""
     rows = len(problem.readings)
     rounding = 4.0 * np.finfo(float).eps * reach / problem.range_sigma
     free = max(rows + problem.prior_rows - problem.values.dim(), 1)
-    return Stopping(tolerance, least_damping, rows * rounding**2, free)
+    return StoppingRule(tolerance, least_damping, rows * rounding**2, free)

@@ -7,10 +7,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
-
-LEAST_SHARE = 1e-6
-"""Variance of a pose along an axis in which it does not err, as a part of the largest: GTSAM's
-elimination needs some. It adds as little to every covariance."""
+from ..quantities import NEGLIGIBLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +49,14 @@ def pose_priors(
 ) -> PosePriors:
     """Return the priors of all stations with readings, from the covariance (M, 6, 6) of each.
 
-    Rotations are compared with translations at the typical range, so that axes without error get a
-    variance that is small beside that of the others.
+    Rotations are compared with translations at the typical range. GTSAM's elimination needs a variance
+    along every axis: an axis without error gets a negligible part of the largest variance.
     """
     stations, first = np.unique(readings.station, return_index=True)
     length = readings.typical_range()
     unit = np.array([1.0 / length] * 3 + [1.0] * 3)
     values, axes = np.linalg.eigh(covariance[stations] / np.outer(unit, unit))
-    values = np.maximum(values, LEAST_SHARE * values[:, -1:])
+    values = np.maximum(values, NEGLIGIBLE * values[:, -1:])
     whole = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * np.outer(unit, unit)
     return PosePriors(
         stations, readings.world_R_hand[first], readings.world_t_hand[first], whole, start

@@ -1,9 +1,8 @@
 """What a long computation tells its caller while it runs.
 
 The callback travels beside the computation, in a context variable: an algorithm says in one line where
-it is, and no function takes the callback as an argument only to hand it on. What is told is logged,
-too: the stages as information, and the trial steps for debugging. Nobody hears that unless logging is
-set up.
+it is, and no function takes the callback as an argument only to hand it on. Progress is logged, too:
+the stages as information, and the trial steps for debugging. Nobody sees that unless logging is set up.
 """
 
 import logging

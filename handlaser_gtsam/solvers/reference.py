@@ -10,7 +10,7 @@ the start is replaced by +-sqrt(1 - the squares of the others). Derivatives are 
 Covariances follow from Gauss-Markov, sigma^2 inv(J'J).
 
 Weights, where readings differ in them or share the errors of a pose, are held while SciPy runs and then
-taken anew at its solution, as is the noise of the readings that the residuals show: it is kept out of
+updated at its solution, as is the noise of the readings that the residuals show: it is kept out of
 what multiplies the range errors. How a pose moves a range is found by moving the pose.
 """
 
@@ -29,14 +29,16 @@ from .unit_vectors import UnitVectors
 
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
-TOLERANCE, INNER_TOLERANCE = 1e-15, 1e-10
-"""The second is of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
-ROUNDS = 4
-"""Of new weights; each leaves about a thousandth of what the one before left."""
+TOLERANCE = 1e-15
+"""SciPy runs until nothing changes: its tolerances are below what doubles resolve."""
+INNER_TOLERANCE = 1e-10
+"""Tolerance of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
+REWEIGHTINGS = 4
+"""Updates of the weights; each leaves about a thousandth of the error that the one before left."""
+NOISE_LIMIT = 4.0
+"""Standard deviations of a reading that count as noise; stated again, for nothing is shared."""
 POSE_STEP = 1e-6
-"""By which poses are moved [rad], [m]."""
-MOST_NOISE = 4.0
-"""Standard deviations of a reading that count as noise."""
+"""Step of the differences by a hand pose [rad, m]: about the cube root of the rounding of doubles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +180,8 @@ class ReferenceProblem:
         slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d) / np.sqrt(self.samples)
         tangent = np.sqrt(np.maximum(self._ranges(x, self.R, self.t)[1] ** -2 - 1.0, 0.0))
         of_reading = slope * noise.range_sigma[self.beam] ** 2 / np.sqrt(self.samples)
-        own = (slope * noise.range_sigma[self.beam]) ** 2 + (noise.incidence_sigma * tangent) ** 2
+        variance = (slope * noise.range_sigma[self.beam]) ** 2
+        variance += (noise.incidence_sigma * tangent) ** 2
         true = self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)
         residual = self._ranges(x, self.R, self.t)[0] - true
         self.level = self.d.copy()
@@ -194,17 +197,16 @@ class ReferenceProblem:
         blocks, order = [], []
         for station in np.unique(self.station):
             rows = np.flatnonzero(self.station == station)
-            C = np.diag(own[rows])
+            C = np.diag(variance[rows])
             if noise.pose is not None:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
             blocks.append(csr_array(np.linalg.inv(np.linalg.cholesky(C))))
             order.append(rows)
             noise_of = of_reading[rows] * np.linalg.solve(C, residual[rows])
-            most = MOST_NOISE * noise.range_sigma[self.beam[rows]]
+            most = NOISE_LIMIT * noise.range_sigma[self.beam[rows]]
             self.level[rows] += np.clip(noise_of, -most, most)
         self.base = true - self.level * (beam[:, 5] + beam[:, 6] * self.level)
-        at = np.concatenate(order)
-        inverse = np.argsort(at)
+        inverse = np.argsort(np.concatenate(order))
         self.whiten = csr_array(block_diag(blocks, format="csr")[:, inverse])
 
     def sparsity(self) -> csr_array:
@@ -232,22 +234,22 @@ class ReferenceProblem:
         scale = np.linalg.norm(J, axis=0)
         inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True, rcond=1e-15)
         inverse /= np.outer(scale, scale)
-        found = self.unpack(solution.x)
+        optimum = self.unpack(solution.x)
         beams, planes = np.zeros((self.beams, 8, 8)), np.zeros((self.planes, 4, 4))
-        Dv = self.directions.derivative(found.directions)
-        Dn = self.normals.derivative(found.normals)
+        Dv = self.directions.derivative(optimum.directions)
+        Dn = self.normals.derivative(optimum.normals)
         first = np.cumsum([0, *self.active.sum(axis=1)])
         for i in range(self.beams):
             lift = np.zeros((8, 7))
             lift[:3, :3], lift[3:6, 3:5], lift[6:, 5:] = np.eye(3), Dv[i], np.eye(2)
             lift = lift[:, self.active[i]]
-            own = slice(first[i], first[i + 1])
-            beams[i] = lift @ inverse[own, own] @ lift.T
+            block = slice(first[i], first[i + 1])
+            beams[i] = lift @ inverse[block, block] @ lift.T
         for p in range(self.planes):
             lift = np.zeros((4, 3))
             lift[:3, :2], lift[3, 2] = Dn[p], 1.0
-            own = slice(self.split + 3 * p, self.split + 3 * p + 3)
-            planes[p] = lift @ inverse[own, own] @ lift.T
+            block = slice(self.split + 3 * p, self.split + 3 * p + 3)
+            planes[p] = lift @ inverse[block, block] @ lift.T
         return beams, planes
 
 
@@ -286,7 +288,7 @@ def solve_reference(
     problem = ReferenceProblem(recording, start, terms, prior)
     solution = minimize(problem, "3-point")
     if noise is not None:
-        for _ in range(ROUNDS):
+        for _ in range(REWEIGHTINGS):
             problem.weigh(solution.x, noise)
             problem.x0 = solution.x
             solution = minimize(problem, "3-point")

@@ -1,7 +1,7 @@
 """A few damped Gauss-Newton steps for many candidates at once, in NumPy.
 
 Starts are compared after such steps. All candidates share their readings and are worked on together,
-each with its own damping; those that have arrived drop out.
+each with its own damping; candidates that have arrived drop out.
 """
 
 from collections.abc import Sequence
@@ -14,35 +14,34 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import GAUSSIAN, Loss
+from ..quantities import ROUNDING, ROWS_AT_ONCE
 from .grid import Grid
 from .normal_equations import NormalEquations, normal_equations
 from .progress import tell
 from .steps import apply_step, damped_step
 
-LEAST_DAMPING, MOST_DAMPING = 1e-8, 1e6
-"""Least and largest part of the information that is added: rounding, and what leaves no step."""
-LEVEL = 1e-9
-"""A candidate whose cost falls by less than this part has arrived."""
-QUANTILE = 1.2
-"""Of half to two thirds of the readings, among up to a third of outliers, in standard deviations."""
+LEAST_DAMPING = 1e-8
+"""Part of the information that is always added: it keeps an undetermined unknown where it started."""
+MOST_DAMPING = 1e6
+"""A candidate drops out where even a step this much shorter does not lower its cost."""
+GOOD_QUANTILE = 1.2
+"""Quantile of good residuals [sigmas] that bounds half to two thirds of all, a third being outliers."""
 MOST_RESIDUAL = 2.0
-"""A residual of so many times three quarters of the readings counts no more under a robust loss: so do
-beams that graze their plane, and those are not what a candidate must be dropped for."""
-ROWS = 60_000
-"""Readings times candidates worked on at once: more would leave the processor's cache."""
+"""Under a robust loss residuals end at this many times the upper quartile of the readings: a beam that
+grazes its plane has one beyond bounds, which is no reason to drop a candidate."""
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class LossScale:
     """The unit of residuals in a loss.
 
     Attributes
     ----------
     least : float
-        The unit [m], or the least one where it follows the residuals.
+        The unit [m], or its lower bound where it follows the residuals.
     good : float, optional
         Part of the readings that count as good. The unit then follows the quantile of the absolute
-        residuals of each candidate at that part over `QUANTILE`, and never grows: a gradual tightening.
+        residuals of each candidate at that part over `GOOD_QUANTILE`, and never grows.
     """
 
     least: float = 1.0
@@ -54,7 +53,7 @@ class Scale:
             return np.full(len(residual), self.least)
         rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
         quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
-        return np.asarray(np.maximum(quantile / QUANTILE, self.least))
+        return np.asarray(np.maximum(quantile / GOOD_QUANTILE, self.least))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +85,7 @@ def refine_many(
     terms: int,
     iterations: int,
     loss: Loss = GAUSSIAN,
-    scale: "Scale | None" = None,
+    scale: "LossScale | None" = None,
 ) -> list[Refined | None]:
     """Refine every start; None where a beam grazes its plane there and the loss is not robust.
 
@@ -104,20 +103,20 @@ def refine_many(
         Most trial steps.
     loss : Loss
         Of residuals in units of the scale.
-    scale : Scale, optional
+    scale : LossScale, optional
         Not needed for the Gaussian loss.
     """
-    scale = scale or Scale()
-    share = max(ROWS // max(len(readings), 1), 1)
-    found: list[Refined | None] = []
+    scale = scale or LossScale()
+    share = max(ROWS_AT_ONCE // max(len(readings), 1), 1)
+    refined: list[Refined | None] = []
     for first in range(0, len(starts), share):
         tell("search")
-        search = _Search(starts[first : first + share], readings, terms, loss, scale)
-        found += search.run(iterations)
-    return found
+        search = _Refinement(starts[first : first + share], readings, terms, loss, scale)
+        refined += search.run(iterations)
+    return refined
 
 
-class _Search:
+class _Refinement:
     """The candidates of one refinement; copy k of the parameters is candidate k."""
 
     def __init__(
@@ -126,7 +125,7 @@ class _Search:
         readings: Readings,
         terms: int,
         loss: Loss,
-        scale: Scale,
+        scale: LossScale,
     ) -> None:
         self.readings, self.terms, self.loss, self.rule = readings, terms, loss, scale
         self.limit = np.inf
@@ -140,9 +139,9 @@ class _Search:
         self.tightening = np.zeros(len(starts), dtype=bool)
         self.active: BoolArray = np.isfinite(self.cost)
         self.moved = self.active.copy()
-        """Candidates whose normal equations are those of where they were before."""
+        """Candidates that have moved since their normal equations were formed."""
         self.place = np.cumsum(self.active) - 1
-        """Where the normal equations of a candidate stand among those of all that began."""
+        """Index of every candidate in the normal equations of all candidates that began."""
         self.normal: NormalEquations | None = None
 
     def run(self, iterations: int) -> list[Refined | None]:
@@ -175,17 +174,18 @@ class _Search:
         cost = self._costs(residual, self.scale[rows])
         better = cost < self.cost[rows]
         gain = self.cost[rows] - cost
-        arrived = better & (gain <= LEVEL * cost) & ~self.tightening[rows]
-        own = rows[better]
-        self._take(own, picked(trial, self.grid, np.flatnonzero(better)))
-        self.residual[own], self.cost[own], self.moved[own] = residual[better], cost[better], True
-        self.damping[own] = np.maximum(self.damping[own] / 10.0, LEAST_DAMPING)
+        arrived = better & (gain <= ROUNDING * cost) & ~self.tightening[rows]
+        moved = rows[better]
+        self._take(moved, picked(trial, self.grid, np.flatnonzero(better)))
+        self.residual[moved], self.cost[moved] = residual[better], cost[better]
+        self.moved[moved] = True
+        self.damping[moved] = np.maximum(self.damping[moved] / 10.0, LEAST_DAMPING)
         self.damping[rows[~better]] *= 10.0
         self.active[rows[arrived | (self.damping[rows] > MOST_DAMPING)]] = False
-        return own
+        return moved
 
     def _linearized(self, rows: IntArray) -> NormalEquations:
-        """Return the normal equations of candidates `rows`, formed anew where they have moved."""
+        """Return the normal equations of candidates `rows`, formed again where they have moved."""
         moved = rows[self.moved[rows]]
         if moved.size:
             weights = None if self.loss.name == "gaussian" else self._tighten(moved)
@@ -207,12 +207,12 @@ class _Search:
         weight = self.loss.weight(residual / self.scale[rows, None])
         return np.where(np.abs(residual) < self.limit, weight, 0.0)
 
-    def _residuals(self, at: Parameters) -> FloatArray:
+    def _residuals(self, parameters: Parameters) -> FloatArray:
         """Return residuals (K, N) [m] within the limit of a robust loss.
 
         Where a beam grazes its plane, it is at the limit: infinite, unless the loss is robust.
         """
-        residual, cosine = map(self.grid.gathered, self.grid.residuals(at))
+        residual, cosine = map(self.grid.gathered, self.grid.residuals(parameters))
         residual = np.where(np.abs(cosine) >= model.GRAZING_LIMIT, residual, np.inf)
         return np.clip(residual, -self.limit, self.limit)
 
@@ -246,17 +246,17 @@ def joined(copies: Sequence[Parameters]) -> Parameters:
     return Parameters.unchecked(*arrays)
 
 
-def parted(at: Parameters, grid: Grid) -> list[Parameters]:
+def parted(stacked: Parameters, grid: Grid) -> list[Parameters]:
     """Return the candidates that were `joined`, each with the beams and planes of the grid."""
-    copies = len(at.locations) // grid.beams
-    return [picked(at, grid, np.array([k])) for k in range(copies)]
+    copies = len(stacked.locations) // grid.beams
+    return [picked(stacked, grid, np.array([k])) for k in range(copies)]
 
 
-def picked(at: Parameters, grid: Grid, rows: IntArray) -> Parameters:
+def picked(stacked: Parameters, grid: Grid, rows: IntArray) -> Parameters:
     """Return candidates `rows` (ascending) of joined parameters."""
-    if len(rows) * grid.beams == len(at.locations):
-        return at
-    return at.part(*_indices(grid, rows))
+    if len(rows) * grid.beams == len(stacked.locations):
+        return stacked
+    return stacked.part(*_indices(grid, rows))
 
 
 def _indices(grid: Grid, rows: IntArray) -> tuple[IntArray, IntArray]:

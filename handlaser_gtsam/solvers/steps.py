@@ -7,11 +7,12 @@ from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..model.weighting import Whitening
+from ..quantities import SINGULAR, TINY
 from .elimination import inverse_stack, solve_definite, solve_stack
 from .normal_equations import NormalEquations, normal_equations
 
-MANY_BEAMS = 4
-"""Beams are eliminated first where their unknowns are so many times those of the planes."""
+UNKNOWNS_RATIO = 4
+"""Beams are eliminated first where they have more than this many times the unknowns of the planes."""
 
 
 def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -21,7 +22,7 @@ def damped_step(normal: NormalEquations, damping: FloatArray) -> tuple[FloatArra
         plane = plane + _lift(damping, np.einsum("kpii->kpi", plane))[..., None] * np.eye(3)
     copies, planes = plane.shape[:2]
     size = normal.beam_gradient.shape[1]
-    if normal.coupled is None and size > MANY_BEAMS * 3 * planes:
+    if normal.coupled is None and size > UNKNOWNS_RATIO * 3 * planes:
         return _beams_first(normal, _lift(damping, normal.diagonal), plane)
     # All that the planes answer to: a unit of every unknown of the beams, and the gradients.
     right = np.concatenate((normal.border.swapaxes(2, 3), normal.plane_gradient[..., None]), axis=3)
@@ -48,8 +49,8 @@ def newton_step(
         normal = normal.with_prior(prior, parameters.range_errors, np.array([whitening.sigma]))
     beam, plane = damped_step(normal, np.zeros(1))
     saved = -float((normal.beam_gradient * beam).sum() + (normal.plane_gradient * plane).sum())
-    own = beam.reshape(readings.beams, -1)
-    moved = apply_step(parameters, own, plane[0], normal.centres[0], terms)
+    by_beam = beam.reshape(readings.beams, -1)
+    moved = apply_step(parameters, by_beam, plane[0], normal.centres[0], terms)
     return moved, float(np.sqrt(max(saved, 0.0))) / whitening.sigma
 
 
@@ -61,11 +62,11 @@ def _beams_first(
     planes = plane.shape[1]
     E = np.moveaxis(normal.border.reshape(copies, planes, beams, width, 3), 1, 3)
     E = E.reshape(copies, beams, width, planes * 3)
-    own = normal.blocks + lift.reshape(copies, beams, width, 1) * np.eye(width)
+    blocks = normal.blocks + lift.reshape(copies, beams, width, 1) * np.eye(width)
     gradient = normal.beam_gradient.reshape(copies, beams, width, 1)
-    scale = 1.0 / np.sqrt(np.einsum("kbii->kbi", own))[..., None]
+    scale = 1.0 / np.sqrt(np.einsum("kbii->kbi", blocks))[..., None]
     right = scale * np.concatenate((E, gradient), axis=3)
-    solved = scale * solve_stack(own * scale * np.swapaxes(scale, 2, 3), right)
+    solved = scale * solve_stack(blocks * scale * np.swapaxes(scale, 2, 3), right)
     H = np.zeros((copies, planes, 3, planes, 3))
     each = np.arange(planes)
     H[:, each, :, each, :] = np.moveaxis(plane, 1, 0)
@@ -73,7 +74,7 @@ def _beams_first(
     S = S - np.einsum("kbwi,kbwj->kij", E, solved[..., :-1], optimize=True)
     g = normal.plane_gradient.reshape(copies, -1)
     g = g - np.einsum("kbwi,kbw->ki", E, solved[..., -1])
-    unit = 1.0 / np.sqrt(np.maximum(np.einsum("kpii->kpi", plane).reshape(copies, -1), 1e-300))
+    unit = 1.0 / np.sqrt(np.maximum(np.einsum("kpii->kpi", plane).reshape(copies, -1), TINY))
     scaled = S * unit[:, :, None] * unit[:, None, :]
     y = -unit * solve_stack(scaled, (g * unit)[..., None])[..., 0]
     x = -solved[..., -1] - np.einsum("kbwi,ki->kbw", solved[..., :-1], y)
@@ -114,8 +115,8 @@ def apply_step(
 def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
     """Return what Marquardt's damping adds, at least a trace of it where a column is empty."""
     copies = len(diagonal)
-    largest = np.maximum(diagonal.reshape(copies, -1).max(axis=1), 1e-300)
+    largest = np.maximum(diagonal.reshape(copies, -1).max(axis=1), TINY)
     shape = (copies,) + (1,) * (diagonal.ndim - 1)
-    least = (1e-12 * largest).reshape(shape)
+    least = (SINGULAR * largest).reshape(shape)
     lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
     return lift

@@ -5,10 +5,10 @@ import numpy as np
 COST_RESOLUTION = 1e-10
 """Changes of the cost below this part of it are rounding, not evidence."""
 LEVEL_STEPS = 6
-"""So many steps in a row below the resolution of the cost end the search."""
+"""Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
 
 
-class Stopping:
+class StoppingRule:
     """Follows the steps of one search.
 
     The length of a step is measured by its decrement -g . delta: twice the cost it should save, in

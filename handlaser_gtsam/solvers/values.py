@@ -8,13 +8,11 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import InputError
-
-MOST = 1e12
-"""Of any number of a value [m, 1/m, 1]: positions on Earth are smaller, and squares do not overflow."""
+from ..quantities import LARGEST_NUMBER
 
 
 def require_values(values: gtsam.Values) -> None:
-    """Refuse what is no Values, and numbers in them that are not finite or beyond `MOST`.
+    """Refuse what is no Values, and numbers in them that are not finite or beyond `LARGEST_NUMBER`.
 
     Raises
     ------
@@ -31,11 +29,13 @@ def require_values(values: gtsam.Values) -> None:
     )
     for key in values.keys():  # noqa: SIM118  (gtsam.Values is no dict)
         numbers = _numbers(key, readers)
-        wrong = ~(np.abs(numbers) <= MOST)
+        wrong = ~(np.abs(numbers) <= LARGEST_NUMBER)
         if wrong.any():
             name = gtsam.DefaultKeyFormatter(key)
-            found = f"{numbers[wrong][0]:g} in the value of {name}"
-            raise InputError(found, f"finite numbers, at most {MOST:g}")
+            raise InputError(
+                f"{numbers[wrong][0]:g} in the value of {name}",
+                f"finite numbers, at most {LARGEST_NUMBER:g}",
+            )
 
 
 def _numbers(key: int, readers: tuple[Callable[[int], ArrayLike], ...]) -> FloatArray:

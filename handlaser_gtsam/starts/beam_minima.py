@@ -12,7 +12,6 @@ and errs in the range by that over a'v. So the best r and its cost follow for ma
 minimum.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -22,21 +21,17 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
+from .search import FIRST_STEPS, SAME_DIRECTION
 
-DIRECTIONS = 14
-"""Starts over the half sphere: of the two minima that were met, each draws about half of them."""
-STEPS, FIRST_DAMPING = 10, 1e-4
-"""Steps of each. With the best location for every direction few are enough."""
-MOST_READINGS = 24
-"""So many readings of a beam, evenly chosen, tell its minima."""
-LEAST_COSINE = 0.05
-"""Directions that meet a plane flatter than this are no candidates."""
-SAME = 0.02
-"""Directions that differ by less [rad] are of one minimum."""
-RIDGE = 1e-9
-"""Of the location's information, towards the present one: motions that leave it open are no matter."""
-LARGEST_CHUNK = 3_000_000
-"""Numbers of the largest intermediate array."""
+MINIMUM_STARTS = 14
+"""Starts over the half sphere: of two minima, each draws about half of them."""
+FIRST_DAMPING = 1e-4
+"""Damping of the first step: it hardly shortens a step where the readings determine the beam."""
+MINIMUM_READINGS = 24
+"""Readings of a beam, evenly chosen, that show its minima: three times as many as it has unknowns."""
+MINIMUM_COSINE = 0.05
+"""A direction that meets a plane at a smaller cosine (87 degrees) is no candidate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +42,11 @@ class BeamMinima:
     ----------
     locations, directions : (B, F, 3)
     cost : (B, F)
-        Sums of squares [m^2] of at most `MOST_READINGS` readings.
+        Sums of squares [m^2] of at most `MINIMUM_READINGS` readings.
     now : (B,)
-        The same for the direction that there is, with the best location.
+        The same for the present direction, with the best location.
     readings : (B,) of int
-        How many of each beam that is.
+        Number of readings of each beam in these sums.
     """
 
     locations: FloatArray
@@ -70,8 +65,10 @@ def beam_minima(parameters: Parameters, readings: Readings) -> BeamMinima:
     g = model.corrected(readings.distance, x.k)[rows]
     r, v = parameters.locations, parameters.directions
     parts = []
-    for some in _chunks(len(r), rows.shape[1]):
-        beams = _Beams(a[some], c[some], g[some], counted[some], r[some])
+    count = max(NUMBERS_AT_ONCE // (5 * MINIMUM_STARTS * rows.shape[1]), 1)
+    for first in range(0, len(r), count):
+        some = slice(first, first + count)
+        beams = _BeamsBeforePlanes(a[some], c[some], g[some], counted[some], r[some])
         directions = beams.minima(v[some])
         locations, cost = beams.cost(directions)
         parts.append((locations, directions, cost, beams.cost(v[some, None])[1][:, 0]))
@@ -86,23 +83,23 @@ def with_better_beams(
 
     Minima in which the readings of a beam have an rms residual above `most` [m] do not count.
     """
-    found = beam_minima(parameters, readings)
-    best = np.arange(len(found.now)), found.cost.argmin(axis=1)
-    v = found.directions[best]
+    minima = beam_minima(parameters, readings)
+    best = np.arange(len(minima.now)), minima.cost.argmin(axis=1)
+    v = minima.directions[best]
     turned = np.linalg.norm(v - parameters.directions, axis=1)
-    better = (found.cost[best] < found.now) & (turned > SAME)
-    better &= found.cost[best] <= found.readings * most**2
+    better = (minima.cost[best] < minima.now) & (turned > SAME_DIRECTION)
+    better &= minima.cost[best] <= minima.readings * most**2
     if not better.any():
         return None
     chosen = better[:, None]
     return replace(
         parameters,
-        locations=np.where(chosen, found.locations[best], parameters.locations),
+        locations=np.where(chosen, minima.locations[best], parameters.locations),
         directions=np.where(chosen, v, parameters.directions),
     )
 
 
-class _Beams:
+class _BeamsBeforePlanes:
     """Readings (B, n) of some beams before known planes, and which of them count."""
 
     def __init__(
@@ -113,14 +110,16 @@ class _Beams:
     def cost(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the best locations (B, K, 3) for directions (B, K, 3), and their costs (B, K)."""
         cosine = v @ np.swapaxes(self.a, 1, 2)
-        flat = ((cosine < LEAST_COSINE) & self.counted[:, None]).any(axis=2)
-        share = self.counted[:, None] / np.maximum(cosine, LEAST_COSINE)
+        flat = ((cosine < MINIMUM_COSINE) & self.counted[:, None]).any(axis=2)
+        share = self.counted[:, None] / np.maximum(cosine, MINIMUM_COSINE)
         J = share[..., None] * self.a[:, None]
         turned = np.swapaxes(J, 2, 3)
         e = share * (self.g[:, None] * cosine + self.c[:, None])
         e += (J @ self.r[:, None, :, None])[..., 0]
         M = turned @ J
-        M += RIDGE * np.einsum("bkii->bk", M)[..., None, None] * np.eye(3) + 1e-300 * np.eye(3)
+        # Motions that leave the location undetermined keep it where it is.
+        ridge = ROUNDING * np.einsum("bkii->bk", M) + TINY
+        M += ridge[..., None, None] * np.eye(3)
         step = -np.linalg.solve(M, turned @ e[..., None])
         e += (J @ step)[..., 0]
         return self.r[:, None] + step[..., 0], np.where(flat, np.inf, (e**2).sum(axis=2))
@@ -131,7 +130,7 @@ class _Beams:
         v = _half_sphere() @ np.swapaxes(bases, 1, 2)
         r, cost = self.cost(v)
         damping = np.full(cost.shape, FIRST_DAMPING)
-        for _ in range(STEPS):
+        for _ in range(FIRST_STEPS):
             trial = self._stepped(r, v, damping)
             where, left = self.cost(trial)
             better = left < cost
@@ -145,14 +144,14 @@ class _Beams:
         basis = model.tangent_basis(v.reshape(-1, 3)).reshape(*v.shape, 2)
         a = self.a[:, None]
         cosine = (a @ v[..., None])[..., 0]
-        share = np.where(self.counted[:, None], 1.0 / np.maximum(cosine, LEAST_COSINE), 0.0)
+        share = np.where(self.counted[:, None], 1.0 / np.maximum(cosine, MINIMUM_COSINE), 0.0)
         e = share * ((a @ r[..., None])[..., 0] + self.g[:, None] * cosine + self.c[:, None])
         J_v = (share * (self.g[:, None] - e))[..., None] * (a @ basis)
         J = np.concatenate((share[..., None] * a, J_v), axis=3)
         turned = np.swapaxes(J, 2, 3)
         H = turned @ J
         diagonal = np.einsum("bkii->bki", H)
-        diagonal += damping[..., None] * diagonal + 1e-300
+        diagonal += damping[..., None] * diagonal + TINY
         step = -np.linalg.solve(H, turned @ e[..., None])
         return np.asarray(model.normalized(v + (basis @ step[:, :, 3:])[..., 0]))
 
@@ -160,8 +159,8 @@ class _Beams:
 @cache
 def _half_sphere() -> FloatArray:
     """Return evenly spread unit vectors (K, 3) of positive z (Fibonacci's lattice)."""
-    z = 1.0 - (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
+    z = 1.0 - (np.arange(MINIMUM_STARTS) + 0.5) / MINIMUM_STARTS
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(MINIMUM_STARTS)
     across = np.sqrt(1.0 - z**2)
     return np.stack((across * np.cos(angle), across * np.sin(angle), z), axis=1)
 
@@ -170,7 +169,7 @@ def _padded(readings: Readings) -> tuple[IntArray, BoolArray]:
     """Return rows (B, n) of the readings of each beam, and which of them count."""
     order = np.argsort(readings.beam, kind="stable")
     ends = np.searchsorted(readings.beam[order], np.arange(readings.beams + 1))
-    most = min(int(np.diff(ends).max()), MOST_READINGS)
+    most = min(int(np.diff(ends).max()), MINIMUM_READINGS)
     rows = np.zeros((readings.beams, most), dtype=np.intp)
     counted = np.zeros((readings.beams, most), dtype=bool)
     for beam, (first, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
@@ -178,9 +177,3 @@ def _padded(readings: Readings) -> tuple[IntArray, BoolArray]:
         rows[beam, : len(chosen)] = order[chosen]
         counted[beam, : len(chosen)] = True
     return rows, counted
-
-
-def _chunks(beams: int, readings: int) -> Iterator[slice]:
-    count = max(LARGEST_CHUNK // (5 * DIRECTIONS * readings), 1)
-    for first in range(0, beams, count):
-        yield slice(first, first + count)

@@ -14,44 +14,52 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import plausible_range_errors, residuals_or_infinite
+from ..quantities import MAJORITY, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
 from .directions import direction_starts, random_starts
 from .excerpt import Excerpt, excerpt_of
 from .growing import PartialStart, grow
 from .lifted import lifted_starts
-from .search import Candidate, Refinement, Round, agreeing, rank, search
+from .search import (
+    AGREEING,
+    FINALISTS,
+    FIRST_STEPS,
+    LAST_STEPS,
+    Candidate,
+    Refinement,
+    Round,
+    agreeing,
+    rank,
+    search,
+)
 from .sweep import sweep_starts
 from .translations import translation_start, translation_start_with_range_errors
 
-CLOSED_STEPS, FIRST_STEPS, LAST_STEPS = 4, 10, 40
-"""Refinement steps of a closed form alone, of many starts, and of the best of those."""
+CLOSED_STEPS = 4
+"""Refinement steps of a closed form alone, which begins near the optimum."""
 MOST_REFINED = 100
 """More beams than this stay as they grow from the planes: a step costs the third power of them."""
-FINALISTS = 6
-"""So many starts of each round are refined to the end, or a quarter of the round if that is more."""
-RANDOM_ROUNDS, RANDOM_STARTS = 5, 100
-"""The last resort; each start reaches the optimum of the hardest problems met in one case of 50."""
-AGREEING = 4
-"""So many starts at one optimum are believed where no range sigma is given, or, where the fit is poor,
-when a round of random starts has found nothing better."""
-MANY, MAJORITY = 10, 0.6
-"""Or this part of so many, though the fit is poor: outliers and wrong sigmas look like that."""
+LAST_RESORT_ROUNDS = 5
+"""Rounds of random starts where nothing else convinces."""
+LAST_RESORT_STARTS = 100
+"""Random starts a round; of the hardest problems met, each reaches the optimum in one case of 50."""
+MANY_CANDIDATES = 10
+"""A majority of at least this many candidates is believed though the fit is poor, as with outliers."""
 HOPELESS = 5.0
-"""Unless residuals exceed so many of the given sigmas: then everything is tried."""
+"""Residuals beyond this many of the given sigmas are not believed: every start is tried."""
 SAME_COST = 1.01
-EXACT = 1e-9
-"""Residuals below this part of the range are those of readings without noise."""
-SPARE = 5
-"""So many readings more than unknowns let range errors be told from chance."""
+"""Candidates whose sums of squares agree to this factor are at one optimum, if not yet arrived."""
+SPARE_READINGS = 5
+"""Readings beyond the unknowns that a start needs to have range errors: fewer would fit by chance."""
 MISFIT = 3.0
-"""Residuals beyond so many of the given sigmas are not believed however many starts agree;"""
-POOR_FIT = 0.05
-"""nor, where no sigma is given, beyond this part of the spread of the readings."""
+"""Residuals beyond this many of the given sigmas are a poor fit, whatever number of starts agrees."""
+POOR_START = 0.05
+"""Residuals beyond this part of the spread of the readings are a poor fit where no sigma is given."""
 
 Effort = Literal["glance", "quick", "normal", "thorough"]
 Accepts = Callable[[Parameters, bool], bool]
-"""Whether the best candidate is believed for other reasons; the second argument says that several
+"""Tells whether the best candidate is believed for other reasons; the second argument says that several
 starts agree on it."""
 
 
@@ -72,7 +80,7 @@ class Start:
         Whether the residuals are as small as the given range sigma says.
     believed : bool
         Whether the search ended on evidence, and not because there was nothing left to try.
-    found : Candidate, each
+    candidates : tuple of Candidate
         All candidates, the best first, for the part of the recording that `excerpt_of` chooses.
     """
 
@@ -81,7 +89,7 @@ class Start:
     tried: tuple[tuple[str, float], ...]
     fits: bool = False
     believed: bool = False
-    found: tuple[Candidate, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
 
 
 def find_start(
@@ -103,8 +111,8 @@ def find_start(
     terms : int
         Most range-error terms the solution will have.
     effort : {"glance", "quick", "normal", "thorough"}
-        What follows where the first starts do not convince: nothing, finer sweeps, or those and random
-        starts. At a glance no start is refined to the end.
+        What follows where the first starts do not convince: nothing, finer sweeps, or finer sweeps and
+        random starts. At a glance no start is refined to the end.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     accepts : callable, optional
@@ -117,25 +125,21 @@ def find_start(
     some = part.readings
     judge = _LeastSquaresJudge(some, range_sigma, terms, certain, accepts)
     loss = _LeastSquares(some, terms, 0 if effort == "glance" else LAST_STEPS)
-    rounds, before = _later_rounds(some, effort), () if earlier is None else earlier.found
+    rounds, before = _later_rounds(some, effort), () if earlier is None else earlier.candidates
     first = _first_rounds(some, terms) if earlier is None else ()
-    found, believed = search(chain(first, rounds), loss, judge, before)
-    if not found:
+    candidates, believed = search(chain(first, rounds), loss, judge, before)
+    if not candidates:
         lost = grow(PartialStart.of(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
-    best, squares = _of_the_whole(found[0], part, terms)
+    best, squares = _of_the_whole(candidates[0], part, terms)
     if accepts is None and effort != "glance":
         best, squares = _with_better_beams(best, squares, readings, terms)
     fits = fits_sigma(squares, readings, range_sigma, terms)
-    return Start(best, found[0].method, _lowest(found, len(some)), fits, believed, tuple(found))
-
-
-def _lowest(found: Sequence[Candidate], readings: int) -> tuple[tuple[str, float], ...]:
-    """Return every method with the lowest rms residual [m] that it led to."""
     lowest: dict[str, float] = {}
-    for one in found:
-        lowest.setdefault(one.method, float(np.sqrt(one.criterion / readings)))
-    return tuple(lowest.items())
+    for candidate in candidates:  # the best first: the first of each method is its lowest
+        lowest.setdefault(candidate.method, float(np.sqrt(candidate.criterion / len(some))))
+    method, tried = candidates[0].method, tuple(lowest.items())
+    return Start(best, method, tried, fits, believed, tuple(candidates))
 
 
 def _of_the_whole(best: Candidate, part: Excerpt, terms: int) -> tuple[Parameters, float]:
@@ -159,8 +163,8 @@ def _with_better_beams(
     if readings.beams <= MOST_REFINED:
         refined = refine_many([better], readings, terms, FIRST_STEPS)[0]
         better = better if refined is None else refined.parameters
-    found = _squares(better, readings)
-    return (better, found) if found < squares else (best, squares)
+    better_squares = _squares(better, readings)
+    return (better, better_squares) if better_squares < squares else (best, squares)
 
 
 def _squares(parameters: Parameters, readings: Readings) -> float:
@@ -171,13 +175,13 @@ def _squares(parameters: Parameters, readings: Readings) -> float:
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    spare = len(readings) - readings.unknowns(0) - SPARE
+    spare = len(readings) - readings.unknowns(0) - SPARE_READINGS
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
 def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, terms: int) -> bool:
     """Tell whether a sum of squares [m^2] agrees with the given range sigma [m]."""
-    if squares <= len(readings) * (EXACT * readings.largest_range()) ** 2:
+    if squares <= len(readings) * (ROUNDING * readings.largest_range()) ** 2:
         return True
     dof = len(readings) - readings.unknowns(terms)
     if dof <= 0 or range_sigma is None:
@@ -208,8 +212,8 @@ def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
     yield Round(_grown("directions", direction_starts(readings, 40, tried=600), readings))
     yield Round(_grown("sweep", sweep_starts(readings, refined=16, seeds=8, kept=4), readings))
     rng = np.random.default_rng(0)
-    for _ in range(RANDOM_ROUNDS if effort == "thorough" else 0):
-        yield Round(_grown("random", random_starts(readings, RANDOM_STARTS, rng), readings))
+    for _ in range(LAST_RESORT_ROUNDS if effort == "thorough" else 0):
+        yield Round(_grown("random", random_starts(readings, LAST_RESORT_STARTS, rng), readings))
 
 
 def _grown(
@@ -230,15 +234,15 @@ class _LeastSquares(Refinement):
         """Return the finalists, with range errors where those are plausible."""
         starts, readings = [start for _, start in latest.starts], self.readings
         if len(starts) == 1:
-            one = refine_many(starts, readings, self.terms, CLOSED_STEPS)[0]
-            if one is not None and not plausible_range_errors(one.parameters, readings):
-                one = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
-            return [] if one is None else [(latest.starts[0][0], one)]
+            refined = refine_many(starts, readings, self.terms, CLOSED_STEPS)[0]
+            if refined is not None and not plausible_range_errors(refined.parameters, readings):
+                refined = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
+            return [] if refined is None else [(latest.starts[0][0], refined)]
         first = zip(latest.starts, refine_many(starts, readings, 0, FIRST_STEPS), strict=True)
-        usable = [(method, one) for (method, _), one in first if one is not None]
+        usable = [(method, refined) for (method, _), refined in first if refined is not None]
         best = sorted(usable, key=lambda pair: rank(pair[1].squares))
         best = best[: max(FINALISTS, len(starts) // 4)]
-        parameters = [one.parameters for _, one in best]
+        parameters = [refined.parameters for _, refined in best]
         last = refine_many(parameters, readings, self.terms, self.last_steps)
         return [
             (method, late if late and plausible_range_errors(late.parameters, readings) else early)
@@ -260,21 +264,21 @@ class _LeastSquaresJudge:
         """Return the sum of squares."""
         return refined.squares
 
-    def convinced(self, found: Sequence[Candidate], latest: Round, before: float) -> bool:
+    def convinced(self, candidates: Sequence[Candidate], latest: Round, before: float) -> bool:
         """Tell whether the best candidate fits, or enough others agree with it."""
-        best, readings = found[0].criterion, self.readings
+        best, readings = candidates[0].criterion, self.readings
         if fits_sigma(best, readings, self.range_sigma, self.terms):
             return True
         upper = self.range_sigma if self.certain else None
-        hopeless, poor = False, best > len(readings) * (POOR_FIT * readings.spread()) ** 2
+        hopeless, poor = False, best > len(readings) * (POOR_START * readings.spread()) ** 2
         if upper is not None:
             poor = best > MISFIT**2 * upper**2 * len(readings)
             hopeless = best > HOPELESS**2 * upper**2 * len(readings)
-        same = agreeing(found, SAME_COST * best)
-        most = len(found) >= MANY and same >= MAJORITY * len(found)
+        same = agreeing(candidates, SAME_COST * best)
+        most = len(candidates) >= MANY_CANDIDATES and same >= MAJORITY * len(candidates)
         if (most and not hopeless) or (same >= AGREEING and not poor):
             return True
         exhausted = latest.starts[:1] and latest.starts[0][0] == "random"
         if exhausted and before <= SAME_COST * best and same >= AGREEING and not hopeless:
             return True
-        return self.accepts is not None and self.accepts(found[0].parameters, same >= AGREEING)
+        return self.accepts is not None and self.accepts(candidates[0].parameters, same >= AGREEING)

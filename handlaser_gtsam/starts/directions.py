@@ -10,11 +10,11 @@ planes by linear least squares, in turns. The directions whose spots are flattes
 beam gets its own location and direction when they are refined. Where beams sit far from the hand's
 origin and blocks are tiny, r = 0 is too far away: then r is drawn at random too.
 
-Among gross errors a plane that is fitted to all spots follows the wrong ones: those of a station whose
-label names another plane, or of a reading that is no range. So every direction may begin with stations
-of its own, drawn at random, so that many begin without the wrong ones; then all readings count, but the
+Among gross errors a plane that is fitted to all spots follows the wrong ones: spots of a station whose
+label names another plane, or of a reading that is no range. So every direction may begin with its
+stations drawn at random, so that many begin without the wrong ones; then all readings count, but the
 less the farther they are from their plane, in units of the nearer part of the readings of that plane.
-Such a direction is as good as the nearer part of all readings says.
+The nearer part of all readings says how good such a direction is.
 """
 
 import numpy as np
@@ -22,25 +22,27 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import Readings
+from ..quantities import MAJORITY, NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
 from .growing import PartialStart
 
-TURNS, SUBSET_TURNS = 3, 4
-LEAST_COSINE = 0.1
-RIDGE = 1e-6
-LEAST_DRAWN, MOST_DRAWN = 0.4, 0.9
-"""Part of the stations that a direction begins with: few leave wrong ones out, many fit better."""
+FITTING_TURNS = 3
+"""Turns of fitting planes, then the location, after which directions can be ranked."""
+SUBSET_TURNS = 4
+"""Turns for directions that begin with some stations: the first uses only these."""
+FLATTEST = 0.1
+"""A beam at a smaller cosine to its plane (84 degrees) counts as at this one: its spot says little."""
+LEAST_DRAWN = 0.4
+"""Least part of the stations that a direction begins with: fewer rarely fit well."""
+MOST_DRAWN = 0.9
+"""Largest part of the stations that a direction begins with: more rarely avoid a wrong station."""
 NOT_DRAWN = 1e-3
 """Weight of the other stations at first: a plane of which none is drawn keeps its readings."""
-NEARER = 0.6
-"""Part of the readings whose distances say how good a plane, or a direction, is."""
-WORK = 400_000
-"""Readings times directions worked on at once."""
 
 
 def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
-    away, r, n, b = _swept(v, readings, TURNS)
+    away, r, n, b = _swept(v, readings, FITTING_TURNS)
     best = np.argsort((away**2).sum(axis=1), kind="stable")[:count]
     return _starts(r[best], v[best], n[best], b[best], readings)
 
@@ -60,11 +62,12 @@ def subset_starts(
     v = sphere(tried)
     drawn_part = rng.uniform(LEAST_DRAWN, MOST_DRAWN, (tried, 1))
     drawn = rng.random((tried, int(readings.station.max()) + 1)) < drawn_part
-    share = max(WORK // len(readings), 1)
+    # Spots and weights of all directions take about ten numbers a reading.
+    share = max(NUMBERS_AT_ONCE // (10 * len(readings)), 1)
     parts = []
     for i in range(0, tried, share):
-        away, *found = _swept(v[i : i + share], readings, SUBSET_TURNS, drawn[i : i + share])
-        parts.append((_nearer(away), *found))
+        away, *fitted = _swept(v[i : i + share], readings, SUBSET_TURNS, drawn[i : i + share])
+        parts.append((_nearer(away), *fitted))
     misfit, r, n, b = (np.concatenate(column) for column in zip(*parts, strict=True))
     best = np.argsort(misfit, kind="stable")[:count]
     return _starts(r[best], v[best], n[best], b[best], readings)
@@ -114,8 +117,8 @@ def _reach(v: FloatArray, readings: Readings) -> FloatArray:
 
 def _turned(vectors: FloatArray, readings: Readings) -> FloatArray:
     """Return R u (C, N, 3) for vectors u (C, 3), hand frame."""
-    found: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
-    return found
+    turned: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
+    return turned
 
 
 def sphere(count: int) -> FloatArray:
@@ -154,7 +157,7 @@ def _common_location(
     each = n[:, readings.plane]
     A = np.einsum("nji,cnj->cni", readings.world_R_hand, each)
     rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
-    return least_squares(A, rhs, RIDGE, weights)
+    return least_squares(A, rhs, NEGLIGIBLE, weights)
 
 
 def least_squares(
@@ -177,8 +180,8 @@ def _along_beams(
     each = n[:, readings.plane]
     away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
     cosine = np.abs(np.einsum("cni,cni->cn", each, _turned(v, readings)))
-    found: FloatArray = np.abs(away) / np.maximum(cosine, LEAST_COSINE)
-    return found
+    along: FloatArray = np.abs(away) / np.maximum(cosine, FLATTEST)
+    return along
 
 
 def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings) -> FloatArray:
@@ -186,15 +189,15 @@ def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
     away = np.abs(np.einsum("cni,cni->cn", n[:, readings.plane], spots) + b[:, readings.plane])
     first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
     weights: FloatArray = np.empty_like(away)
-    for own in np.split(np.arange(len(readings)), first[1:]):
-        unit = _nearer(away[:, own])[:, None] + 1e-300
+    for rows in np.split(np.arange(len(readings)), first[1:]):
+        unit = _nearer(away[:, rows])[:, None] + TINY
         with np.errstate(over="ignore"):  # spots exactly on a plane: what is off weighs nothing
-            weights[:, own] = 1.0 / (1.0 + (away[:, own] / unit) ** 2) ** 2
+            weights[:, rows] = 1.0 / (1.0 + (away[:, rows] / unit) ** 2) ** 2
     return weights
 
 
 def _nearer(away: FloatArray) -> FloatArray:
     """Return the distance (C,) within which the nearer part of distances (C, N) are."""
-    rank = min(int(NEARER * away.shape[1]), away.shape[1] - 1)
-    found: FloatArray = np.partition(away, rank, axis=1)[:, rank]
-    return found
+    rank = min(int(MAJORITY * away.shape[1]), away.shape[1] - 1)
+    distance: FloatArray = np.partition(away, rank, axis=1)[:, rank]
+    return distance

@@ -7,26 +7,25 @@ import numpy as np
 from ..arrays import IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..quantities import REPRESENTATIVE_BEAMS
 from .growing import PartialStart, grow
 
-ENOUGH = 1500
-"""About so many readings decide which start is best; more would only cost time."""
-MOST = 6000
-"""Of more, as a plane with very many stations has them, evenly spaced stations are taken."""
-MOST_BEAMS = 32
-"""So many beams do too; a refinement costs the third power of them."""
+EXCERPT_READINGS = 1500
+"""Readings that decide which start is best, about: more would only cost time."""
+MOST_EXCERPT_READINGS = 6000
+"""A single plane may have more readings than this: then evenly spaced stations are taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """Some planes and beams of a recording, and of very many stations some.
+    """Some planes and beams of a recording, and some of very many stations.
 
     Attributes
     ----------
     readings : Readings
-        With planes and beams numbered anew.
+        Readings of the excerpt, which numbers its planes and beams from zero.
     planes, beams : IntArray
-        Their numbers in the whole.
+        Numbers of these planes and beams in the whole recording.
     whole : Readings
     """
 
@@ -37,7 +36,7 @@ class Excerpt:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing was left out."""
+        """Whether the excerpt holds all readings."""
         return len(self.readings) == len(self.whole)
 
     def restricted(self, parameters: Parameters) -> Parameters:
@@ -55,26 +54,26 @@ class Excerpt:
 
 
 def excerpt_of(readings: Readings) -> Excerpt:
-    """Return the planes with most readings, so many that they suffice, and one for every beam.
+    """Return the planes with most readings, as many as suffice, and one for every beam.
 
-    Of very many beams only those with most readings are there, and of very many stations some.
+    Of very many beams it holds the ones with most readings, and of very many stations some.
     """
     counts = np.bincount(readings.beam, minlength=readings.beams)
-    beams = np.sort(np.argsort(-counts, kind="stable")[:MOST_BEAMS])
+    beams = np.sort(np.argsort(-counts, kind="stable")[:REPRESENTATIVE_BEAMS])
     has = np.isin(np.arange(readings.beams), beams)
     some = readings if has.all() else readings.subset(np.flatnonzero(has[readings.beam]))
     count = np.bincount(some.plane, minlength=readings.planes)
     order = np.argsort(-count, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(count[order]), ENOUGH)) + 1
+    enough = int(np.searchsorted(np.cumsum(count[order]), EXCERPT_READINGS)) + 1
     chosen = count > 0
     if enough < readings.planes:
         chosen = np.zeros(readings.planes, dtype=bool)
         chosen[order[:enough]] = True
         for beam in beams:
-            own = some.plane[some.beam == beam]
-            if own.size and not chosen[own].any():
-                chosen[own[np.argmax(count[own])]] = True
-    elif some is readings and len(readings) <= MOST:
+            planes_met = some.plane[some.beam == beam]
+            if planes_met.size and not chosen[planes_met].any():
+                chosen[planes_met[np.argmax(count[planes_met])]] = True
+    elif some is readings and len(readings) <= MOST_EXCERPT_READINGS:
         return Excerpt(readings, np.arange(readings.planes), beams, readings)
     few, planes = _thinned(some.subset(np.flatnonzero(chosen[some.plane]))), np.flatnonzero(chosen)
     plane, beam = (np.cumsum(chosen) - 1)[few.plane], (np.cumsum(has) - 1)[few.beam]
@@ -84,7 +83,7 @@ def excerpt_of(readings: Readings) -> Excerpt:
 
 def _thinned(readings: Readings) -> Readings:
     """Return the readings of evenly spaced stations, unless a plane or a beam were lost by that."""
-    step = -(-len(readings) // MOST)
+    step = -(-len(readings) // MOST_EXCERPT_READINGS)
     index = np.unique(readings.station, return_inverse=True)[1]
     few = readings.subset(np.flatnonzero(index % step == 0))
     same = all(

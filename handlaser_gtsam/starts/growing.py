@@ -13,17 +13,15 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..quantities import NEGLIGIBLE, SINGULAR
 
 FLATNESS = 1e-3
-"""A plane needs points whose second spread is at least this part of the first."""
-CONDITION = 1e-6
-"""A beam needs a linear system whose singular values are within this ratio."""
+"""A plane needs points whose second spread is at least this part of the first: else they are a line."""
+STRAIGHTENED = 0.02
+"""A start turns planes that a beam meets at a smaller cosine (88.9 degrees): no solver starts there."""
 
 Index = int | IntArray | slice
 ALL = slice(None)
-
-LEAST_COSINE = 0.02
-"""Beams that meet a plane of the start flatter than this (88.9 degrees) turn the plane."""
 
 
 @dataclass(slots=True)
@@ -83,9 +81,18 @@ def grow(start: PartialStart, readings: Readings) -> Parameters:
             _grow_beams(start, readings, least_norm)
             if start.known_beams().sum() + start.known_planes().sum() == before:
                 break
-    _fill_unreached(start)
+    # What no reading reaches gets a harmless value.
+    beams, planes = ~start.known_beams(), ~start.known_planes()
+    start.locations[beams] = 0.0
+    start.directions[beams] = (0.0, 0.0, 1.0)
+    start.normals[planes & np.isnan(start.normals).any(axis=1)] = (0.0, 0.0, 1.0)
+    start.offsets[planes] = 0.0
     _straighten(start, readings)
-    _face_the_sensor(start, readings)
+    # Normals point away from the sensor: n_H . v > 0 over most readings.
+    _, cosine = _meeting(start, readings)
+    sign = np.where(np.bincount(readings.plane, cosine, readings.planes) < 0.0, -1.0, 1.0)
+    start.normals = model.normalized(start.normals) * sign[:, None]
+    start.offsets = start.offsets * sign
     return Parameters(
         start.locations, start.directions, start.range_errors, start.normals, start.offsets
     )
@@ -101,23 +108,17 @@ def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> N
     planes, first, counts = np.unique(part.plane, return_index=True, return_counts=True)
     centres, scatter = model.means_and_scatter(spots, first)
     if least_norm:
-        scatter += _toward_beams(start, part, first, scatter)
+        # Of normals that the points leave open, eigh prefers the one along a beam.
+        v = start.directions[part.beam[first]]
+        v_world = np.einsum("pij,pj->pi", part.world_R_hand[first], v)
+        weight = NEGLIGIBLE * np.trace(scatter, axis1=1, axis2=2) + SINGULAR
+        across = np.eye(3) - v_world[:, :, None] * v_world[:, None, :]
+        scatter += weight[:, None, None] * across
     spread, axes = np.linalg.eigh(scatter)
     flat = (counts >= 3) & (spread[:, 1] > FLATNESS**2 * spread[:, 2])
     take = np.flatnonzero(flat | least_norm)
     start.normals[planes[take]] = axes[take, :, 0]
     start.offsets[planes[take]] = -np.einsum("pi,pi->p", axes[take, :, 0], centres[take])
-
-
-def _toward_beams(
-    start: PartialStart, part: Readings, first: IntArray, scatter: FloatArray
-) -> FloatArray:
-    """Return what makes eigh prefer, among normals the points leave open, the one along a beam."""
-    v = start.directions[part.beam[first]]
-    v_world = np.einsum("pij,pj->pi", part.world_R_hand[first], v)
-    weight = 1e-6 * np.trace(scatter, axis1=1, axis2=2) + 1e-12
-    across: FloatArray = np.eye(3) - v_world[:, :, None] * v_world[:, None, :]
-    return np.asarray(weight[:, None, None] * across)
 
 
 def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> None:
@@ -132,26 +133,17 @@ def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> No
         scale = np.abs(part.distance).mean()
         A = np.hstack((n_hand, n_hand * (part.distance / scale)[:, None]))
         rhs = -(start.offsets[part.plane] + np.einsum("ni,ni->n", n, part.world_t_hand))
-        solution, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=CONDITION)
+        solution, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=NEGLIGIBLE)
         length = np.linalg.norm(solution[3:])
         if (rank == 6 or least_norm) and length > 0.0:
             start.locations[beam] = solution[:3]
             start.directions[beam] = solution[3:] / length
 
 
-def _fill_unreached(start: PartialStart) -> None:
-    """Give what no reading reaches a harmless value."""
-    beams, planes = ~start.known_beams(), ~start.known_planes()
-    start.locations[beams] = 0.0
-    start.directions[beams] = (0.0, 0.0, 1.0)
-    start.normals[planes & np.isnan(start.normals).any(axis=1)] = (0.0, 0.0, 1.0)
-    start.offsets[planes] = 0.0
-
-
 def _straighten(start: PartialStart, readings: Readings) -> None:
     """Turn planes that a beam would graze towards their beams: no solver could start there."""
     v_world, cosine = _meeting(start, readings)
-    for plane in np.unique(readings.plane[np.abs(cosine) < LEAST_COSINE]):
+    for plane in np.unique(readings.plane[np.abs(cosine) < STRAIGHTENED]):
         rows = np.flatnonzero(readings.plane == plane)
         part = readings.subset(rows)
         spots = _spots(start, part)
@@ -164,14 +156,6 @@ def _spots(start: PartialStart, readings: Readings) -> FloatArray:
     beam, R, t = readings.beam, readings.world_R_hand, readings.world_t_hand
     ranges = model.corrected(readings.distance, start.range_errors[beam])
     return model.spots(R, t, start.locations[beam], start.directions[beam], ranges)
-
-
-def _face_the_sensor(start: PartialStart, readings: Readings) -> None:
-    """Turn normals away from the sensor: n_H . v > 0 over most readings."""
-    _, cosine = _meeting(start, readings)
-    sign = np.where(np.bincount(readings.plane, cosine, readings.planes) < 0.0, -1.0, 1.0)
-    start.normals = model.normalized(start.normals) * sign[:, None]
-    start.offsets = start.offsets * sign
 
 
 def _meeting(start: PartialStart, readings: Readings) -> tuple[FloatArray, FloatArray]:

@@ -14,28 +14,28 @@ import numpy as np
 
 from ..arrays import IntArray
 from ..data.recording import Readings
+from ..quantities import ROUNDING
 from .growing import PartialStart
 
-LEAST_READINGS = 24
-GAP = 3.0
-"""The second smallest singular value must be so many times the smallest."""
-LEAST_VALUE = 1e-9
-"""And at least this part of the largest: else the motion is not general enough."""
+LIFTED_READINGS = 24
+"""Readings that a block needs: the lifted form has 22 numbers up to one scale."""
+SINGULAR_GAP = 3.0
+"""The second smallest singular value must be this many times the smallest, or noise decides."""
 
 
 def lifted_starts(readings: Readings, count: int) -> list[PartialStart]:
     """Return one start for each of the `count` largest blocks of a beam and a plane that allow it."""
     starts = readings.block_starts()
     sizes = np.diff(np.append(starts, len(readings)))
-    found = []
+    lifted = []
     for block in np.argsort(-sizes, kind="stable")[:count]:
-        if sizes[block] < LEAST_READINGS:
+        if sizes[block] < LIFTED_READINGS:
             break
         rows = np.arange(starts[block], starts[block] + sizes[block], dtype=np.intp)
         start = _solve(readings, rows)
         if start is not None:
-            found.append(start)
-    return found
+            lifted.append(start)
+    return lifted
 
 
 def _solve(readings: Readings, rows: IntArray) -> PartialStart | None:
@@ -47,8 +47,8 @@ def _solve(readings: Readings, rows: IntArray) -> PartialStart | None:
     R = part.world_R_hand.reshape(len(rows), 9)
     columns = np.hstack((d[:, None] / reach * R, R, t / reach, np.ones((len(rows), 1))))
     _, values, axes = np.linalg.svd(columns, full_matrices=False)
-    if values[-2] < max(GAP * values[-1], LEAST_VALUE * values[0]):
-        return None
+    if values[-2] < max(SINGULAR_GAP * values[-1], ROUNDING * values[0]):
+        return None  # the motion is not general enough
     # Units: n v' and n r' / reach in the first columns, n / reach times reach, b / reach.
     x = axes[-1]
     n = x[18:21] / reach

@@ -1,7 +1,7 @@
 """The only search over candidates: rounds of starts, refined under a loss, until a judge is convinced.
 
-A plain search refines by least squares and compares sums of squares; a robust one refines under losses
-that let go of outliers and compares by a criterion of those. What they share is here.
+A plain search refines by least squares and compares sums of squares. A robust search refines under
+losses that let go of outliers, and compares evidence. What they share is here.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,8 +14,18 @@ from ..data.parameters import Parameters
 from ..solvers.refine import Refined
 
 TIED_DIGITS = 9
-"""Criteria that agree to so many digits are one optimum reached twice; further digits are rounding,
-which differs between machines. Of such candidates the one tried first wins."""
+"""Criteria that agree to these digits are one optimum, and the candidate tried first wins: further
+digits are rounding, which differs between machines."""
+FIRST_STEPS = 10
+"""Refinement steps of many starts, which tell the promising ones from the others."""
+LAST_STEPS = 40
+"""Refinement steps of few starts: candidates that reach a minimum have mostly arrived earlier."""
+FINALISTS = 6
+"""Candidates that are refined to the end, or handed on: the best is rarely ranked further down."""
+AGREEING = 4
+"""Starts at one optimum that are believed without other evidence: wrong optima mostly differ."""
+SAME_DIRECTION = 0.02
+"""Beam directions that differ by less than this [rad] belong to one minimum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +59,7 @@ class Round:
     good : float
         Part of the readings that must be good for an answer to mean anything.
     agreeing : int
-        So many candidates at one optimum end the search, where the judge counts them.
+        Number of candidates at one optimum that ends the search, where the judge counts them.
     """
 
     starts: Sequence[tuple[str, Parameters]]
@@ -58,7 +68,7 @@ class Round:
 
 
 class Refinement(Protocol):
-    """How starts are refined: the loss, its stages, and what mends candidates in between."""
+    """How starts are refined: the loss, its stages, and the mending of candidates in between."""
 
     def refined(self, latest: Round) -> list[tuple[str, Refined]]:
         """Return the refined starts of a round that are worth comparing, with their methods."""
@@ -69,13 +79,13 @@ class Refinement(Protocol):
 
 
 class Judge(Protocol):
-    """What candidates are compared by, and when they are believed."""
+    """The criterion that compares candidates, and when they are believed."""
 
     def criterion(self, refined: Refined) -> float:
         """Return what a candidate is compared by; lower is better."""
 
-    def convinced(self, found: Sequence[Candidate], latest: Round, before: float, /) -> bool:
-        """Tell whether the candidates found, the best first, need no rivals.
+    def convinced(self, candidates: Sequence[Candidate], latest: Round, before: float, /) -> bool:
+        """Tell whether the candidates, the best first, need no rivals.
 
         The criterion of the best one was `before` until the latest round.
         """
@@ -85,7 +95,7 @@ def search(
     rounds: Iterable[Round],
     loss: Refinement,
     judge: Judge,
-    found: Sequence[Candidate] = (),
+    earlier: Sequence[Candidate] = (),
 ) -> tuple[list[Candidate], bool]:
     """Return the candidates, the best first, and whether the search ended on evidence.
 
@@ -95,10 +105,10 @@ def search(
         The cheap ones first; drawn one by one, so that what is not needed is not computed.
     loss : Refinement
     judge : Judge
-    found : sequence of Candidate
+    earlier : sequence of Candidate
         Of an earlier search that this one goes on with.
     """
-    ordered = list(found)
+    ordered = list(earlier)
     for latest in rounds:
         before = ordered[0].criterion if ordered else np.inf
         fresh = loss.refined(latest)
@@ -114,9 +124,9 @@ def search(
     return ordered, False
 
 
-def agreeing(found: Sequence[Candidate], limit: float) -> int:
+def agreeing(candidates: Sequence[Candidate], limit: float) -> int:
     """Return how many candidates are at the optimum of the best: within a limit of the criterion."""
-    return sum(one.criterion <= limit for one in found)
+    return sum(candidate.criterion <= limit for candidate in candidates)
 
 
 def _candidate(method: str, refined: Refined, judge: Judge) -> Candidate:

@@ -16,17 +16,18 @@ import numpy as np
 from ..arrays import IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..quantities import TINY
 from ..solvers.refine import refine_many
 from .directions import least_squares, sphere
 from .growing import PartialStart
+from .search import SAME_DIRECTION
 
-_NONE = np.zeros((1, 2))
-SAME_DIRECTION = 0.02
-"""Directions closer than this [rad] count as one solution."""
 NORMALS = 300
-"""Normals tried: they lie about 8 degrees apart."""
-ITERATIONS = 12
+"""Normals tried over the half sphere: they lie about 8 degrees apart."""
+SWEEP_STEPS = 12
+"""Refinement steps of the best normals of one block, which tell its solutions apart."""
 RIDGE = 1e-10
+"""Part of the trace that is added to normal equations which a motion may leave singular."""
 
 
 def sweep_starts(
@@ -74,20 +75,20 @@ def _richest_blocks(readings: Readings) -> list[IntArray]:
 
 def _sweep_block(readings: Readings, refined: int, kept: int) -> list[Parameters]:
     """Return the best different solutions, the lowest cost first."""
-    tried = refine_many(_linear_solutions(readings, refined), readings, 0, ITERATIONS)
+    tried = refine_many(_linear_solutions(readings, refined), readings, 0, SWEEP_STEPS)
     best: list[Parameters] = []
-    for found in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
-        v = found.parameters.directions[0]
+    for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
+        v = solution.parameters.directions[0]
         if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
-            best.append(found.parameters)
+            best.append(solution.parameters)
     return best[:kept]
 
 
 def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
     """Solve for (r, v, b) at every normal; return the `count` best.
 
-    The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again,
-    so that few stations, which fit almost any normal with some length of v, are told apart too.
+    The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again:
+    few stations fit almost any normal with some length of v.
     """
     n = sphere(2 * NORMALS)[:NORMALS]
     centre = readings.world_t_hand.mean(axis=0)
@@ -97,16 +98,16 @@ def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
     reach = n_hand * (readings.distance / scale)[:, None]
     rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
     v = least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs, RIDGE)[:, 3:6]
-    v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
+    v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), TINY)
     cosine = np.einsum("cmi,ci->cm", n_hand, v)
     A, rest = np.concatenate((n_hand, ones), axis=2), rhs - readings.distance * cosine
     x = least_squares(A, rest, RIDGE)
     error = (A @ x[:, :, None])[..., 0] - rest
-    slope = np.einsum("cm,cm->c", cosine, cosine) + 1e-300
+    slope = np.einsum("cm,cm->c", cosine, cosine) + TINY
     order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
-    found = []
+    solutions = []
     for c in order[:count]:
-        one = slice(c, c + 1)
+        row = slice(c, c + 1)
         b = np.array([x[c, 3] - n[c] @ centre])
-        found.append(Parameters(x[one, :3], v[one], _NONE, n[one], b))
-    return found
+        solutions.append(Parameters(x[row, :3], v[row], np.zeros((1, 2)), n[row], b))
+    return solutions

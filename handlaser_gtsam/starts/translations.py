@@ -16,7 +16,7 @@ n . dt = -(dd + kappa d(d^2)) p' with p' = (1 + k1) p and kappa = k2 / (1 + k1).
 length of v that step 2 then finds is 1 + k1. Without noise that is exact; with noise kappa may be
 poor, so this start competes with the plain one.
 
-Planes and beams that satisfy no lemma are left out here and grown afterwards.
+Planes and beams that satisfy no lemma stay unknown here and are grown afterwards.
 """
 
 from dataclasses import dataclass, replace
@@ -27,12 +27,11 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
+from ..quantities import ROUNDING, SINGULAR
 from .growing import PartialStart
 
-SPREAD = 1e-4
+SPANNING = 1e-4
 """Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
-LEAST_SHARE = 1e-8
-"""Part of the squared readings that translations must leave free for kappa to be determined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +88,13 @@ def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
     """Return kappa (B,) [1/m], zero where a beam's series do not determine it; None if all are zero."""
     tt, td, tq = series.moments[:, :3, :3], series.moments[:, :3, 3], series.moments[:, :3, 4]
     dq, qq = series.moments[:, 3, 4], series.moments[:, 4, 4]
-    along = np.einsum("si,sij->sj", tq, np.linalg.pinv(tt, rcond=1e-10, hermitian=True))
+    along = np.einsum("si,sij->sj", tq, np.linalg.pinv(tt, rcond=ROUNDING, hermitian=True))
     free = qq - np.einsum("si,si->s", along, tq)
     rest = dq - np.einsum("si,si->s", along, td)
     beams = readings.beams
     total = np.bincount(series.beam, qq, beams)
     left, right = np.bincount(series.beam, free, beams), np.bincount(series.beam, rest, beams)
-    usable = left > LEAST_SHARE * total
+    usable = left > ROUNDING * total  # the translations leave part of the squared readings free
     kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
     farthest = np.zeros(beams)
     np.maximum.at(farthest, readings.beam, readings.distance)
@@ -127,13 +126,13 @@ def _series(readings: Readings) -> _Series | None:
 def _solve_normals(start: PartialStart, series: _Series) -> None:
     """Step 1: the normal of every plane whose translations span space."""
     tt, td, dd = series.moments[:, :3, :3], series.moments[:, :3, 3], series.moments[:, 3, 3]
-    responds = dd > 1e-12 * np.trace(tt, axis1=1, axis2=2)
+    responds = dd > SINGULAR * np.trace(tt, axis1=1, axis2=2)
     share = np.where(responds, 1.0 / np.where(responds, dd, 1.0), 0.0)
     free = tt - td[:, :, None] * td[:, None, :] * share[:, None, None]
     matrix = np.zeros((len(start.offsets), 3, 3))
     np.add.at(matrix, series.plane, free)
     spread, axes = np.linalg.eigh(matrix)
-    serves = (spread[:, 1] > SPREAD * spread[:, 2]) & (spread[:, 1] > 9.0 * spread[:, 0])
+    serves = (spread[:, 1] > SPANNING * spread[:, 2]) & (spread[:, 1] > 9.0 * spread[:, 0])
     # Either sign will do: p follows it, and `grow` faces the sensor in the end.
     start.normals[serves] = axes[serves, :, 0]
 
@@ -151,7 +150,7 @@ def _solve_directions(start: PartialStart, series: _Series) -> None:
     np.add.at(matrix, series.beam[use], weighted)
     np.add.at(rhs, series.beam[use], weighted_p[:, None] * n_hand)
     spread = np.linalg.eigvalsh(matrix)
-    for beam in np.flatnonzero(spread[:, 0] > SPREAD * spread[:, 2]):
+    for beam in np.flatnonzero(spread[:, 0] > SPANNING * spread[:, 2]):
         v = np.linalg.solve(matrix[beam], rhs[beam])
         length = float(np.linalg.norm(v))
         start.directions[beam] = v / length
@@ -180,7 +179,7 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     flat = rows_mean.reshape(part.planes, -1)
     matrix = block_diag(*blocks) - (flat * count[:, None]).T @ flat
     vector = g.ravel() - flat.T @ (count * rhs_mean)
-    r = (np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ vector).reshape(-1, 3)
+    r = (np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ vector).reshape(-1, 3)
     start.locations[beams] = r[beams]
     seen = np.unique(part.plane)
     b = rhs_mean - np.einsum("pbi,bi->p", rows_mean, r)

@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
-from ..data.noise import MOST_SIGMA, Noise
+from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..quantities import LARGEST_LENGTH
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ class Errors:
 
     def __post_init__(self) -> None:
         for name in ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma"):
-            require_number(name, getattr(self, name), 0.0, MOST_SIGMA)
+            require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
 
     def stated(self) -> Noise:
         """Return the noise that a rig file states of these errors: a covariance if not all axes err."""

@@ -5,11 +5,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from ...checks import require_count, require_kind, require_names, require_number, require_word
-from ...data.recording import LARGEST
 from ...data.station_list import StationList
 from ...errors import InputError, NotConvergedError
 from ...model.conventions import FORMATS as POSE_FORMATS
-from ...quantities import IN_MM
+from ...quantities import IN_MM, LARGEST_LENGTH
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
 from ...text import A_NAME, name_fault, shown
@@ -77,7 +76,7 @@ class ExportOptions:
             raise InputError(f"{name_fault(self.link)} as link".replace(", as", " as"), A_NAME)
         if self.axis is not None:
             require_word("axis", self.axis, ("x", "y", "z"))
-        require_number("at_reading", self.at_reading, -LARGEST, LARGEST, unit="m")
+        require_number("at_reading", self.at_reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
         if self.tool is not None:
             require_count("tool", self.tool, 1, LAST_TOOL)
         if self.into is not None:

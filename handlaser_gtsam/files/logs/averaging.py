@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...data.stations import HELD, worth_of_mean
+from ...data.stations import FINEST_STEP, worth_of_mean
 from ...quantities import MEDIAN_TO_SIGMA
 from .format import Average
 
@@ -78,7 +78,7 @@ def averaged(
     ranges.ravel()[key[start]] = middle
     group = np.repeat(np.arange(len(start)), count)
     off = value - middle[group]
-    held = np.maximum.reduceat(np.abs(off), start) <= HELD
+    held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
     several = (count > 1) & ~held
     beam = key[start] % shape[1]  # of each group
     each = [_scatter(off, count, group, several & (beam == b), how) for b in range(shape[1])]

@@ -19,9 +19,9 @@ import numpy as np
 import polars as pl
 
 from ...arrays import FloatArray
-from ...data.recording import LARGEST
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
+from ...quantities import LARGEST_LENGTH
 from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
@@ -262,7 +262,7 @@ def _read(
                 raise InputError(found, f"ray {beam.ray}, of beam {beam.name}")
             least, most, d = message.range_min, message.range_max, float(message.ranges[beam.ray])
             delay = beam.ray * message.time_increment
-        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST
+        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
         if known and (d > 0.0 or least < 0.0):
             beam.numbers.extend((time + delay, unit * d))
 

@@ -6,9 +6,9 @@ import numpy as np
 import polars as pl
 
 from ...arrays import FloatArray
-from ...data.recording import LARGEST
 from ...errors import CalibrationWarning
 from ...model.conventions import TIME_UNITS, Convention
+from ...quantities import LARGEST_LENGTH
 from ...text import A_NAME, name_fault
 from ..table import NUMBER, Table, column_numbers
 from .format import LogFormat
@@ -33,7 +33,7 @@ def pose_numbers(
     """
     x = np.column_stack([column_numbers(table, name) for name in columns])
     for i, name in enumerate(columns):
-        table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST, name, "a number of a pose")
+        table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST_LENGTH, name, "a number of a pose")
     return x, doubts(table, x, columns, convention_of(given), as_stated=given.as_stated)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from ...data.recording import LARGEST
 from ...errors import InputError
+from ...quantities import LARGEST_LENGTH
 from ...text import shown, some
 from .motion import AT_ONCE, Between
 
@@ -42,10 +42,10 @@ class Stamped:
             x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
         with np.errstate(over="ignore"):  # an infinite length is refused like any other
             length = np.linalg.norm(x[:, 4:], axis=1)
-        far = ~(np.abs(x[:, 1:4]) <= LARGEST).all(axis=1)
+        far = ~(np.abs(x[:, 1:4]) <= LARGEST_LENGTH).all(axis=1)
         if far.any():
             found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
-            raise InputError(found, f"metres, at most {LARGEST:.0f}")
+            raise InputError(found, f"metres, at most {LARGEST_LENGTH:.0f}")
         if not (np.abs(length - 1.0) <= 1e-3).all():  # nan, too
             worst = float(length[~(np.abs(length - 1.0) <= 1e-3)][0])
             raise InputError(f"a pose with a quaternion of length {worst:.6g}", "length 1")

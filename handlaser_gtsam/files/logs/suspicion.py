@@ -31,7 +31,7 @@ from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...model.losses import Loss
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
-from ...solvers.refine import Scale, refine_many
+from ...solvers.refine import LossScale, refine_many
 from ...starts import Effort, find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow
@@ -136,10 +136,10 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     rng = np.random.default_rng(0)
-    starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).found]
+    starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
     starts = starts[:WHOLE_STARTS]
     starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
-    rule = Scale(least_scale(readings, None), GOOD)
+    rule = LossScale(least_scale(readings, None), GOOD)
     loose = refine_many(starts, readings, 0, REFINEMENTS, Loss("cauchy"), rule)
     usable = [one.parameters for one in loose if one is not None]
     tight = refine_many(

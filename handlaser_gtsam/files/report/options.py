@@ -8,9 +8,9 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from ...checks import require_kind, require_number
-from ...data.recording import LARGEST
 from ...errors import ArgumentError, InputError
 from ...planning.route import Plan
+from ...quantities import LARGEST_LENGTH
 from ...text import shown
 from ..logs.bags import METADATA
 from ..rig_toml import Rig
@@ -60,7 +60,7 @@ class ReportOptions:
     def __post_init__(self) -> None:
         require_kind("rig", self.rig, Rig)
         if self.reading is not None:
-            require_number("a reading of", self.reading, -LARGEST, LARGEST, unit="m")
+            require_number("a reading of", self.reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
         if not isinstance(self.command, str) or len(self.command) > MOST_COMMAND:
             found = f"{shown(self.command)} as a command"
             raise InputError(found, f"text of at most {MOST_COMMAND} characters")
