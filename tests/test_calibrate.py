@@ -434,6 +434,7 @@ def test_only_turning_leaves_a_mirror_image():
     assert hl.calibrate(moving, hl.Noise(1e-4), options).status == "converged"
 
 
+@pytest.mark.slow
 def test_turning_off_centre_by_a_hair_is_a_mirror_all_the_same():
     """Translations far below the noise do not tell the image from the truth."""
     R, t = motion("free", 30)
@@ -465,6 +466,7 @@ def test_a_file_that_does_not_fit_is_told_from_a_motion_that_does_not_suffice(co
     assert hl.calibrate(recording).warnings == ()
 
 
+@pytest.mark.slow
 def test_everything_in_millimetres_is_suspected():
     recording, _ = simulated("arm", range_sigma=3e-4)
     scaled = replace(

@@ -48,6 +48,7 @@ def test_what_does_no_harm_stays_usable_and_right(name):
         assert not row.wrong
 
 
+@pytest.mark.slow
 def test_a_beam_that_hits_the_plane_from_behind_is_named():
     row = judge(("output-inverted", 1), None)
     assert row.outcome == "unusable"
@@ -72,6 +73,7 @@ def test_readings_of_coarse_steps_are_called_coarse():
     assert "stations" not in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"), [("labels-exchanged-from-middle", 0), ("plate-moves-20mm", 2)]
 )
@@ -82,6 +84,7 @@ def test_labels_are_named_where_most_of_their_readings_are_rejected(name, seed):
     assert not row.wrong
 
 
+@pytest.mark.slow
 def test_labels_that_change_late_are_named_once():
     row = judge(("label-late-by-three", 3), None)
     named = ("stations have the label of another plane", "look like another plane's")

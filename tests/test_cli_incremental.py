@@ -40,6 +40,7 @@ def test_json_alone_is_printed(handlaser):
     assert json.loads(out)["status"] == "converged"
 
 
+@pytest.mark.slow
 def test_a_beam_that_has_moved_is_named(handlaser, tmp_path):
     recording, _ = displaced()
     path = tmp_path / "displaced.csv"

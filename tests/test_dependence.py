@@ -61,6 +61,7 @@ def test_standard_deviations_cover_correlated_noise():
     assert np.mean(squares) < 1.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [True, False], ids=["given", "nothing"])
 def test_errors_of_poses_that_change_smoothly_are_named_and_counted(given):
     """A robot that never stops: over 40 recordings the rms error is 1.0 to 1.2 standard deviations.

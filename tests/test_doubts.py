@@ -54,6 +54,7 @@ def test_a_sigma_that_is_ten_times_too_small_is_no_calibration(recording):
     assert all(beam.covariance is None for beam in found.beams.values())
 
 
+@pytest.mark.slow
 def test_millimetres_taken_for_metres_are_asked_about(recording):
     moved = replace(
         recording, world_t_hand=1e3 * recording.world_t_hand, ranges=1e3 * recording.ranges

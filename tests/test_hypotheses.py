@@ -153,6 +153,7 @@ def test_ways_that_cannot_be_told_apart_are_said_in_one_sentence(right):
     assert " or the x and z coordinates of the positions look negated" in found
 
 
+@pytest.mark.slow
 def test_a_right_file_suggests_nothing(right):
     assert better_way(right, 0) == ""
     assert hl.calibrate(right, hl.Noise(1e-3, 0.0, 0.0)).warnings == ()

@@ -639,6 +639,7 @@ def test_every_field_comes_back_from_the_table_of_a_rig_file(tmp_path):
         assert one.resolve() == other.resolve()
 
 
+@pytest.mark.slow
 def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(

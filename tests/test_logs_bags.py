@@ -128,6 +128,7 @@ def test_rays_of_a_scan_are_beams_and_no_readings_are_none(tmp_path, driven, kin
         hl.read_log(bag, hl.LogFormat(**given))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "ros2", "mcap"])
 def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path, kind):
     drive, _ = example(noise=1e-3, seed=4)
@@ -272,6 +273,7 @@ def test_bags_with_broken_bytes_are_read_or_refused(tmp_path, short):
     assert read > 0  # rosbags compares most of what a bag says twice, and refuses the others
 
 
+@pytest.mark.slow
 def test_poses_that_are_inverted_in_a_bag_are_noticed(tmp_path, driven):
     drive, _ = driven
     bag = write_bag(tmp_path, "mcap", partial(published, drive, by="tf"))
@@ -292,6 +294,7 @@ print(len(recording.ranges), peak)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
 def test_memory_does_not_grow_with_what_is_not_needed(tmp_path):
     """A bag of 40 MB, of which scans are most, takes hardly more memory than a bag of 4 MB."""

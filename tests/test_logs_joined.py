@@ -287,6 +287,7 @@ def test_a_stated_lag_is_taken_off(tmp_path, driven):
     assert np.abs(first.world_t_hand[:rows] - second.world_t_hand[:rows]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 6])
 def test_a_motion_that_does_not_tell_the_lag_is_refused(tmp_path, seed):
     """A sweep at constant speed: a shift in time is a shift along the path."""

@@ -36,6 +36,7 @@ def test_commands_of_the_page(line, handlaser, monkeypatch, tmp_path):
     assert len(list(tmp_path.iterdir())) == len(outputs)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_ROSBAGS, reason="needs rosbags")
 def test_commands_for_bags(handlaser, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)

@@ -187,6 +187,7 @@ def check_drive(robot, stations, plates):
             assert not touching.any(), stations.station_names[j]
 
 
+@pytest.mark.slow
 @needs_pinocchio
 @pytest.mark.parametrize("name", ARMS)
 def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
@@ -326,6 +327,7 @@ def test_a_first_motion_is_reached_too(small):
     check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_an_arm_too_far_away_is_said(small, calibrated):
     far = replace(small, base_t=small.base_t + 3.0)

@@ -76,6 +76,7 @@ def test_without_a_range_sigma_several_starts_must_agree_before_the_screening_co
     assert {(r.station, r.beam) for r in found.fit.rejected} == {("6", "2"), ("21", "4")}
 
 
+@pytest.mark.slow
 def test_a_third_of_outliers_is_searched_for_robustly(counts):
     recording, _ = simulated("arm", range_sigma=1e-3)
     rng = np.random.default_rng(0)

@@ -283,6 +283,7 @@ def test_clocks_that_do_not_overlap_are_called_so(tmp_path):
         hl.describe_log(tmp_path / "poses.csv", form)
 
 
+@pytest.mark.slow
 def test_a_pattern_that_repeats_is_not_guessed(tmp_path):
     """Every stop and every move takes the same time: any of several offsets would do."""
     one = drive(17, stops=2, planes=1)

@@ -69,6 +69,7 @@ def test_rows_do_not_depend_on_the_runs_that_are_solved_together():
     assert together.equals(pl.concat(parts))
 
 
+@pytest.mark.slow
 def test_a_lost_worker_loses_and_doubles_nothing(tmp_path):
     draw = partial(once_killed, mark=str(tmp_path / "killed"))
     rows = rows_of(reduced(100, draw=draw), TWO)
@@ -327,6 +328,7 @@ def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path):
     assert json.loads(again.stdout)["summary"][0]["runs"] == kept.height
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_DASK, reason="needs dask.distributed")
 def test_a_dask_cluster_gives_the_same_rows_though_a_worker_dies(tmp_path):
     from distributed import Client, LocalCluster

@@ -67,6 +67,7 @@ def look_on():
 # --- a thousand stations -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @linux
 def test_everybody_ends_at_the_same_state_after_a_thousand_stations(tmp_path, look_on):
     """Five look on, one of which stops reading at once; lines arrive in pieces."""
@@ -430,6 +431,7 @@ def test_what_is_wrong_is_said_and_the_last_good_state_stays(shown):
     assert shown.newest["state"] == kept
 
 
+@pytest.mark.slow
 def test_a_file_that_is_truncated_replaced_or_no_file_for_a_while(shown, tmp_path):
     shown.path.write_text("".join(LINES))
     shown.is_at("current", 44)
@@ -450,6 +452,7 @@ def test_a_file_that_is_truncated_replaced_or_no_file_for_a_while(shown, tmp_pat
     shown.is_at("current", 14)
 
 
+@pytest.mark.slow
 def test_a_log_in_two_files_is_followed_as_both_grow(tmp_path):
     """Poses in millimetres here, readings there, joined by station; the rig file says so."""
     names = LINES[0].rstrip("\n").split(",")
@@ -593,6 +596,7 @@ def test_ctrl_c_ends_at_once_with_one_line(tmp_path, look_on):
         until(lambda: not clients[0].open)
 
 
+@pytest.mark.slow
 @linux
 def test_no_process_stays_behind(tmp_path, look_on):
     (tmp_path / "recording.csv").write_text("".join(LINES))
