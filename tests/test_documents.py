@@ -105,8 +105,8 @@ def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path):
 
 def test_every_code_has_its_row():
     """Of verdicts, systematic errors, and warnings, whose codes stand in calls all over the package."""
-    from handlaser_gtsam.results.verdict import OPENING
     from handlaser_gtsam.results.systematic_words import WORDING
+    from handlaser_gtsam.results.verdict import OPENING
 
     page = (ROOT / "docs" / "messages.md").read_text()
     first = " ".join(re.findall(r"^\| (.*?) \|", page, re.MULTILINE))

@@ -163,7 +163,6 @@ def _calibrated(
     from ..files.rig_reading import read_with
     from ..files.writing import write_text
     from ..results.verdict import verdict
-    from ..validation import cross_check as checking
 
     output.check((path, rig_file, *rig.log.files))
     reading = output.reading
@@ -185,7 +184,9 @@ def _calibrated(
         write_text(output.out, text)
     check = None
     if manner.cross_check and result.status == "converged":
-        check = checking.cross_check(result, recording)
+        from ..validation.cross_check import cross_check
+
+        check = cross_check(result, recording)
     advice = None
     if output.report is not None or not (output.json_ or output.quiet):
         advice = _advice(result, recording, rig)

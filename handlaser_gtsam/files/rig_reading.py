@@ -4,11 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError
-from .logs.reading import read_any
+from ..model.sensor import Sensor
+from .logs.format import LogFormat
 from .logs.report import LogReport
+from .recording_csv import read_recording
 from .rig_log import as_fields
 from .rig_toml import Rig
 
+NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 
@@ -38,3 +41,30 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
+
+
+def read_any(
+    path: Path, given: LogFormat, sensor: Sensor, range_sigma: float | None = None
+) -> LogReport:
+    """Read a recording in CSV, or a log; what reads logs is imported only where there is one.
+
+    Raises
+    ------
+    InputError
+    """
+    if given.stated or path.suffix.lower() != ".csv":
+        from .logs.reading import describe_log, is_log
+
+        if is_log(path, given):
+            return describe_log(path, given, sensor, range_sigma)
+    try:
+        return LogReport(read_recording(path, sensor), lines=(NOT_A_LOG,) if given.stated else ())
+    except InputError as error:
+        from .logs.reading import missing_columns_hint
+
+        hint = missing_columns_hint(error)
+        if not hint:
+            raise
+        raise InputError(
+            error.found, error.expected + hint, error.path, error.line, error.column
+        ) from error

@@ -9,7 +9,7 @@ from ...data.recording import Recording
 from ...errors import InputError
 from ...model.sensor import Sensor
 from ...text import shown
-from ..recording_csv import POSE, read_recording
+from ..recording_csv import POSE
 from ..table import read_table
 from ..writing import path_of
 from .assembling import assembled
@@ -21,8 +21,6 @@ from .joining_time import by_time, refuse_other_units
 from .report import LogReport
 from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
-
-NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
 
 OF_TABLES = (
     *("pose_format", "rotation", "units", "angles", "pose_columns", "plane_column"),
@@ -93,30 +91,14 @@ def describe_log(
         raise InputError(error.found, error.expected, path) from error
 
 
-def read_any(
-    path: Path, given: LogFormat, sensor: Sensor, range_sigma: float | None = None
-) -> LogReport:
-    """Read a recording in CSV, or a log: where anything is stated, or the file is of another kind.
+def is_log(path: Path, given: LogFormat) -> bool:
+    """Tell whether a file is read as a log: where anything is stated, or it is no CSV file.
 
-    A file without the columns that are stated, but with the header of a recording, is one all the same:
-    what `convert` has written is calibrated with the rig file of the log.
-
-    Raises
-    ------
-    InputError
+    A file without the columns that are stated, but with the header of a recording, is a recording all
+    the same: what `convert` has written is calibrated with the rig file of the log.
     """
     foreign = is_bag(path) or path.suffix.lower() in FOREIGN
-    if foreign or (given.stated and not _is_recording(path, given)):
-        return describe_log(path, given, sensor, range_sigma)
-    try:
-        return LogReport(read_recording(path, sensor), lines=(NOT_A_LOG,) if given.stated else ())
-    except InputError as error:
-        hint = _hint(error)
-        if not hint:
-            raise
-        raise InputError(
-            error.found, error.expected + hint, error.path, error.line, error.column
-        ) from error
+    return foreign or (given.stated and not _is_recording(path, given))
 
 
 def _is_recording(path: Path, given: LogFormat) -> bool:
@@ -137,7 +119,7 @@ def _is_recording(path: Path, given: LogFormat) -> bool:
     return False
 
 
-def _hint(error: InputError) -> str:
+def missing_columns_hint(error: InputError) -> str:
     """Return what to state where a header lacks the columns of a recording."""
     lacking = error.found.startswith(("no column", "column "))
     if error.column not in ("plane", *POSE) or error.path is None or not lacking:
