@@ -17,7 +17,8 @@ from helpers import draws
 
 import handlaser_gtsam as hl
 from benchmarks.studies import Studies
-from handlaser_gtsam import Calibrated, Case, Drawn, Reduced, Simulated, study
+from handlaser_gtsam import study
+from handlaser_gtsam.validation import Calibrated, Case, Drawn, Reduced, Simulated
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.simulate import Errors
 from handlaser_gtsam.validation.study_tasks import run_each
@@ -69,16 +70,27 @@ def test_what_was_interrupted_goes_on(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study([reduced()], 100, 3, partial(ThreadPoolExecutor, 1), hl.StudyFolder(tmp_path), stop)
+        study(
+            [reduced()],
+            100,
+            3,
+            partial(ThreadPoolExecutor, 1),
+            hl.files.StudyFolder(tmp_path),
+            stop,
+        )
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.parquet")}
     assert 2 <= len(kept) < 5
-    found = study([reduced()], 100, 3, partial(ThreadPoolExecutor, 1), hl.StudyFolder(tmp_path))
+    found = study(
+        [reduced()], 100, 3, partial(ThreadPoolExecutor, 1), hl.files.StudyFolder(tmp_path)
+    )
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
     assert found.rows.equals(study([reduced()], 100, 3, ThreadPoolExecutor(1)).rows)
-    more = study([reduced()], 140, 3, partial(ThreadPoolExecutor, 1), hl.StudyFolder(tmp_path))
+    more = study(
+        [reduced()], 140, 3, partial(ThreadPoolExecutor, 1), hl.files.StudyFolder(tmp_path)
+    )
     assert more.rows[:100].equals(found.rows)
     with pytest.raises(hl.InputError, match="another study"):
-        study([reduced()], 100, 4, None, hl.StudyFolder(tmp_path))
+        study([reduced()], 100, 4, None, hl.files.StudyFolder(tmp_path))
 
 
 @pytest.mark.slow
@@ -140,7 +152,7 @@ def test_what_is_no_study_is_refused(cases, runs, words):
 def test_a_folder_of_something_else_is_refused(tmp_path):
     pl.DataFrame({"a": [1]}).write_parquet(tmp_path / "mine.parquet")
     with pytest.raises(hl.InputError, match="something else"):
-        study([reduced()], 20, 0, ThreadPoolExecutor(1), hl.StudyFolder(tmp_path))
+        study([reduced()], 20, 0, ThreadPoolExecutor(1), hl.files.StudyFolder(tmp_path))
 
 
 STUDY = """

@@ -14,8 +14,9 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
-from ..session import Comparison, Session, Update
 from ..session.drift import Moved
+from ..session.reports import Comparison, Update
+from ..session.session import Session
 from ..solvers.progress import tell
 
 

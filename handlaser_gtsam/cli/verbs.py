@@ -4,7 +4,7 @@ from typing import cast
 
 import typer
 
-from .._version import __version__
+from .. import __version__
 from .calibrate import calibrate
 from .check import check
 from .convert import convert

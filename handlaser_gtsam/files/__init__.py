@@ -1,1 +1,23 @@
 """Every file format that goes in or out."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .calibration_file import CalibrationFile as CalibrationFile
+    from .logs.report import LogReport as LogReport
+    from .rig_toml import Rig as Rig
+    from .study_folder import StudyFolder as StudyFolder
+    from .study_toml import DeclaredStudy as DeclaredStudy
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "calibration_file": "CalibrationFile",
+            "logs.report": "LogReport",
+            "rig_toml": "Rig",
+            "study_folder": "StudyFolder",
+            "study_toml": "DeclaredStudy",
+        },
+    )

@@ -58,8 +58,8 @@ def range_numbers(
     units = "millimetres" if unit == MILLIMETRE else "metres"
     expected = (
         f"{least} in {units} up to {LARGEST_LENGTH / unit:.0f}, or an empty cell for no reading; "
-        "if the sensor can read this, or says so that it reads nothing, state its range: --range-mm MIN MAX, "
-        "or range_mm in the rig file"
+        "if the sensor can read this, or says so that it reads nothing, state its range: "
+        "--range-mm MIN MAX, or range_mm in the rig file"
     )
     for i, name in enumerate(columns):
         table.refuse((impossible & ~coded)[:, i], name, expected)

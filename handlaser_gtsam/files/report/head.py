@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..._version import __version__
+from ... import __version__
 from ...quantities import IN_MM
 from ...results.lines import count
 from ...results.verdict import OPENING
