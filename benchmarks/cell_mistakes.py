@@ -511,7 +511,9 @@ def _calibrate(cell: Cell, beams: list[str], rig: Path | None):  # type: ignore[
             lines.append(",".join([label, *(f"{value:.9g}" for value in (*t, *q, *d))]))
         path.write_text("\n".join(lines) + "\n")
         recording = hl.read_recording(path)
-    known = hl.Rig(sensor=hl.Sensor(kind="triangulation")) if rig is None else hl.read_rig(rig)
+    known = (
+        hl.files.Rig(sensor=hl.Sensor(kind="triangulation")) if rig is None else hl.read_rig(rig)
+    )
     result = hl.calibrate(recording, known.noise, hl.CalibrationOptions(sensor=known.sensor))
     return result, verdict(result, known.limits)
 

@@ -85,8 +85,8 @@ def _same_recording(plain: PlainRecording, found: hl.Recording) -> None:
         raise WrongError("other rotations")
 
 
-def _same_rig(plain: PlainRig, found: hl.Rig) -> None:
-    default = hl.Rig()
+def _same_rig(plain: PlainRig, found: hl.files.Rig) -> None:
+    default = hl.files.Rig()
     for (table, field), unit in (
         (("noise", "range_sigma_mm"), "range_sigma"),
         (("noise", "incidence_sigma_mm"), "incidence_sigma"),

@@ -15,8 +15,8 @@ resident memory of that process (VmHWM: ru_maxrss counts what the parent had), a
 `scans`: one `LaserScan` of 1,000 rays beside each reading (the usual); `plain`: nothing but poses and
 readings (the worst). `tf`: as `plain`, with four frames.
 
-What misses a limit is named at the end of a line. Bags of millions of messages miss the limit of memory,
-ROS 1 most: rosbags keeps an index of some 190 bytes a message.
+What misses a limit is named at the end of a line. Bags of millions of messages miss the limit of
+memory, ROS 1 most: rosbags keeps an index of some 190 bytes a message.
 """
 
 import argparse

@@ -27,7 +27,7 @@ FIX = np.array([math.radians(0.05)] * 3 + [1e-3] * 3)
 ARM = np.array([math.radians(0.02)] * 3 + [2e-4] * 3)
 LEAST = np.array([math.radians(0.02)] * 3 + [5e-4] * 3)
 """Of the odometry of a step, beside what is in proportion to it."""
-BEAM = hl.BeamKeys(gtsam.symbol("l", 0), gtsam.symbol("u", 0))
+BEAM = hl.factors.BeamKeys(gtsam.symbol("l", 0), gtsam.symbol("u", 0))
 WALLS = {name: gtsam.symbol("w", i) for i, name in enumerate(("east", "north", "ramp"))}
 NORMALS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.6, -0.5, 0.6]])
 OFFSETS = np.array([-2.0, -2.0, -2.2])
@@ -171,7 +171,7 @@ def joint(
     return hl.read_graph(graph, solved.values, {"laser": BEAM}, WALLS)
 
 
-def nees(beam: hl.Beam, drive: Drive) -> float:
+def nees(beam: hl.results.Beam, drive: Drive) -> float:
     """Return the squared error of (r, v) in the beam's covariance, a degree of freedom."""
     error = np.concatenate((beam.location - drive.location, beam.direction - drive.direction))
     lift = np.zeros((6, 5))

@@ -46,26 +46,28 @@ class Cell:
     """
 
     truth: hl.Parameters
-    bounds: hl.Bounds
-    plates: tuple[hl.Plate, ...]
+    bounds: hl.planning.Bounds
+    plates: tuple[hl.planning.Plate, ...]
     errors: Errors = ERR
 
     @property
-    def workspace(self) -> hl.Workspace:
+    def workspace(self) -> hl.planning.Workspace:
         """Where the hand may go."""
-        return hl.Workspace(BASE - ROOM, BASE + ROOM, np.eye(3), LARGEST_TURN)
+        return hl.planning.Workspace(BASE - ROOM, BASE + ROOM, np.eye(3), LARGEST_TURN)
 
     @property
     def noise(self) -> hl.Noise:
         """What the errors are stated to be."""
         return self.errors.stated()
 
-    def unread(self, recording: hl.Recording) -> dict[str, hl.Plate]:
+    def unread(self, recording: hl.Recording) -> dict[str, hl.planning.Plate]:
         """Return where the planes stand of which nothing was read yet."""
         named = zip(PLANES, self.plates, strict=False)
         return {name: one for name, one in named if name not in recording.plane_names}
 
-    def measured(self, plan: hl.Plan, rng: np.random.Generator, first: int = 0) -> hl.Recording:
+    def measured(
+        self, plan: hl.planning.Plan, rng: np.random.Generator, first: int = 0
+    ) -> hl.Recording:
         """Return what the sensors read at the stations of a plan, named from `first` on."""
         stations = plan.stations
         names = stations.station_names
@@ -99,9 +101,11 @@ def cell(rng: np.random.Generator, planes: int = 4, errors: Errors = ERR) -> Cel
     plates = []
     for n, b, axis in zip(truth.normals, truth.offsets, axes, strict=True):
         foot = BASE - (n @ BASE + b) * n
-        plates.append(hl.Plate(foot + rng.uniform(-WITHIN, WITHIN) * n, axis, WITHIN, TILT))
+        plates.append(
+            hl.planning.Plate(foot + rng.uniform(-WITHIN, WITHIN) * n, axis, WITHIN, TILT)
+        )
     ahead = np.tile([0.0, 0.0, 1.0], (4, 1))
-    bounds = hl.Bounds(nominal, ahead, plates[0], 0.2 * CIRCLE + 1e-4, math.radians(17.0))
+    bounds = hl.planning.Bounds(nominal, ahead, plates[0], 0.2 * CIRCLE + 1e-4, math.radians(17.0))
     return Cell(truth, bounds, tuple(plates), errors)
 
 

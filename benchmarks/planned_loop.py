@@ -17,7 +17,7 @@ from handlaser_gtsam.validation.simulate import Errors
 ERRORS = Errors(1e-5, 2e-5, math.radians(0.01), (0, 1, 2))
 """A good sensor, on a robot that was calibrated."""
 NORMAL_95 = 1.959964
-GOAL = hl.Goal("A", 1e-4 / NORMAL_95, math.radians(0.1) / NORMAL_95)
+GOAL = hl.planning.Goal("A", 1e-4 / NORMAL_95, math.radians(0.1) / NORMAL_95)
 TURN = 4
 """Stations from one update to the next."""
 MOST = 400
@@ -40,7 +40,7 @@ def _run(seed: int, way: str) -> Loop:
     rng = np.random.default_rng(seed)
     here = cell(rng, errors=ERRORS)
     session = hl.Session(here.noise, hl.CalibrationOptions("none", sensor=SENSOR))
-    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    motion = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     read = here.measured(motion, rng)
     session.add(read)
     first = taken = len(read.station_names)
@@ -73,10 +73,10 @@ def reached(calibration: hl.Calibration) -> bool:
 def random_plan(
     calibration: hl.Calibration,
     count: int,
-    workspace: hl.Workspace,
-    plates: Mapping[str, hl.Plate],
+    workspace: hl.planning.Workspace,
+    plates: Mapping[str, hl.planning.Plate],
     rng: np.random.Generator,
-) -> hl.Plan:
+) -> hl.planning.Plan:
     """Return safe stations before all planes, drawn instead of chosen."""
     belief = belief_of(calibration).before(plates)
     planes = range(len(belief.plane_names))

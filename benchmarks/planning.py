@@ -81,7 +81,7 @@ def run_once(seed: int) -> dict[tuple[int, str], Judged | None]:
     """
     rng = np.random.default_rng(seed)
     here = cell(rng)
-    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise, FIRST)
+    motion = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise, FIRST)
     recording = here.measured(motion, rng)
     first = hl.calibrate(recording, here.noise, OPTIONS)
     found: dict[tuple[int, str], Judged | None] = dict.fromkeys(
@@ -107,7 +107,7 @@ def _measured(
     count: int,
     way: str,
     rng: np.random.Generator,
-) -> tuple[hl.Recording, hl.Calibration, hl.Plan, int] | None:
+) -> tuple[hl.Recording, hl.Calibration, hl.planning.Plan, int] | None:
     """Return recording and calibration with so many stations more, their plan, and those outside.
 
     None where the calibration so far has not converged.
@@ -125,7 +125,9 @@ def _measured(
     return recording, hl.calibrate(recording, here.noise, OPTIONS), plan, outside
 
 
-def _judged(here: Cell, result: hl.Calibration, plan: hl.Plan, outside: int) -> Judged | None:
+def _judged(
+    here: Cell, result: hl.Calibration, plan: hl.planning.Plan, outside: int
+) -> Judged | None:
     """Compare a calibration with the truth and its plan; None where it has no covariance."""
     if result.covariance is None:
         return None
@@ -183,10 +185,10 @@ def limits(
 
 
 @cache
-def blind_cell() -> tuple[Cell, hl.Plan]:
+def blind_cell() -> tuple[Cell, hl.planning.Plan]:
     """Return bounds and the first motion for them: the same for all mounts."""
     here = cell(np.random.default_rng(0), 1)
-    return here, hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    return here, hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
 
 
 def blind_once(seed: int) -> tuple[bool, bool]:
@@ -235,7 +237,7 @@ def speed_line() -> str:
     parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
     rows = np.stack([station_rows(one, joined(parts)) for one in drawn])
-    weight = goal_rows(belief, hl.Goal(), 0.015)
+    weight = goal_rows(belief, hl.planning.Goal(), 0.015)
     seconds = []
     for _ in range(5):
         begin = time.process_time()

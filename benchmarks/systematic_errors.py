@@ -158,7 +158,7 @@ def of_member(
 
 def linearization(
     result: hl.Calibration, recording: hl.Recording
-) -> tuple[hl.Parameters, hl.Readings, Whitening, FloatArray, IntArray]:
+) -> tuple[hl.Parameters, hl.data.Readings, Whitening, FloatArray, IntArray]:
     """Return a solution, its readings, weights, the prior on k, and the order of the stations in time.
 
     Beams and planes keep the order of the recording, and every plane has a frame amid its stations.

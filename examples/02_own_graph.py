@@ -11,7 +11,7 @@ import numpy as np
 import handlaser_gtsam as hl
 
 rng = np.random.default_rng(1)
-BEAM = hl.BeamKeys(location=gtsam.symbol("l", 0), direction=gtsam.symbol("u", 0))
+BEAM = hl.factors.BeamKeys(location=gtsam.symbol("l", 0), direction=gtsam.symbol("u", 0))
 WALL = gtsam.symbol("w", 0)
 RANGE_SIGMA = 1e-3  # m
 pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([2e-3] * 3 + [1e-3] * 3))  # rad, m

@@ -12,7 +12,7 @@ import handlaser_gtsam as hl
 
 rng = np.random.default_rng(4)
 PLACES, RANGE_SIGMA = 60, 1e-3  # m
-BEAM = hl.BeamKeys(location=gtsam.symbol("l", 0), direction=gtsam.symbol("u", 0))
+BEAM = hl.factors.BeamKeys(location=gtsam.symbol("l", 0), direction=gtsam.symbol("u", 0))
 WALL = gtsam.symbol("w", 0)
 base, hand = (lambda j: gtsam.symbol("b", j)), (lambda j: gtsam.symbol("h", j))
 gaussian = gtsam.noiseModel.Diagonal.Sigmas

@@ -31,9 +31,9 @@ def measure(stations: hl.StationList, taken: int) -> hl.Recording:
 
 
 # "0.1 mm and 0.1 deg hold at 95 %": 1.96 standard deviations.
-goal = hl.Goal(location_sigma=1e-4 / 1.96, direction_sigma=math.radians(0.1) / 1.96)
+goal = hl.planning.Goal(location_sigma=1e-4 / 1.96, direction_sigma=math.radians(0.1) / 1.96)
 session = hl.Session(errors.stated(), hl.CalibrationOptions("none", sensor=rig.sensor))
-motion = hl.blind_motion(rig.bounds, rig.sensor, rig.workspace, errors.stated())
+motion = hl.planning.blind_motion(rig.bounds, rig.sensor, rig.workspace, errors.stated())
 recording = measure(motion.stations, 0)
 session.add(recording)
 taken = len(recording.station_names)

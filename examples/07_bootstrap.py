@@ -13,7 +13,7 @@ import handlaser_gtsam as hl
 
 
 def bootstrap(
-    recording: hl.Recording, errors: hl.Errors, rng: np.random.Generator, draws: int
+    recording: hl.Recording, errors: hl.validation.Errors, rng: np.random.Generator, draws: int
 ) -> np.ndarray:
     """Return the spread of the draws over the stated sigma (B, 8), for x, y, z, vx, vy, vz, k1, k2."""
     noise = errors.stated()
@@ -25,7 +25,7 @@ def bootstrap(
     # What was not read in the recording, or was rejected, is not read in the draws either.
     unread = np.isnan(used.ranges)
     drawn = [replace(one, ranges=np.where(unread, np.nan, one.ranges)) for one in drawn]
-    solved = hl.solve_many(drawn, noise, terms=2, starts=[truth] * draws)
+    solved = hl.estimation.solve_many(drawn, noise, terms=2, starts=[truth] * draws)
     assert solved.converged.all()
     beams = np.array([np.hstack(one.beams) for one in solved.parameters])
     stated = np.array([beam.sigma for beam in calibration.beams.values()])
@@ -34,7 +34,7 @@ def bootstrap(
 
 if __name__ == "__main__":
     gripper = Path(__file__).parent / "gripper" / "recording.csv"
-    known = hl.Errors(3e-5, pose_translation_sigma=2e-5, pose_rotation_sigma=1e-4)
+    known = hl.validation.Errors(3e-5, pose_translation_sigma=2e-5, pose_rotation_sigma=1e-4)
     ratio = bootstrap(hl.read_recording(gripper), known, np.random.default_rng(0), draws=400)
     names = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
     print("spread of 400 draws over the stated standard deviation, by beam:")

@@ -5,6 +5,7 @@ number belongs, True is a slip.
 """
 
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
 
@@ -59,9 +60,12 @@ def require_bool(name: str, value: object) -> None:
 def require_kind(name: str, value: object, kind: type, expected: str = "") -> None:
     """Refuse what is no instance of `kind`; say what is `expected`, or name the class."""
     if not isinstance(value, kind):
-        found = f"{shown(value)} of type {type(value).__name__} as {name}"
-        expected = expected or f"{kind.__module__.split('.')[0]}.{kind.__name__}(...)"
-        raise InputError(found, expected)
+        package, _, folder = ".".join(kind.__module__.split(".")[:2]).partition(".")
+        # The public name: at the top of the package, or in the module of the folder.
+        at_top = kind.__name__ in dir(sys.modules.get(package))
+        home = package if at_top or not folder else f"{package}.{folder}"
+        given = f"{shown(value)} of type {type(value).__name__} as {name}"
+        raise InputError(given, expected or f"{home}.{kind.__name__}(...)")
 
 
 def require_names(kind: str, names: object) -> None:

@@ -10,8 +10,23 @@ import polars
 
 import handlaser_gtsam as hl
 
+WHOLE_MODULES = {"scenes", "simulate", "starts"}
+"""Public modules that define what they offer, in place of names of one subject."""
+
+
+def offered() -> dict[str, object]:
+    """Return everything that has a public name, by that name: at the top and in modules."""
+    things = {name: getattr(hl, name) for name in dir(hl)}
+    modules = {name: thing for name, thing in things.items() if inspect.ismodule(thing)}
+    for name, module in modules.items():
+        if name not in WHOLE_MODULES:
+            names = getattr(module, "__all__", None) or dir(module)
+            things |= {one: getattr(module, one) for one in names}
+    return {name: thing for name, thing in things.items() if name not in modules}
+
+
 LATE = {"gtsam": gtsam, "pl": polars, "Drawing": object}  # the last is of matplotlib, an extra
-LATE |= {name: getattr(hl, name) for name in hl.__all__}
+LATE |= offered()
 """Names that modules import for type checkers only."""
 
 INSIDE = {"Session.state"}
@@ -50,7 +65,7 @@ def hints_of(thing: object) -> list[object]:
 def reachable() -> set[type]:
     """Return every class that the public names take or return, and those inside them."""
     found: set[type] = set()
-    waiting: list[object] = [getattr(hl, name) for name in hl.__all__]
+    waiting: list[object] = list(offered().values())
     while waiting:
         hints = hints_of(waiting.pop())
         new = {kind for hint in hints for kind in named(hint)} - found

@@ -57,7 +57,7 @@ def directions() -> list[FloatArray]:
 
 def calibrated(
     v: list[FloatArray] | None = None, names: tuple[str, ...] = (), status: str = "converged"
-) -> hl.CalibrationFile:
+) -> hl.files.CalibrationFile:
     """Return a calibration with these beam directions, or these names, and known numbers besides."""
     rng = np.random.default_rng(7)
     v = [unit(one) for one in rng.normal(size=(max(len(names), 3), 3))] if v is None else v
@@ -122,7 +122,7 @@ def calibrated(
         "iterations": 2,
         "start": {"method": "translations", "tried": []},
     }
-    return hl.CalibrationFile.model_validate_json(json.dumps(whole))
+    return hl.files.CalibrationFile.model_validate_json(json.dumps(whole))
 
 
 def true_point(beam, reading: float, t, R) -> FloatArray:

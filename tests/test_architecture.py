@@ -28,7 +28,7 @@ FLOORS = [
     "cli",
 ]
 """From the ground up, one folder a floor. A module may import from its own floor or below."""
-BASE = ("_version", "arrays", "checks", "errors", "quantities", "text")
+BASE = ("arrays", "checks", "errors", "lazy", "quantities", "text")
 """The files that lie flat below all folders."""
 WITHOUT_GTSAM = ("data", "model", "starts", "observability", "outliers")
 """Floors that work on NumPy alone, with all that they import."""

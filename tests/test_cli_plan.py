@@ -166,7 +166,9 @@ def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
 def test_check_and_calibrate_say_what_an_open_motion_lacks(handlaser, tmp_path):
     rng = np.random.default_rng(0)
     known = hl.read_rig(RIG)
-    motion = hl.blind_motion(known.bounds, known.sensor, known.workspace, known.noise).stations
+    motion = hl.planning.blind_motion(
+        known.bounds, known.sensor, known.workspace, known.noise
+    ).stations
     some = [j for j, name in enumerate(motion.station_names) if not name.startswith("via")][:5]
     truth = known.bounds.draw(rng)
     poses = Stations(

@@ -9,7 +9,7 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 
-BEAM = hl.BeamKeys(1, 2)
+BEAM = hl.factors.BeamKeys(1, 2)
 EXTREMES = [1e308, -1e308, 1e160, np.inf, -np.inf, 10**400, "x", None]
 NAMES = [repr(value)[:8] for value in EXTREMES]
 
@@ -57,7 +57,7 @@ def test_factors(value):
         lambda: hl.factors.range_to_plane(BEAM, 3, [gtsam.Pose3()], [0.1], value),
         lambda: hl.factors.range_to_plane_from_pose(BEAM, 3, 4, value, 3e-5),
         lambda: hl.factors.range_error_prior(5, [value, 0.1]),
-        lambda: hl.factors.beam_drift(BEAM, hl.BeamKeys(11, 12), value, 0.1),
+        lambda: hl.factors.beam_drift(BEAM, hl.factors.BeamKeys(11, 12), value, 0.1),
     ):
         with pytest.raises(hl.InputError):
             make()

@@ -17,8 +17,8 @@ from handlaser_gtsam.validation.scenes import Layout
 SIGMA = 1e-3
 FIX = gtsam.noiseModel.Diagonal.Sigmas(np.array([2e-3] * 3 + [1e-3] * 3))
 STEP = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-3] * 3 + [2e-3] * 3))
-BEAM = hl.BeamKeys(gtsam.symbol("l", 0), gtsam.symbol("u", 0))
-OTHER = hl.BeamKeys(gtsam.symbol("l", 1), gtsam.symbol("u", 1))
+BEAM = hl.factors.BeamKeys(gtsam.symbol("l", 0), gtsam.symbol("u", 0))
+OTHER = hl.factors.BeamKeys(gtsam.symbol("l", 1), gtsam.symbol("u", 1))
 WALL, FLOOR = gtsam.symbol("w", 0), gtsam.symbol("w", 1)
 PLANES = {"wall": WALL, "floor": FLOOR}
 TRUE_PLANES = {
@@ -212,8 +212,8 @@ def test_two_hands_share_one_beam_model():
 
 def test_beams_of_one_make_share_their_range_error():
     k, shared = (0.02, 0.005), gtsam.symbol("k", 0)
-    one = hl.BeamKeys(BEAM.location, BEAM.direction, shared)
-    two = hl.BeamKeys(OTHER.location, OTHER.direction, shared)
+    one = hl.factors.BeamKeys(BEAM.location, BEAM.direction, shared)
+    two = hl.factors.BeamKeys(OTHER.location, OTHER.direction, shared)
     walker = robot("x", 120, 1)
     graph = gtsam.NonlinearFactorGraph(walker.graph)
     r, v = R2, V2
@@ -260,7 +260,7 @@ def test_known_poses_give_what_calibrate_gives():
     batch = hl.calibrate(recording, noise, hl.CalibrationOptions("none", outliers="keep"))
     graph, values, beams, planes = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}, {}
     for i, (name, beam) in enumerate(batch.beams.items()):
-        beams[name] = hl.BeamKeys(1000 + i, 2000 + i)
+        beams[name] = hl.factors.BeamKeys(1000 + i, 2000 + i)
         values.insert(1000 + i, beam.location)
         values.insert(2000 + i, gtsam.Unit3(beam.direction))
     for p, (name, plane) in enumerate(batch.planes.items()):
@@ -326,7 +326,7 @@ def test_wrong_keys_are_refused(walk):
         hl.read_graph(graph, values, {}, PLANES)
     with pytest.raises(hl.InputError, match=r"plane x under w7.*a variable of the graph"):
         hl.read_graph(graph, values, {"laser": BEAM}, {"x": gtsam.symbol("w", 7)})
-    swapped = hl.BeamKeys(BEAM.direction, BEAM.location)
+    swapped = hl.factors.BeamKeys(BEAM.direction, BEAM.location)
     with pytest.raises(hl.InputError, match=r"another type under u0.*a Point3"):
         hl.read_graph(graph, values, {"laser": swapped}, PLANES)
     with pytest.raises(hl.InputError, match="no range factor of beam laser"):
@@ -430,7 +430,7 @@ def graph_of(recording, calibration, scale, sigma=3e-5):
     """Return a graph with a factor a beam and plane, lengths `scale` times as large, and its start."""
     graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}
     for i, (name, beam) in enumerate(calibration.beams.items()):
-        own = hl.BeamKeys(
+        own = hl.factors.BeamKeys(
             gtsam.symbol("l", i),
             gtsam.symbol("u", i),
             gtsam.symbol("e", i) if beam.terms else None,
@@ -476,11 +476,11 @@ def test_factors_that_are_no_readings_are_not_counted(walk):
 
 def test_graphs_that_cannot_be_read_or_solved_are_refused(walk):
     graph, values = gtsam.NonlinearFactorGraph(walk[0]), hl.optimize(*walk).values
-    two = {"a": BEAM, "b": hl.BeamKeys(BEAM.location, BEAM.direction)}
+    two = {"a": BEAM, "b": hl.factors.BeamKeys(BEAM.location, BEAM.direction)}
     with pytest.raises(hl.InputError, match="two names for one beam"):
         hl.read_graph(graph, values, two, PLANES)
     with pytest.raises(hl.InputError, match="different integers"):
-        hl.BeamKeys(BEAM.location, BEAM.direction, BEAM.location)
+        hl.factors.BeamKeys(BEAM.location, BEAM.direction, BEAM.location)
     graph.push_back(gtsam.PriorFactorPoint3(BEAM.location, R, gtsam.noiseModel.Constrained.All(3)))
     with pytest.raises(hl.InputError, match="constrained"):
         hl.read_graph(graph, hl.optimize(graph, values).values, {"laser": BEAM}, PLANES)
@@ -498,4 +498,4 @@ def test_arguments_of_another_kind_are_told(walk):
         hl.optimize(start, graph)
     for keys in ((1, 1), ("l0", "u0")):
         with pytest.raises(hl.InputError, match="integer"):
-            hl.BeamKeys(*keys)
+            hl.factors.BeamKeys(*keys)

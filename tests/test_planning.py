@@ -29,7 +29,7 @@ from handlaser_gtsam.validation.simulate import Stations, simulate
 
 NOISE = ERR.stated()
 RANGE_ERRORS = hl.CalibrationOptions("k1", sensor=SENSOR)
-WORKSPACE = hl.Workspace([0.5, 0.0, 0.25], [0.7, 0.2, 0.5], np.eye(3), math.radians(25.0))
+WORKSPACE = hl.planning.Workspace([0.5, 0.0, 0.25], [0.7, 0.2, 0.5], np.eye(3), math.radians(25.0))
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_updates_up_and_down_agree_with_the_final_covariance():
 
 
 def test_planned_stations_beat_random_ones(belief, pool):
-    goal, rng = hl.Goal(), np.random.default_rng(0)
+    goal, rng = hl.planning.Goal(), np.random.default_rng(0)
     rows = station_rows(belief, pool)
     weight = goal_rows(belief, goal, 0.015)
     chosen = choose(rows[None], belief.covariance, weight, 8)
@@ -263,7 +263,7 @@ def test_a_plan_predicts_the_calibration_that_follows(recorded):
 
 def test_a_plan_stops_where_the_goal_is_met(recorded):
     _, _, first = recorded
-    goal = hl.Goal(direction_sigma=math.radians(0.25))
+    goal = hl.planning.Goal(direction_sigma=math.radians(0.25))
     plan = hl.plan(first, 40, SENSOR, WORKSPACE, goal)
     assert plan.reached == len(plan) < 40
     assert plan.forecast.direction_sigma[-1] <= goal.direction_sigma
@@ -273,13 +273,13 @@ def test_a_plan_stops_where_the_goal_is_met(recorded):
 
 @pytest.mark.parametrize("criterion", ["A", "D", "E", "spot"])
 def test_every_criterion_gives_a_plan(recorded, criterion):
-    plan = hl.plan(recorded[2], 5, SENSOR, WORKSPACE, hl.Goal(criterion))
+    plan = hl.plan(recorded[2], 5, SENSOR, WORKSPACE, hl.planning.Goal(criterion))
     assert len(plan) == 5
     assert plan.forecast.spot[-1] < plan.forecast.spot[0]
 
 
 def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
-    placement = hl.Placement(2, largest_tilt=math.radians(20.0))
+    placement = hl.planning.Placement(2, largest_tilt=math.radians(20.0))
     plan = hl.plan(recorded[2], 8, SENSOR, WORKSPACE, placement=placement)
     assert set(plan.plates) == {"C", "D"}  # A and B are taken
     assert set(plan.stations.plane_labels) <= set(plan.plates)
@@ -317,14 +317,14 @@ def test_planes_out_of_reach_are_passed_over(recorded):
     n, b = first.planes["A"].normal, first.planes["A"].offset
     foot = np.array([0.6, 0.1, 0.4])
     foot = foot - (n @ foot + b) * n
-    far = {"far": hl.Plate(foot + 5.0 * n, n)}
+    far = {"far": hl.planning.Plate(foot + 5.0 * n, n)}
     plan = hl.plan(first, 4, SENSOR, WORKSPACE, plates=far)
     assert set(plan.stations.plane_labels) <= {"A", "B"}
     assert not plan.plates  # a person need not put what stands
 
 
 def test_a_workspace_out_of_reach_is_said(recorded):
-    far = hl.Workspace([2.0, 2.0, 2.0], [2.1, 2.1, 2.1], np.eye(3))
+    far = hl.planning.Workspace([2.0, 2.0, 2.0], [2.1, 2.1, 2.1], np.eye(3))
     with pytest.raises(hl.InputError, match="no station before plane A"):
         hl.plan(recorded[2], 5, SENSOR, far)
 
@@ -375,7 +375,7 @@ def test_long_steps_are_divided(pool):
 
 def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
     here = cell(np.random.default_rng(4), 1)
-    plan = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    plan = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     assert plan.safe >= 0.99
     rng = np.random.default_rng(8)
     outside = 0
@@ -399,7 +399,7 @@ def test_what_a_first_motion_still_lacks_is_found(taken):
     """A first motion that was broken off, and mounts drawn from the bounds."""
     rng = np.random.default_rng(taken)
     here = cell(rng, 1)
-    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    motion = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     begun = here.measured(motion, rng).part(np.arange(taken))
     options = hl.CalibrationOptions(sensor=SENSOR)
     assert hl.calibrate(begun, here.noise, options).status == "unobservable"
@@ -413,7 +413,9 @@ def test_what_a_first_motion_still_lacks_is_found(taken):
     whole = errors_of(found, here.truth)
     assert math.sqrt(whole[0].max()) < 5.0 * plan.forecast.location_sigma[-1] * math.sqrt(3.0)
     assert missing_stations(begun, None, SENSOR) is None
-    fewer = hl.Bounds(here.bounds.locations[:1], here.bounds.directions[:1], here.bounds.plate)
+    fewer = hl.planning.Bounds(
+        here.bounds.locations[:1], here.bounds.directions[:1], here.bounds.plate
+    )
     assert missing_stations(begun, fewer, SENSOR) is None
 
 
@@ -430,21 +432,21 @@ def test_bounds_too_wide_for_the_sensor_are_refused():
     here = cell(np.random.default_rng(4), 1)
     wide = replace(here.bounds, location_within=0.02)
     with pytest.raises(hl.InputError, match="narrower bounds"):
-        hl.blind_motion(wide, SENSOR, here.workspace, here.noise)
+        hl.planning.blind_motion(wide, SENSOR, here.workspace, here.noise)
 
 
 def test_bounds_whose_plate_is_turned_over_are_refused():
     """With its normal towards the sensor: before a first motion, and with one begun."""
     rng = np.random.default_rng(4)
     here = cell(rng, 1)
-    motion = hl.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    motion = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     begun = here.measured(motion, rng).part(np.arange(4))
     plate = replace(here.bounds.plate, normal=-here.bounds.plate.normal)
     over = replace(here.bounds, plate=plate)
     with pytest.raises(
         hl.InputError, match="a normal of the plate that points away from the sensor"
     ):
-        hl.blind_motion(over, SENSOR, here.workspace, here.noise)
+        hl.planning.blind_motion(over, SENSOR, here.workspace, here.noise)
     with pytest.raises(hl.InputError, match="points away from the sensor"):
         completing_motion(over, SENSOR, begun, here.workspace, here.noise)
     anywhere = replace(here.workspace, largest_turn=math.pi)

@@ -233,7 +233,7 @@ def planned_in_cell(tells, seed=1):
     cell.record_poses()
     cell.read()
     before = hl.calibrate(recording_of(cell), noise, options)
-    plan = hl.plan(before, 12, sensor, goal=hl.Goal(tells=tells))
+    plan = hl.plan(before, 12, sensor, goal=hl.planning.Goal(tells=tells))
     first = [cell.labels.index(label) for label in plan.stations.plane_labels]
     more = make_cell(seed)
     more.R, more.t = plan.stations.world_R_hand, plan.stations.world_t_hand

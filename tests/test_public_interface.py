@@ -3,6 +3,8 @@
 import ast
 import dataclasses
 import inspect
+import pydoc
+import re
 
 import annotations
 import gtsam
@@ -30,8 +32,7 @@ def calibration(gripper):
 
 
 def test_everything_that_is_taken_or_returned_has_a_public_name():
-    public = {getattr(hl, name) for name in hl.__all__}
-    public |= {getattr(hl.factors, name) for name in hl.factors.__all__}
+    public = {thing for thing in annotations.offered().values() if inspect.isclass(thing)}
     missing = {
         kind for kind in annotations.reachable() if not kind.__name__.startswith("_")
     } - public
@@ -44,19 +45,53 @@ def test_everything_that_is_taken_or_returned_has_a_public_name():
     assert missing - inside - bases == set()
 
 
-def test_type_checkers_see_the_names_that_there_are():
-    tree = ast.parse((ROOT / "handlaser_gtsam" / "__init__.py").read_text())
+LAZY = ("", *sorted({"data", "estimation", "files", "observability", "planning", "results"}))
+LAZY += ("session", "solvers", "validation")
+
+
+@pytest.mark.parametrize("module", LAZY)
+def test_type_checkers_see_the_names_that_there_are(module):
+    """Every name stands twice: in imports for type checkers, and with the home it is taken from."""
+    package = getattr(hl, module) if module else hl
+    tree = ast.parse((ROOT / "handlaser_gtsam" / module / "__init__.py").read_text())
     seen = {
-        alias.asname: f"{'.' * node.level}{node.module or ''}"
+        alias.asname: (node.level, node.module or "")
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.level
+        if isinstance(node, ast.ImportFrom) and node.level and node.module != "lazy"
         for alias in node.names
+        if alias.asname
     }
-    assert sorted(seen) == sorted(hl.__all__)
-    for name, home in seen.items():
-        thing = getattr(hl, name)
+    assert sorted(seen) == dir(package)
+    for name, (level, home) in seen.items():
+        thing = getattr(package, name)
         if not inspect.ismodule(thing) and hasattr(thing, "__module__"):
-            assert thing.__module__ in (f"handlaser_gtsam{home}", f"handlaser_gtsam{home}.session")
+            root = package.__name__ if level == 1 else "handlaser_gtsam"
+            assert thing.__module__ == f"{root}.{home}"
+
+
+def test_the_top_is_small_and_help_names_all_of_it():
+    assert len(dir(hl)) <= 70
+    named = set(re.findall(r"\w+", hl.__doc__))
+    assert set(dir(hl)) <= named
+    assert len(pydoc.render_doc(hl).splitlines()) < 120  # a few screens
+
+
+def test_every_public_name_stands_once():
+    """At the top or in one module, but for factors and the mathematics, which are whole modules."""
+    homes = [name for name in dir(hl) if not inspect.ismodule(getattr(hl, name))]
+    for module in LAZY[1:]:
+        homes += dir(getattr(hl, module))
+    assert len(homes) == len(set(homes))
+
+
+def test_a_name_that_stands_in_a_module_is_pointed_at():
+    with pytest.raises(AttributeError, match=r"it is handlaser_gtsam\.planning\.Workspace$"):
+        hl.Workspace  # noqa: B018
+    with pytest.raises(AttributeError, match=r"it is handlaser_gtsam\.factors\.BeamKeys$"):
+        hl.BeamKeys  # noqa: B018
+    with pytest.raises(AttributeError, match=r"no attribute 'Workplace'$"):
+        hl.Workplace  # noqa: B018
+    assert not hasattr(hl, "__wrapped__")
 
 
 # --- results -----------------------------------------------------------------------------------------
@@ -95,7 +130,7 @@ def test_the_graph_is_the_problem_that_was_solved(gripper, case):
     assert graph.error(values) == pytest.approx(found.cost, rel=1e-5)
     again = hl.optimize(graph, values)
     assert again.status == "converged"
-    moved = hl.read_parameters(problem, again.values)
+    moved = hl.solvers.read_parameters(problem, again.values)
     at = found.parameters() if found.at_scales is None else found.at_scales.parameters
     joint = found.covariance if found.at_scales is None else found.at_scales.covariance
     sigma = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, 8)[:, :3]
@@ -275,7 +310,7 @@ REFUSED = {
     "a sensor": (lambda: hl.read_recording("x.csv", 3), "handlaser_gtsam.Sensor(...)"),
     "a spot": (lambda: hl.spot(3, "1", 0.01), "handlaser_gtsam.Calibration(...)"),
     "mounts": (lambda: hl.Mounts.of(3), "handlaser_gtsam.Calibration(...)"),
-    "a graph": (lambda: hl.build_graph(3, 3, 0, 1.0), "handlaser_gtsam.Readings(...)"),
+    "a graph": (lambda: hl.solvers.build_graph(3, 3, 0, 1.0), "handlaser_gtsam.data.Readings(...)"),
     "a generator": (
         lambda: hl.validate(None, rng=3),
         "numpy.random.default_rng(...)",
@@ -294,12 +329,12 @@ def test_what_cannot_be_is_refused_in_one_line_that_says_what_can(case):
 
 OPTIONS = (
     hl.CalibrationOptions,
-    hl.IncrementalOptions,
-    hl.LevenbergOptions,
+    hl.session.IncrementalOptions,
+    hl.solvers.LevenbergOptions,
     hl.Limits,
     hl.LogFormat,
     hl.Noise,
-    hl.ObservabilityOptions,
+    hl.observability.ObservabilityOptions,
     hl.Plausible,
     hl.Sensor,
 )

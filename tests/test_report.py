@@ -739,8 +739,8 @@ def test_plane_by_plane_has_the_same_report(handlaser, tmp_path):
 
 def test_robot_and_sensor_are_those_of_the_rig(calibration, rig):
     """An arm that cannot be loaded gives no next stations; its name stands in the head all the same."""
-    robot = hl.Robot("folder/<arm>.urdf", "tool0")
-    workspace = hl.Workspace([0.5, 0.0, 0.2], [0.8, 0.2, 0.6], np.eye(3), robot=robot)
+    robot = hl.planning.Robot("folder/<arm>.urdf", "tool0")
+    workspace = hl.planning.Workspace([0.5, 0.0, 0.2], [0.8, 0.2, 0.6], np.eye(3), robot=robot)
     sensor = hl.Sensor(0.0, 0.03, max_incidence=math.radians(40.0), linearity=0.002)
     told = dataclasses.replace(rig, workspace=workspace, sensor=sensor)
     page = Page(report_text(calibration, hl.ReportOptions(told)))

@@ -32,14 +32,16 @@ ARMS = {
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    return hl.Robot(small_arm(tmp_path_factory.mktemp("arm")), "hand", HANGING, [0.2, 0.1, 0.5])
+    return hl.planning.Robot(
+        small_arm(tmp_path_factory.mktemp("arm")), "hand", HANGING, [0.2, 0.1, 0.5]
+    )
 
 
 def example(name):
     path = example_arm(ARMS[name][0])
     if path is None:
         pytest.skip("needs example-robot-data")
-    return hl.Robot(path, ARMS[name][1], HANGING, BASE, clearance=0.002)
+    return hl.planning.Robot(path, ARMS[name][1], HANGING, BASE, clearance=0.002)
 
 
 def drawn(robot, count, seed=0):
@@ -86,7 +88,7 @@ def test_the_hand_is_that_of_the_whole_arm_on_a_turned_base(tmp_path):
     import pinocchio
 
     path, turn = small_arm(tmp_path), Rotation.from_euler("xyz", [0.5, -0.3, 1.0]).as_matrix()
-    robot = hl.Robot(path, "hand", turn, [0.1, 0.2, 0.3])
+    robot = hl.planning.Robot(path, "hand", turn, [0.1, 0.2, 0.3])
     model = pinocchio.buildModelFromUrdf(path)
     data = model.createData()
     for q in drawn(robot, 5):
@@ -129,13 +131,13 @@ def test_poses_at_which_the_arm_meets_the_plate_are_refused(small):
     R, t = np.eye(3)[None], np.array([[0.5, 0.1, 0.4]])
     assert small.reachable(R, t).all()
     ahead = t[0] + [0.0, 0.0, 0.02]
-    assert small.reachable(R, t, hl.Plate(ahead, [0.0, 0.0, 1.0])).all()
+    assert small.reachable(R, t, hl.planning.Plate(ahead, [0.0, 0.0, 1.0])).all()
     behind = t[0] - [0.0, 0.0, 0.06]
-    assert not small.reachable(R, t, hl.Plate(behind, [0.0, 0.0, 1.0])).any()
+    assert not small.reachable(R, t, hl.planning.Plate(behind, [0.0, 0.0, 1.0])).any()
     # The finger is the nearest body to the plate: it ends 10 mm behind the hand's frame.
     for clearance, good in ((0.028, True), (0.032, False)):
         wide = replace(small, clearance=clearance)
-        assert wide.reachable(R, t, hl.Plate(ahead, [0.0, 0.0, 1.0])).all() == good
+        assert wide.reachable(R, t, hl.planning.Plate(ahead, [0.0, 0.0, 1.0])).all() == good
 
 
 @needs_pinocchio
@@ -163,7 +165,7 @@ def calibrated(recording):
 
 
 def workspace(robot):
-    return hl.Workspace(
+    return hl.planning.Workspace(
         [0.5, 0.0, 0.25], [0.7, 0.2, 0.5], np.eye(3), math.radians(25.0), robot=robot
     )
 
@@ -239,7 +241,7 @@ def test_nothing_but_the_first_link_may_be_below_the_table():
     """Of joints at which the arm touches nothing else, by the heights of its axes, on a tilted base."""
     path = example("ur5").urdf
     turn = Rotation.from_euler("xyz", [0.5, -0.3, 1.0]).as_matrix()
-    without = hl.Robot(path, "tool0", turn, [0.1, 0.2, 0.3], clearance=0.002)
+    without = hl.planning.Robot(path, "tool0", turn, [0.1, 0.2, 0.3], clearance=0.002)
     q = drawn(without, 150)
     lowest = heights(path, without, q)[:, 1:].min(axis=1)
     for level in (-0.3, 0.1):
@@ -267,7 +269,7 @@ def test_no_move_leads_through_the_table(recording, knows):
     options = hl.CalibrationOptions("k1", sensor=SENSOR)
     calibrated = hl.calibrate(turned, ERR.stated(), options)
     path, height = example("ur5").urdf, -0.6
-    robot = hl.Robot(
+    robot = hl.planning.Robot(
         path,
         ARMS["ur5"][1],
         base_t=[0.1, -0.1, height],
@@ -276,7 +278,7 @@ def test_no_move_leads_through_the_table(recording, knows):
         table=height if knows else None,
     )
     low, high = [0.5, -0.2, -0.5], [0.7, 0.0, -0.25]
-    where = hl.Workspace(low, high, HANGING, math.radians(25.0), robot=robot)
+    where = hl.planning.Workspace(low, high, HANGING, math.radians(25.0), robot=robot)
     plan = hl.plan(calibrated, 8, SENSOR, where)
     assert len(plan) == 8
     joints = np.vstack((robot.start, plan.stations.joints))
@@ -323,7 +325,7 @@ def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
 def test_a_first_motion_is_reached_too(small):
     rig = hl.read_rig(ROOT / "examples" / "planned" / "rig.toml")
     here = replace(rig.workspace, robot=replace(small, clearance=0.002))
-    plan = hl.blind_motion(rig.bounds, rig.sensor, here, rig.noise)
+    plan = hl.planning.blind_motion(rig.bounds, rig.sensor, here, rig.noise)
     check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
 
 
@@ -425,7 +427,7 @@ def test_without_pinocchio_the_way_to_install_it_is_said(handlaser, rig, monkeyp
 def test_nothing_of_pinocchio_is_imported_without_the_table():
     code = (
         "import sys, handlaser_gtsam as hl; rig = hl.read_rig('examples/planned/rig.toml'); "
-        "hl.blind_motion(rig.bounds, rig.sensor, rig.workspace, rig.noise); "
+        "hl.planning.blind_motion(rig.bounds, rig.sensor, rig.workspace, rig.noise); "
         "assert not {'pinocchio', 'coal', 'hppfcl'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -19,7 +19,8 @@ from helpers import draws
 
 import handlaser_gtsam as hl
 from benchmarks.studies import Studies
-from handlaser_gtsam import Case, Study, run_study
+from handlaser_gtsam import run_study
+from handlaser_gtsam.validation import Case, Study
 from handlaser_gtsam.validation.scenes import Layout, draw_scene
 from handlaser_gtsam.validation.simulate import Errors
 from handlaser_gtsam.validation.study import solve_runs
@@ -27,7 +28,7 @@ from handlaser_gtsam.validation.workers import ATTEMPTS, run_blocks
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = partial(draw_scene, layout=Layout(2, 3, 11), errors=Errors(3e-5))
-REDUCED = partial(hl.reduce_together, noise=EXACT)
+REDUCED = partial(hl.validation.reduce_together, noise=EXACT)
 ONE, TWO = partial(ThreadPoolExecutor, 1), partial(ProcessPoolExecutor, 2)
 HAS_DASK, HAS_MATPLOTLIB = find_spec("distributed") is not None, find_spec("matplotlib") is not None
 
@@ -95,7 +96,7 @@ def noted(rng, file):
 
 def test_what_was_interrupted_goes_on(tmp_path):
     path, notes = tmp_path / "runs.parquet", tmp_path / "notes"
-    keep = partial(hl.write_runs, path)
+    keep = partial(hl.files.write_runs, path)
     study = reduced(100, draw=partial(noted, file=str(notes)))
 
     def stop(told):
@@ -104,13 +105,13 @@ def test_what_was_interrupted_goes_on(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         run_study(study, ONE, None, keep, stop)
-    kept = hl.read_runs(path)
+    kept = hl.files.read_runs(path)
     assert kept["run"].to_list() == list(range(40))
     notes.write_text("")
     whole = run_study(study, ONE, kept, keep)
     assert set(map(int, notes.read_text().split())) == set(range(40, 100))
     assert whole.drop("study").equals(rows_of(reduced(100), ONE))
-    assert hl.read_runs(path).equals(whole)
+    assert hl.files.read_runs(path).equals(whole)
     more = run_study(replace(study, runs=130), ONE, whole)
     assert more.drop("study").equals(rows_of(reduced(130), ONE))
     assert run_study(study, ONE, more).equals(whole)
@@ -123,11 +124,13 @@ def test_honest_estimates_have_a_nees_of_one():
     errors = Errors(3e-5, 5e-5, np.radians(0.03))
     draw = partial(draw_scene, scene="unplanned", layout=Layout(2, 4, 11), errors=errors)
     cases = [
-        Case("robot", "told", draw, partial(hl.reduce_together, noise=errors.stated())),
+        Case("robot", "told", draw, partial(hl.validation.reduce_together, noise=errors.stated())),
         Case("robot", "taken as exact", draw, REDUCED),
     ]
     runs = draws(60, 200)
-    told, exact = hl.summarize_runs(run_study(Study(cases, runs, 1), TWO)).rows(named=True)
+    told, exact = hl.validation.summarize_runs(run_study(Study(cases, runs, 1), TWO)).rows(
+        named=True
+    )
     assert told["converged"] == exact["converged"] == 100.0
     # The NEES of 60 runs has a standard error of 0.06: sigmas that are a quarter too small, which is
     # a NEES of 1.8, would pass in one of 5000 studies, and those of the other treatment never do.
@@ -139,7 +142,7 @@ def test_honest_estimates_have_a_nees_of_one():
 
 def test_both_treatments_see_the_same_recordings():
     options = hl.CalibrationOptions("none", outliers="keep")
-    calibrated = partial(hl.calibrate_each, noise=EXACT, options=options)
+    calibrated = partial(hl.validation.calibrate_each, noise=EXACT, options=options)
     cases = [Case("paper", "reduction", PAPER, REDUCED), Case("paper", "", PAPER, calibrated)]
     one, other = run_study(Study(cases, 3), ONE).partition_by("treatment")
     for name in ("location_squares", "direction_squares", "nees", "worst"):
@@ -152,22 +155,22 @@ def test_recordings_of_several_shapes_are_solved_in_their_order():
     ranges = recordings[1].ranges.copy()
     ranges[5, 0] = np.nan
     recordings[1] = replace(recordings[1], ranges=ranges)
-    together = hl.reduce_together(recordings, EXACT)
+    together = hl.validation.reduce_together(recordings, EXACT)
     for one, recording in zip(together, recordings, strict=True):
-        (alone,) = hl.reduce_together([recording], EXACT)
+        (alone,) = hl.validation.reduce_together([recording], EXACT)
         assert alone == one
 
 
 def test_refusals_and_warnings_are_counted():
     draw = partial(draw_scene, layout=Layout(1, 1, 4), errors=Errors(3e-5))
-    case = Case("poor", "calibrate", draw, partial(hl.calibrate_each, noise=EXACT))
+    case = Case("poor", "calibrate", draw, partial(hl.validation.calibrate_each, noise=EXACT))
     runs = run_study(Study([case], 4), ONE)
     assert runs["status"].is_in(["refused", "undetermined", "converged", "unobservable"]).all()
-    assert hl.summarize_runs(runs)["converged"][0] < 100.0
+    assert hl.validation.summarize_runs(runs)["converged"][0] < 100.0
     codes = pl.Series([["a", "b", "a"], [], ["b"], ["b"]])
-    warnings = hl.count_warnings(runs.with_columns(codes=codes))
+    warnings = hl.validation.count_warnings(runs.with_columns(codes=codes))
     assert warnings.rows() == [("poor", "calibrate", "a", 25.0), ("poor", "calibrate", "b", 75.0)]
-    assert hl.summarize_runs(runs.with_columns(codes=codes))["warned"][0] == 75.0
+    assert hl.validation.summarize_runs(runs.with_columns(codes=codes))["warned"][0] == 75.0
 
 
 @pytest.mark.parametrize(
@@ -194,10 +197,10 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     path = tmp_path / "mine.parquet"
     pl.DataFrame({"a": [1]}).write_parquet(path)
     with pytest.raises(hl.InputError, match="no runs of a study"):
-        hl.read_runs(path)
+        hl.files.read_runs(path)
     path.write_text("text")
     with pytest.raises(hl.InputError, match="no runs of a study"):
-        hl.read_runs(path)
+        hl.files.read_runs(path)
 
 
 STUDY = """
@@ -237,9 +240,9 @@ def test_a_study_is_declared_in_a_file(tmp_path):
     scene = found.cases[0].draw.keywords
     assert scene["layout"] == Layout(2, 3, 11, 0.01)
     assert scene["range_error_sigmas"] == (0.002, 0.0)
-    assert found.cases[0].solve.func is hl.reduce_together
+    assert found.cases[0].solve.func is hl.validation.reduce_together
     assert found.cases[0].solve.keywords == {"noise": hl.Noise(3e-5, 0.0, 0.0), "terms": 1}
-    assert found.cases[2].solve.func is hl.calibrate_each
+    assert found.cases[2].solve.func is hl.validation.calibrate_each
     assert found.cases[2].solve.keywords["noise"] is None
     assert found.cases[2].solve.keywords["options"].outliers == "keep"
 
@@ -291,7 +294,7 @@ def test_the_command_prints_a_line_for_every_case(tmp_path):
     found = run_cli(*arguments)
     assert found.returncode == 0, found.stderr
     assert "together" in found.stdout
-    assert hl.read_runs(out).height == 20
+    assert hl.files.read_runs(out).height == 20
     assert picture.exists() == HAS_MATPLOTLIB
     again = run_cli(*arguments, "--json")
     summary = json.loads(again.stdout)["summary"]
@@ -322,7 +325,7 @@ def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path):
     _, stderr = begun.communicate(timeout=60)
     assert begun.returncode == 130, stderr
     assert stderr.splitlines()[-1] == "handlaser: stopped by Ctrl-C"
-    kept = hl.read_runs(out)
+    kept = hl.files.read_runs(out)
     assert 0 < kept.height < 4000
     again = run_cli(*command[3:], "--out", str(out), "--runs", str(kept.height), "--json")
     assert json.loads(again.stdout)["summary"][0]["runs"] == kept.height

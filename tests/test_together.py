@@ -110,7 +110,7 @@ def test_recordings_are_solved_as_by_calibrate(errors):
     noise = errors.stated()
     if not noise.poses_uncertain:
         noise = hl.Noise(SIGMA, 0.0, 0.0)
-    found = hl.solve_many(recordings, noise)
+    found = hl.estimation.solve_many(recordings, noise)
     options = hl.CalibrationOptions("k1k2", outliers="keep")
     for k, recording in enumerate(recordings):
         one = hl.calibrate(recording, noise, options)
@@ -142,13 +142,13 @@ def test_what_is_not_of_one_shape_is_refused():
     one, other = scene(0)[0], scene(0, True)[0]
     given = ROBOT.stated()
     with pytest.raises(hl.InputError, match="different shapes"):
-        hl.solve_many([one, other], given)
+        hl.estimation.solve_many([one, other], given)
     with pytest.raises(hl.InputError, match="not given"):
-        hl.solve_many([one], hl.Noise(SIGMA))
+        hl.estimation.solve_many([one], hl.Noise(SIGMA))
     with pytest.raises(hl.InputError, match="no recordings"):
-        hl.solve_many([], given)
+        hl.estimation.solve_many([], given)
     with pytest.raises(hl.InputError, match="range-error terms"):
-        hl.solve_many([one], given, 3)
+        hl.estimation.solve_many([one], given, 3)
 
 
 def test_rows_on_the_grid_are_those_of_the_model():

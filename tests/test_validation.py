@@ -102,7 +102,9 @@ def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
     bootstrap = runpy.run_path(str(ROOT / "examples" / "07_bootstrap.py"))["bootstrap"]
     count = draws(200, 1000)
-    ratio = bootstrap(gripper, hl.Errors(3e-5, *pose_sigmas), np.random.default_rng(0), count)
+    ratio = bootstrap(
+        gripper, hl.validation.Errors(3e-5, *pose_sigmas), np.random.default_rng(0), count
+    )
     assert ratio.shape == (4, 8)
     # n draws tell a standard deviation to 1 / sqrt(2 n); the largest of 32 is within four of it.
     one = 1.0 / math.sqrt(2.0 * count)

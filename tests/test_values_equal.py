@@ -45,7 +45,7 @@ def values(gripper):
                 hl.hold_out(mounts, one),
                 hl.cross_check(calibration, gripper),
                 hl.spot(calibration, beam, 0.01),
-                hl.RangeErrorPrior(np.array([[1.0, np.nan]]), np.ones((1, 2))),
+                hl.data.RangeErrorPrior(np.array([[1.0, np.nan]]), np.ones((1, 2))),
             )
         )
     )
@@ -116,7 +116,7 @@ def test_representations_are_short(values):
 
 def test_representations_show_small_numbers_and_sizes():
     assert repr(hl.Noise(range_sigma=3e-5)) == "Noise(range_sigma=3e-05)"
-    lot = hl.RangeErrorPrior(np.ones((2, 3)), np.ones((24, 4)))
+    lot = hl.data.RangeErrorPrior(np.ones((2, 3)), np.ones((24, 4)))
     assert repr(lot) == "RangeErrorPrior(sigma=[[1., 1., 1.], [1., 1., 1.]], mean=<array 24x4>)"
 
 
@@ -152,7 +152,7 @@ def test_fields_are_the_same(a, b, equal):
 
 def test_who_holds_arrays_is_a_value():
     """Dataclasses without arrays compare as they are; their hash then follows their fields."""
-    with_gtsam = {hl.LevenbergResult, hl.CalibrationGraph, hl.PosePriors}
+    with_gtsam = {hl.solvers.LevenbergResult, hl.solvers.CalibrationGraph, hl.solvers.PosePriors}
     for kind in annotations.reachable() - with_gtsam:
         if dataclasses.is_dataclass(kind) and ".factors." not in kind.__module__:
             array = "ndarray" in str(typing.get_type_hints(kind))

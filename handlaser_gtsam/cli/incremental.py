@@ -13,8 +13,9 @@ from ..pipeline import calibrate
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
-from ..session import Comparison, Session, Update
 from ..session.drift import Moved
+from ..session.reports import Comparison, Update
+from ..session.session import Session
 from ..solvers.progress import tell
 
 

@@ -4,7 +4,7 @@ from typing import Any, cast
 
 import typer
 
-from .._version import __version__
+from .. import __version__
 from ..files.logs.format import LogFormat
 from .calibrate import calibrate
 from .check import check

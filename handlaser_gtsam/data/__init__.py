@@ -1,1 +1,20 @@
 """What goes in, checked and frozen: recordings, noise, parameters; what a column really holds."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .parameters import RangeErrorPrior as RangeErrorPrior
+    from .readings import Readings as Readings
+    from .readings import Regressors as Regressors
+    from .recording_checks import HasMatrix as HasMatrix
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "parameters": "RangeErrorPrior",
+            "readings": "Readings Regressors",
+            "recording_checks": "HasMatrix",
+        },
+    )

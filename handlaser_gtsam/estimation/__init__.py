@@ -1,1 +1,25 @@
 """The joint estimate: unknown scales of noise and range errors, learned and integrated over."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .information import NoiseSet as NoiseSet
+    from .learned import LearnedScales as LearnedScales
+    from .many_recordings import SolvedMany as SolvedMany
+    from .many_recordings import solve_many as solve_many
+    from .range_error_grid import RangeErrorGrid as RangeErrorGrid
+    from .scales import Scale as Scale
+    from .scales import Scales as Scales
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "information": "NoiseSet",
+            "learned": "LearnedScales",
+            "many_recordings": "SolvedMany solve_many",
+            "range_error_grid": "RangeErrorGrid",
+            "scales": "Scale Scales",
+        },
+    )

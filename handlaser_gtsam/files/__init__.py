@@ -1,1 +1,22 @@
 """Every file format that goes in or out."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .calibration_file import CalibrationFile as CalibrationFile
+    from .logs.report import LogReport as LogReport
+    from .rig_toml import Rig as Rig
+    from .runs_parquet import read_runs as read_runs
+    from .runs_parquet import write_runs as write_runs
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "calibration_file": "CalibrationFile",
+            "logs.report": "LogReport",
+            "rig_toml": "Rig",
+            "runs_parquet": "read_runs write_runs",
+        },
+    )

@@ -26,13 +26,22 @@ from .geometry import (
     spots,
     tangent_basis,
 )
+from .joint import JointCovariance
+from .losses import Loss
+from .sensor import Rejected
+from .weighting import Variances, Whitening, whitening
 
 __all__ = [
     "GRAZING_LIMIT",
     "LEAST_FACTOR",
     "MOST_FACTOR",
+    "JointCovariance",
     "Linearization",
+    "Loss",
+    "Rejected",
     "Scene",
+    "Variances",
+    "Whitening",
     "corrected",
     "cosines",
     "linearize",
@@ -50,4 +59,5 @@ __all__ = [
     "spots",
     "tangent_basis",
     "tangent_columns",
+    "whitening",
 ]

@@ -1,1 +1,40 @@
 """What follows from an estimate: the calibration, its warnings, systematic errors, verdict."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .calibration_fields import Coordinate as Coordinate
+    from .calibration_fields import Correlation as Correlation
+    from .improvement import Improvement as Improvement
+    from .limits import LimitCheck as LimitCheck
+    from .measuring import MeasuredPlane as MeasuredPlane
+    from .measuring import Spot as Spot
+    from .reports import Beam as Beam
+    from .reports import BeamMixture as BeamMixture
+    from .reports import Determined as Determined
+    from .reports import Fit as Fit
+    from .reports import NoiseComponent as NoiseComponent
+    from .reports import Plane as Plane
+    from .reports import RangeErrorScales as RangeErrorScales
+    from .reports import ScaledSolution as ScaledSolution
+    from .reports import StartReport as StartReport
+    from .spot_error import VarianceShares as VarianceShares
+    from .systematic import SystematicError as SystematicError
+    from .verdict import Verdict as Verdict
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "calibration_fields": "Coordinate Correlation",
+            "improvement": "Improvement",
+            "limits": "LimitCheck",
+            "measuring": "MeasuredPlane Spot",
+            "reports": "Beam BeamMixture Determined Fit NoiseComponent"
+            " Plane RangeErrorScales ScaledSolution StartReport",
+            "spot_error": "VarianceShares",
+            "systematic": "SystematicError",
+            "verdict": "Verdict",
+        },
+    )

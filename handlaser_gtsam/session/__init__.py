@@ -1,6 +1,21 @@
 """Recalibration as planes are added: a calibration that grows, and knows what each plane taught it."""
 
-from .reports import Change, Comparison, Update
-from .session import Session
+from typing import TYPE_CHECKING
 
-__all__ = ["Change", "Comparison", "Session", "Update"]
+if TYPE_CHECKING:
+    from ..solvers.incremental import IncrementalOptions as IncrementalOptions
+    from .drift import Moved as Moved
+    from .reports import Change as Change
+    from .reports import Comparison as Comparison
+    from .reports import Update as Update
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            ".solvers.incremental": "IncrementalOptions",
+            "drift": "Moved",
+            "reports": "Change Comparison Update",
+        },
+    )

@@ -1,1 +1,26 @@
 """Solvers: Levenberg-Marquardt on the graph, the paper's reduction in NumPy, SciPy as reference."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .graph import CalibrationGraph as CalibrationGraph
+    from .graph import build_graph as build_graph
+    from .graph import read_parameters as read_parameters
+    from .levenberg import LevenbergOptions as LevenbergOptions
+    from .levenberg import LevenbergResult as LevenbergResult
+    from .poses import PosePriors as PosePriors
+    from .poses import pose_priors as pose_priors
+    from .progress import Progress as Progress
+    from .progress import Trial as Trial
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "graph": "CalibrationGraph build_graph read_parameters",
+            "levenberg": "LevenbergOptions LevenbergResult",
+            "poses": "PosePriors pose_priors",
+            "progress": "Progress Trial",
+        },
+    )

@@ -1,1 +1,37 @@
-"""Checks by what was not used, or is made up: left-out planes, a second solver, simulated studies."""
+"""Checks by what was not used, or is made up: planes held out, a second solver, studies."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .cross_check import CrossCheck as CrossCheck
+    from .hold_out import BeamDrift as BeamDrift
+    from .hold_out import HoldOut as HoldOut
+    from .leave_out import PlaneLeftOut as PlaneLeftOut
+    from .leave_out import Validation as Validation
+    from .prediction import Prediction as Prediction
+    from .runs_table import count_warnings as count_warnings
+    from .runs_table import summarize_runs as summarize_runs
+    from .scenes import Layout as Layout
+    from .simulate import Errors as Errors
+    from .study import Case as Case
+    from .study import Study as Study
+    from .treatments import Estimated as Estimated
+    from .treatments import calibrate_each as calibrate_each
+    from .treatments import reduce_together as reduce_together
+else:
+    from ..lazy import lazy_names
+
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "cross_check": "CrossCheck",
+            "hold_out": "BeamDrift HoldOut",
+            "leave_out": "PlaneLeftOut Validation",
+            "prediction": "Prediction",
+            "runs_table": "count_warnings summarize_runs",
+            "scenes": "Layout",
+            "simulate": "Errors",
+            "study": "Case Study",
+            "treatments": "Estimated calibrate_each reduce_together",
+        },
+    )

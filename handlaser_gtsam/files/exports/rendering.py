@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
-from ..._version import __version__
+from ... import __version__
 from ...quantities import IN_DEG, IN_MM
 from .names import literal
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..._version import __version__
+from ... import __version__
 from ...quantities import IN_MM
 from ...results.description.evidence import rejected_words
 from ...results.description.tables import Column, Facts, Table, concise, number, sentence, text
