@@ -249,11 +249,11 @@ def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
     interrupt = (
         "import signal, sys, threading, os\n"
         "import handlaser_gtsam.solvers.levenberg as solver\n"
-        "record = solver._Search._record\n"
+        "record = solver._LevenbergSearch._record\n"
         "def interrupted(self, *rest):\n"
         "    record(self, *rest)\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "solver._Search._record = interrupted\n"
+        "solver._LevenbergSearch._record = interrupted\n"
         "from handlaser_gtsam.cli import main\n"
         f"sys.argv = ['handlaser', 'calibrate', {str(tmp_path / 'recording.csv')!r}, '-q',"
         f" '--out', {str(tmp_path / 'result.json')!r}]\n"
