@@ -62,10 +62,18 @@ def hints_of(thing: object) -> list[object]:
     return [hint for one in hints for hint in one.values()]
 
 
+def _home(thing: object) -> str:
+    return str(getattr(thing, "__module__", ""))
+
+
 def reachable() -> set[type]:
     """Return every class that the public names take or return, and those inside them."""
     found: set[type] = set()
-    waiting: list[object] = list(offered().values())
+    bare = (
+        "handlaser_gtsam.factors.",
+        "handlaser_gtsam.model.equation",
+    )  # mathematics on bare arrays
+    waiting = [thing for thing in offered().values() if not _home(thing).startswith(bare)]
     while waiting:
         hints = hints_of(waiting.pop())
         new = {kind for hint in hints for kind in named(hint)} - found
