@@ -66,7 +66,7 @@ def planned(scene: Seen, seed: int) -> hl.Recording:
     first = [np.flatnonzero(index == p)[:BEFORE] for p in range(PLANES)]
     begun = one.part(np.concatenate(first))
     known = hl.calibrate(begun, scene.noise, hl.CalibrationOptions("k1k2", sensor=SENSOR))
-    room = hl.Workspace([0.4, -0.1, 0.2], [0.8, 0.3, 0.6], np.eye(3), LARGEST_TURN)
+    room = hl.planning.Workspace([0.4, -0.1, 0.2], [0.8, 0.3, 0.6], np.eye(3), LARGEST_TURN)
     at = hl.plan(known, PLANNED, SENSOR, room).stations
     planes = np.array([one.plane_names.index(label) for label in at.plane_labels])
     used = sorted(set(planes.tolist()))
