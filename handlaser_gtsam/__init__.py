@@ -86,8 +86,8 @@ if TYPE_CHECKING:
     from .planning.route import Plan as Plan
     from .planning.workspace import Workspace as Workspace
     from .results.calibration import Calibration as Calibration
-    from .results.calibration_fields import Coordinate as Coordinate
-    from .results.calibration_fields import Correlation as Correlation
+    from .results.correlations import Coordinate as Coordinate
+    from .results.correlations import Correlation as Correlation
     from .results.graph_reading import read_graph as read_graph
     from .results.improvement import Improvement as Improvement
     from .results.limits import LimitCheck as LimitCheck
@@ -199,7 +199,7 @@ _NAMES = {
     "planning.route": "Plan",
     "planning.workspace": "Workspace",
     "results.calibration": "Calibration",
-    "results.calibration_fields": "Coordinate Correlation",
+    "results.correlations": "Coordinate Correlation",
     "results.graph_reading": "read_graph",
     "results.improvement": "Improvement",
     "results.limits": "LimitCheck Limits",

@@ -17,8 +17,8 @@ from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of
 from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
-from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.results.systematic_words import WORDING
+from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
 

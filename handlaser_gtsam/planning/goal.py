@@ -13,8 +13,8 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM
-from ..results.systematic_columns import OF_READINGS
 from ..results.limits import Limits
+from ..results.systematic_columns import OF_READINGS
 from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT, DIRECTION_UNIT = 1e-4, math.radians(0.1)

@@ -20,9 +20,9 @@ from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances, own_variances, whitening
-from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
+from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..validation.simulate import Stations, read_back
 from .belief import BEAM, PLANE, Belief, belief_of
 from .goal import Goal

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
+from ..estimation.task import UNIT_SIGMA
 from ..model.errors_in_variables import weighed
 from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
 from ..model.losses import Loss
@@ -26,8 +27,6 @@ if TYPE_CHECKING:  # both take long to import, and few need them
 
     from ..solvers.graph import CalibrationGraph
 
-UNIT_SIGMA = 1e-3
-"""Range sigma [m] of readings that fit exactly, which show none."""
 UNITS = {"x": "_m", "y": "_m", "z": "_m", "b": "_m", "k2": "_per_m"}
 """Ends of the names of coordinates that have a unit."""
 

@@ -41,16 +41,14 @@ from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
+from ..solvers.elimination import RANK
 from ..solvers.normal_equations import normal_equations
 from .calibration_fields import CalibrationData
 from .reports import Beam
+from .significance import CONFIDENCE
 
-LEVEL = 0.95
-"""Probability with which a laser spot is within its radius."""
-STEP = 2.0
+DERIVATIVE_FACTOR = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""
-RANK = 1e-12
-"""Eigenvalues below this part of the largest are rounding, in natural units."""
 
 Quantity = Literal["location", "direction", "range error"]
 ROWS: dict[Quantity, slice] = {
@@ -91,7 +89,7 @@ def radius(covariance: FloatArray, dof: float = math.inf) -> float:
     if mean == 0.0:
         return 0.0
     f = float((values / mean).sum() ** 2 / ((values / mean) ** 2).sum())
-    ratio = chi2_quantile(LEVEL, f) / f if math.isinf(dof) else f_quantile(LEVEL, f, dof)
+    ratio = chi2_quantile(CONFIDENCE, f) / f if math.isinf(dof) else f_quantile(CONFIDENCE, f, dof)
     return math.sqrt(mean * float(ratio))
 
 
@@ -183,13 +181,13 @@ def _pose_share(calibration: CalibrationData, J: FloatArray) -> float:
             _spot_variance(
                 calibration, J, readings, replace(variances, pose=factor * variances.pose)
             )
-            for factor in (1.0 / STEP, STEP)
+            for factor in (1.0 / DERIVATIVE_FACTOR, DERIVATIVE_FACTOR)
         )
     except HandlaserError:
         return math.nan
     if not low > 0.0:
         return math.nan
-    return _part(math.log(high / low) / (2.0 * math.log(STEP)))
+    return _part(math.log(high / low) / (2.0 * math.log(DERIVATIVE_FACTOR)))
 
 
 def _spot_variance(

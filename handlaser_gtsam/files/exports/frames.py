@@ -4,7 +4,6 @@ A beam has no roll: any frame turned about it is as good. One rule chooses it, `
 """
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,22 +15,6 @@ OPPOSITE = 1e-12
 """Sum of two unit vectors below which they count as opposite."""
 HALF_TURN = {"x": (0.0, 0.0, 1.0), "y": (1.0, 0.0, 0.0), "z": (0.0, 1.0, 0.0)}
 """Where the beam is opposite to an axis: the axis that is turned over with it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """A frame in the hand frame.
-
-    Attributes
-    ----------
-    R : (3, 3)
-        hand_R_frame.
-    t : (3,)
-        Its origin [m].
-    """
-
-    R: FloatArray
-    t: FloatArray
 
 
 def smallest_rotation(axis: Axis, v: FloatArray) -> FloatArray:
