@@ -97,7 +97,7 @@ def error_of(shift: FloatArray, **columns: Any) -> SystematicError:
     still, spots = np.zeros_like(shift), np.zeros((len(shift), 4, 3))
     spots[:, 0] = shift
     found = SystematicError(
-        "sag",
+        code="sag",
         subject="",
         unit="m",
         size=1e-4,

@@ -10,8 +10,8 @@ import time
 import pytest
 from helpers import simulated
 
-from handlaser_gtsam.cli.progress_line import FIRST, Working
-from handlaser_gtsam.cli.stopping import Stopping
+from handlaser_gtsam.cli.progress_line import QUIET_S, Working
+from handlaser_gtsam.cli.stopping import CtrlC
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.solvers.progress import tell
 from handlaser_gtsam.validation.scenes import Layout
@@ -108,7 +108,7 @@ def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tm
     began, shown = time.monotonic(), b""
     while b" s" not in shown:
         shown += os.read(screen, 1000)
-    assert time.monotonic() - began >= FIRST
+    assert time.monotonic() - began >= QUIET_S
     assert shown.startswith(CLEAR + b"handlaser: ")
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=60) == 130
@@ -120,7 +120,7 @@ def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tm
 
 
 def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
-    monkeypatch.setattr(Stopping, "asked", True)
+    monkeypatch.setattr(CtrlC, "asked", True)
     with Working():
         tell("solve")
         with pytest.raises(KeyboardInterrupt):
@@ -130,7 +130,7 @@ def test_a_part_that_was_stopped_is_followed_by_no_other(monkeypatch):
 def test_who_has_to_ignore_the_signal_goes_on_ignoring_it():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with Stopping():
+        with CtrlC():
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
@@ -146,9 +146,9 @@ def test_an_import_that_swallows_the_exception_does_not_swallow_the_stop(tmp_pat
     code = (
         "import signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from handlaser_gtsam.cli.stopping import Stopping\n"
+        "from handlaser_gtsam.cli.stopping import CtrlC\n"
         f"sys.path.append({str(tmp_path)!r})\n"
-        "with Stopping():\n"
+        "with CtrlC():\n"
         "    try: import swallowing\n"
         "    except ImportError: print('went on')\n"
     )

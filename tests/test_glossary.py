@@ -7,7 +7,7 @@ import pytest
 from helpers import GRIPPER, ROOT, degenerate
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.calibration_fields import LABELS
+from handlaser_gtsam.results.correlations import LABELS
 from handlaser_gtsam.results.description import rendering, screen
 from handlaser_gtsam.results.systematic_words import WORDING
 from handlaser_gtsam.results.verdict import OPENING

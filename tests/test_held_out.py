@@ -10,7 +10,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.planning.history import history
 from handlaser_gtsam.solvers.linear import CalibrationSystem
 from handlaser_gtsam.validation.held_out import USUAL_SPLITS, held_out
-from handlaser_gtsam.validation.parts import Whole
+from handlaser_gtsam.validation.parts import WholeSolution
 from handlaser_gtsam.validation.scenes import Layout
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
@@ -149,7 +149,9 @@ def test_all_stations_are_the_solution_at_the_most_probable_scales(gripper):
     calibration = hl.calibrate(gripper, hl.Noise())
     scaled = calibration.at_scales
     assert scaled.range_error_prior is not None
-    found = Whole.of(calibration).solved_from(np.ones(len(gripper.plane_labels), dtype=bool))
+    found = WholeSolution.of(calibration).solved_from(
+        np.ones(len(gripper.plane_labels), dtype=bool)
+    )
     own = np.sqrt(np.diagonal(found.joint.matrix(planes=[])))
     whole = np.sqrt(np.diagonal(scaled.covariance.matrix(planes=[])))
     assert own == pytest.approx(whole, rel=1e-3)

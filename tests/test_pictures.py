@@ -11,7 +11,7 @@ from helpers import GRIPPER
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.options import ReportOptions
 from handlaser_gtsam.files.report.page import report_text
-from handlaser_gtsam.results.description.tables import LONGEST
+from handlaser_gtsam.results.description.tables import NAME_IN_TABLE
 from handlaser_gtsam.text import shortened
 
 HOSTILE = ("<script>alert(1)</script>", "$x^2$ & </td>", "_hidden", "%{x}" + "y" * 100)
@@ -75,7 +75,7 @@ def test_names_in_a_notebook_are_text(hostile):
     assert "<script" not in page
     root = ElementTree.fromstring(f"<div>{page.replace('&plusmn;', '+-')}</div>")
     first = [row[0].text for row in root.findall(".//tbody/tr")]
-    assert first == [shortened(name, LONGEST) for name in HOSTILE]
+    assert first == [shortened(name, NAME_IN_TABLE) for name in HOSTILE]
 
 
 def test_a_notebook_shows_no_number_that_means_nothing(gripper, noise):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.calibration_fields import Coordinate, Correlation, strong_correlations
+from handlaser_gtsam.results.correlations import Coordinate, Correlation, strong_correlations
 from handlaser_gtsam.results.measuring import measured_plane, spot
 
 READING = 0.015

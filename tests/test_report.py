@@ -343,7 +343,7 @@ def test_correlations_are_those_of_the_covariance(page, calibration):
     assert C[0, 1] == pytest.approx(S[0, 1] / math.sqrt(S[0, 0] * S[1, 1]), abs=1e-3)
     listed = page.table("correlations")
     upper = np.abs(C[np.triu_indices(28, 1)])
-    assert f"{(upper > 0.8).sum()} pairs" in page.text
+    assert f"{(upper > 0.95).sum()} pairs" in page.text  # as the JSON has them, and their advice
     assert abs(listed[0][2][1]) == pytest.approx(upper.max(), abs=1e-3)
 
 
@@ -720,10 +720,10 @@ def test_of_many_stations_those_with_the_largest_residuals_are_listed():
     found = hl.calibrate(recording, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions("none"))
     page = sound(found)
     largest = np.nanmax(np.abs(found.fit.residuals), axis=1)
-    worst = np.sort(np.argsort(-largest, kind="stable")[:400])
+    worst = np.sort(np.argsort(-largest, kind="stable")[:200])
     names = [row[0][0] for row in page.table("stations")]
     assert names == [recording.station_names[j] for j in worst]
-    assert "The 400 stations of 550 with the largest residuals" in page.text
+    assert "The 200 stations of 550 with the largest residuals" in page.text
     assert re.search(r"\d+ of 2200 readings are drawn, the largest residuals among them", page.text)
     assert "40 of 50 planes were held out" in page.text
 

@@ -19,12 +19,13 @@ from handlaser_gtsam.results.projection import linear_rows
 from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
-from handlaser_gtsam.results.systematic_columns import DIRECTIONS, WHOLE
+from handlaser_gtsam.results.systematic_columns import DIRECTIONS
 from handlaser_gtsam.results.systematic_tests import POWER, ScoreTests, alike, needed, two_sided
+from handlaser_gtsam.results.systematic_words import WORDING
 
 SIGMA = 1e-4
-TESTED = (*dict.fromkeys(WHOLE), "tool-displaced", "displaced", "beam-on-plane")
 BY_NATURE = {"inverse-cosine", "tilt", "tool-frame", "range-offset"}
+TESTED = tuple(code for code in WORDING if code not in BY_NATURE)
 FREE, NONE = (np.inf, np.inf), (0.0, 0.0)
 
 

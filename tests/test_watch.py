@@ -30,7 +30,7 @@ from watching import HOSTILE_BEAMS, Client, Sent, answer, until, watching, write
 from handlaser_gtsam.files.report.page import SECTIONS
 from handlaser_gtsam.files.watch import patience
 from handlaser_gtsam.files.watch.follower import Follower
-from handlaser_gtsam.files.watch.guard import Names, names_of
+from handlaser_gtsam.files.watch.guard import HostNames, names_of
 from handlaser_gtsam.files.watch.hub import Hub
 from handlaser_gtsam.files.watch.server import PageServer, listening
 from handlaser_gtsam.files.watch.watched import Watched
@@ -146,7 +146,7 @@ def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
 
 
 def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
-    monkeypatch.setattr(patience, "PATIENCE", 0.3)
+    monkeypatch.setattr(patience, "READ_TIMEOUT_S", 0.3)
     stopped, live = look_on(server.port, buffer=4 * KIB, begin=False), look_on(server.port)
     until(lambda: server.clients == 2)
     for number in range(30):
@@ -161,7 +161,7 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
 
 def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_on):
     """One byte a while would hold a connection for ever."""
-    monkeypatch.setattr(patience, "HEAD", 0.4)
+    monkeypatch.setattr(patience, "HEAD_TIMEOUT_S", 0.4)
     live = look_on(server.port)
     until(lambda: server.clients == 1)
     with socket.create_connection(("127.0.0.1", server.port)) as slow:
@@ -175,7 +175,7 @@ def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_o
 
 
 def test_connections_are_limited(server, monkeypatch, look_on):
-    monkeypatch.setattr(patience, "MOST_CONNECTIONS", 4)
+    monkeypatch.setattr(patience, "MOST_CLIENTS", 1)
     live = look_on(server.port)
     until(lambda: server.clients == 1)
     with contextlib.ExitStack() as stack:
@@ -327,7 +327,7 @@ def test_names_of_a_server_for_others():
         assert names.allow(f"{host}:{port}"), host
     for host in ("evil.example", "192.168.0.7.evil.example", "1e3", "0x7f.1"):
         assert not names.allow(f"{host}:{port}"), host
-    assert Names(80, frozenset({"cell"}), any_address=False).allow("CELL")
+    assert HostNames(80, frozenset({"cell"}), any_address=False).allow("CELL")
 
 
 # --- what the file may do ----------------------------------------------------------------------------

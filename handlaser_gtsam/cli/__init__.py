@@ -4,10 +4,9 @@ import io
 import os
 import sys
 
-from .stopping import INTERRUPTED, WORDS, Stopping
+from .exit_codes import BAD_INPUT, INTERRUPTED, UNDETERMINED
+from .stopping import WORDS, CtrlC
 
-BAD_INPUT, UNDETERMINED = 2, 3
-"""Exit codes: of bad input, and of a recording that does not determine what was asked."""
 THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"
 """Environment variables of the linear algebra under NumPy, which reads them when it is imported."""
 
@@ -17,7 +16,7 @@ def main() -> None:
     for name in THREADS:  # on small matrices further threads take processor time and save none
         os.environ.setdefault(name, "1")
     try:
-        with Stopping() as stopping:
+        with CtrlC() as stopping:
             code, words = _stoppable(stopping)
             if words:
                 print(f"handlaser: {words}", file=sys.stderr)
@@ -27,7 +26,7 @@ def main() -> None:
         sys.exit(INTERRUPTED)
 
 
-def _stoppable(stopping: Stopping) -> tuple[int, str]:
+def _stoppable(stopping: CtrlC) -> tuple[int, str]:
     """Run a verb that may be stopped, whatever becomes of the KeyboardInterrupt on its way."""
     try:
         code, words = _run()

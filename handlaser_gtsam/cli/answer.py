@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import typer
 
-UNDETERMINED, NOT_USABLE, INTERRUPTED = 3, 4, 130
-"""Exit codes: no calibration; a calibration that is not to be used; stopped by Ctrl-C."""
+from .exit_codes import INTERRUPTED
 
 
 @dataclass(frozen=True, slots=True)

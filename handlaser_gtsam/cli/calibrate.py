@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import INTERRUPTED, NOT_USABLE, UNDETERMINED, Answer, print_wrapped
+from .answer import Answer, print_wrapped
+from .exit_codes import INTERRUPTED, NOT_USABLE, UNDETERMINED
 from .options import (
     HOW,
     AtRangeOption,

@@ -25,7 +25,7 @@ AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ExportChoice:
     """What is exported, and where it goes."""
 
     to: Annotated[
@@ -121,7 +121,7 @@ def export(
             show_default=False,
         ),
     ],
-    wanted: Wanted,
+    wanted: ExportChoice,
     quiet: QuietOption = False,
 ) -> None:
     """Write calibrated beams, or planned stations, as robots, ROS and programs take them.

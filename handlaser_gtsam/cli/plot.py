@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import UNDETERMINED, Answer, print_wrapped
+from .answer import Answer, print_wrapped
+from .exit_codes import UNDETERMINED
 from .options import Given, Model
 from .progress_line import Working
 

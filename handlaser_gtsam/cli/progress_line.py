@@ -6,10 +6,12 @@ import threading
 import time
 
 from ..solvers.progress import Progress, told_to
-from .stopping import CLEAR, Stopping
+from .stopping import CLEAR, CtrlC
 
-FIRST, NEXT = 1.0, 0.2
-"""Seconds until the sign appears, and from one to the next."""
+QUIET_S = 1.0
+"""Seconds until the sign appears: what is done sooner needs none."""
+REFRESH_S = 0.2
+"""Seconds from one sign to the next: the seconds that it counts look steady."""
 PHASES = {
     "search": "looking for a start",
     "solve": "solving",
@@ -52,21 +54,20 @@ class Working:
         if self._shown:
             print(CLEAR, end="", file=sys.stderr, flush=True)
 
-    def _listen(self, told: Progress) -> None:
-        if told.total and Stopping.asked:  # a part was stopped: no other one begins
+    def _listen(self, progress: Progress) -> None:
+        if progress.total and CtrlC.asked:  # a part was stopped: no other one begins
             raise KeyboardInterrupt
-        words = PHASES.get(told.phase, told.phase)
-        if told.total:
-            self._part = (
-                f"{told.name or words} ({min(told.done + 1, told.total)} of {told.total}): "
-            )
+        words = PHASES.get(progress.phase, progress.phase)
+        if progress.total:
+            number = min(progress.done + 1, progress.total)
+            self._part = f"{progress.name or words} ({number} of {progress.total}): "
         else:
             self._phase = words
 
     def _show(self, began: float) -> None:
-        wait = FIRST
+        wait = QUIET_S
         while not self._over.wait(wait):
             line = f"handlaser: {self._part}{self._phase}, {time.monotonic() - began:.0f} s"
             width = shutil.get_terminal_size().columns - 1
             print(CLEAR + line[:width], end="", file=sys.stderr, flush=True)
-            self._shown, wait = True, NEXT
+            self._shown, wait = True, REFRESH_S

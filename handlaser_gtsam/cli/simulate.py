@@ -19,7 +19,7 @@ SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene s
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class SceneOptions:
     """What is simulated."""
 
     scene: Annotated[
@@ -34,7 +34,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class NoiseOptions:
     """What readings and hand poses err by."""
 
     range_sigma_mm: SigmaOption = None
@@ -47,8 +47,8 @@ class Noise:
 
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
-    scene: Scene,
-    noise: Noise,
+    scene: SceneOptions,
+    noise: NoiseOptions,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
@@ -63,7 +63,9 @@ def simulate(
         print_wrapped([f"wrote {', '.join(FILES)} to {place}: {counts} each"])
 
 
-def _write(folder: Path, scene: Scene, noise: Noise, seed: int, *, force: bool) -> None:
+def _write(
+    folder: Path, scene: SceneOptions, noise: NoiseOptions, seed: int, *, force: bool
+) -> None:
     import numpy as np
 
     from ..errors import InputError

@@ -11,15 +11,15 @@ import signal
 import threading
 from types import FrameType
 
+from .exit_codes import INTERRUPTED
+
 WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
-"""Takes away what stands in the line of a terminal."""
-INTERRUPTED = 130
-"""Exit code of a shell for what SIGINT ended: 128 and the number of the signal."""
+"""Clears the line of a terminal."""
 IMPORTING = "<frozen importlib._bootstrap>"
 
 
-class Stopping:
+class CtrlC:
     """A context in which Ctrl-C is noticed, whatever becomes of the KeyboardInterrupt.
 
     Attributes
@@ -35,8 +35,8 @@ class Stopping:
         here = threading.current_thread() is threading.main_thread()
         self._mine = here and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
-    def __enter__(self) -> "Stopping":
-        Stopping.asked = False
+    def __enter__(self) -> "CtrlC":
+        CtrlC.asked = False
         if self._mine:
             signal.signal(signal.SIGINT, self._stop)
         return self
@@ -48,7 +48,7 @@ class Stopping:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def _stop(self, _number: int, frame: FrameType | None) -> None:
-        Stopping.asked = True
+        CtrlC.asked = True
         if not _importing(frame):
             raise KeyboardInterrupt
         clear = CLEAR if os.isatty(2) else ""

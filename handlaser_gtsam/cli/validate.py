@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import NOT_USABLE, Answer, print_wrapped
+from .answer import Answer, print_wrapped
+from .exit_codes import NOT_USABLE
 from .options import Given, JsonOption, Model, RecordingArgument
 from .progress_line import Working
 

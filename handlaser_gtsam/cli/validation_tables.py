@@ -7,11 +7,11 @@ from ..quantities import IN_MM
 from ..results.description.description import Description
 from ..results.description.rendering import full_table
 from ..results.reports import Fit
-from ..results.significance import DOUBTFUL_LEVEL, SINGLE_LEVEL, chance, contradicted
+from ..results.significance import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
-from ..validation.prediction import Prediction
+from ..validation.prediction import Prediction, pooled
 
 
 def validation_lines(result: Validation, verdict: Verdict, width: int) -> Iterator[str]:
@@ -60,7 +60,7 @@ def _agreement(plane: str, held: HoldOut, against: tuple[str, ...]) -> str:
     verb = "agree with it"
     if plane in against:
         verb = "contradict it"
-    elif held.p_value < DOUBTFUL_LEVEL:
+    elif held.p_value < FAMILY_LEVEL:
         verb = "hardly agree with it"
     return (
         f"the beams found without it {verb}: a difference this large comes by chance "
@@ -100,7 +100,7 @@ def hold_out_sentence(found: HoldOut) -> str:
     opening = "The calibration holds"
     if found.p_value < SINGLE_LEVEL:
         opening = "The calibration does not hold"
-    elif found.p_value < DOUBTFUL_LEVEL:
+    elif found.p_value < FAMILY_LEVEL:
         opening = "The calibration hardly holds"
     return (
         f"{opening}: a difference this large would come by chance {chance(found.p_value)} such "
@@ -109,13 +109,10 @@ def hold_out_sentence(found: HoldOut) -> str:
 
 
 def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
-    tests = sum(one.tests for one in splits)
-    rms = math.sqrt(sum(one.tests * one.rms**2 for one in splits) / tests)
-    unit = math.sqrt(sum(one.tests * one.standardized**2 for one in splits) / tests)
-    largest = max(one.max_residual for one in splits)
+    every = pooled(splits)
     yield (
-        f"30 % of the stations from the other 70 %, {len(splits)} times: rms {rms * IN_MM:.4g} mm, "
-        f"largest {largest * IN_MM:.4g} mm, {unit:.2f} of the predicted standard deviations"
+        f"30 % of the stations from the other 70 %, {len(splits)} times: {_size(every)}, "
+        f"{every.standardized:.2f} of the predicted standard deviations"
     )
 
 

@@ -19,7 +19,7 @@ from .simulate import simulate
 from .study import study
 from .validate import validate
 from .watch import watch
-from .width import ENDLESS
+from .width import NO_SCREEN
 
 NAME = "handlaser"
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
@@ -29,7 +29,7 @@ app = typer.Typer(
     help="Calibrate laser distance sensors on a robot hand.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": ENDLESS},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": NO_SCREEN},
 )
 for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate, watch):
     app.command(cls=Verb, epilog=epilog(verb.__name__))(expanded(verb))

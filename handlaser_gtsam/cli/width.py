@@ -2,15 +2,15 @@
 
 import shutil
 
-LEAST = 40
-"""Columns below which nothing gets any narrower."""
-ENDLESS = 1000
-"""Columns of what is no screen: a pipe or a file."""
+NARROWEST = 40
+"""Columns below which nothing gets any narrower: tables are unreadable there."""
+NO_SCREEN = 1000
+"""Columns of what is no screen, a pipe or a file: no table is wider."""
 
 
 def columns() -> int:
-    """Return the columns of the terminal, or COLUMNS where that is set; `ENDLESS` where neither is."""
-    return max(shutil.get_terminal_size((ENDLESS, 24)).columns, LEAST)
+    """Return the columns of the terminal or of COLUMNS; `NO_SCREEN` where there is neither."""
+    return max(shutil.get_terminal_size((NO_SCREEN, 24)).columns, NARROWEST)
 
 
 def text_width() -> int:

@@ -42,7 +42,7 @@ class _PartOf(FileRecord, extra="ignore"):
     """Some fields of a record."""
 
 
-class _Beam(_PartOf):
+class _MountRecord(_PartOf):
     name: str
     location_m: Vector
     direction: Vector
@@ -50,18 +50,18 @@ class _Beam(_PartOf):
     range_error_terms: Terms
 
 
-class _Fit(_PartOf):
+class _NoiseRecord(_PartOf):
     range_sigma_m: float
     pose_covariance: Many[Numbers] | None = None
 
 
-class _Beams(_PartOf):
+class _MountsFile(_PartOf):
     format: Format
     version: Version
     status: str
-    beams: Many[_Beam]
+    beams: Many[_MountRecord]
     beam_covariance: Many[Numbers] | None
-    fit: _Fit
+    fit: _NoiseRecord
 
 
 def read_mounts(path: Path | str) -> Mounts:
@@ -72,14 +72,14 @@ def read_mounts(path: Path | str) -> Mounts:
     InputError
         No such file, no calibration that converged, or numbers that cannot be.
     """
-    path, file = path_of(path), read_checked(path, _Beams, json_value, EXPECTED)
+    path, file = path_of(path), read_checked(path, _MountsFile, json_value, EXPECTED)
     try:
         return mounts_of(file)
     except InputError as error:
         raise InputError(error.found, error.expected, path) from error
 
 
-def mounts_of(file: CalibrationFile | _Beams) -> Mounts:
+def mounts_of(file: CalibrationFile | _MountsFile) -> Mounts:
     """Return the beams of a file that was read, and their joint covariance.
 
     Raises

@@ -11,11 +11,9 @@ from ..data.columns import BY_CHANCE
 from ..data.screen import code_warning, coded_numbers
 from ..errors import CalibrationWarning
 from ..model.sensor import Sensor
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, MM
 from .table import Table, column_numbers
 
-MILLIMETRE = 1e-3
-"""[m]"""
 NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
 """Words, with a sign or without, by which sensors and programs say that there is no reading."""
 
@@ -55,7 +53,7 @@ def range_numbers(
     coded = impossible & sensor.range_stated
     coded |= coded_numbers(d, impossible)
     least = "a range" if sensor.range_min < 0.0 else "a positive range"
-    units = "millimetres" if unit == MILLIMETRE else "metres"
+    units = "millimetres" if unit == MM else "metres"
     expected = (
         f"{least} in {units} up to {LARGEST_LENGTH / unit:.0f}, or an empty cell for no reading; "
         "if the sensor can read this, or says so that it reads nothing, state its range: "

@@ -33,7 +33,7 @@ PREFIX, SAMPLES = "range_", "samples_"
 QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
 MISSPELT = 0.75
-"""A column whose name is so much like `range` is taken for a misspelt beam, not ignored."""
+"""Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:

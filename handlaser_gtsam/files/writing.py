@@ -18,7 +18,7 @@ from ..text import shown
 BESIDE = ".handlaser-"
 """Beginning of the names of files that are not whole yet."""
 NEW_MODE = 0o666
-"""Of a new file, before the process's mask, as `open` has it."""
+"""Permissions of a new file, before the mask of the process, as `open` gives them."""
 
 
 def path_of(path: Path | str) -> Path:

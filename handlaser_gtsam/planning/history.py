@@ -17,7 +17,7 @@ from ..errors import GrazingBeamError, InputError, SolverError
 from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
 from ..results.spot_error import freedom, radius, spot_at
-from ..validation.parts import Whole
+from ..validation.parts import WholeSolution
 from .goal import Forecast
 
 HISTORY_POINTS = 24
@@ -52,11 +52,11 @@ def history(calibration: Calibration, reading: float) -> History | None:
     Returns
     -------
     History or None
-        None where `parts.Whole.of` refuses the calibration, or it has no covariance.
+        None where `parts.WholeSolution.of` refuses the calibration, or it has no covariance.
     """
     joint = calibration.covariance
     try:
-        whole = Whole.of(calibration)
+        whole = WholeSolution.of(calibration)
     except SolverError:
         return None
     if joint is None:

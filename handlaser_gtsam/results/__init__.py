@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .calibration_fields import Coordinate as Coordinate
-    from .calibration_fields import Correlation as Correlation
+    from .correlations import Coordinate as Coordinate
+    from .correlations import Correlation as Correlation
     from .improvement import Improvement as Improvement
     from .limits import LimitCheck as LimitCheck
     from .measuring import MeasuredPlane as MeasuredPlane
@@ -27,7 +27,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "calibration_fields": "Coordinate Correlation",
+            "correlations": "Coordinate Correlation",
             "improvement": "Improvement",
             "limits": "LimitCheck",
             "measuring": "MeasuredPlane Spot",

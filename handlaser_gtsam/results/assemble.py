@@ -30,10 +30,12 @@ from ..outliers.reasons import Reasons
 from ..quantities import IN_MM, NEGLIGIBLE
 from ..solvers.progress import tell
 from .calibration import Calibration
-from .calibration_fields import Status, strong_correlations
+from .calibration_fields import Status
+from .correlations import strong_correlations
 from .dependence import INDEPENDENT, Dependence
 from .file_mistakes import better_way
 from .fit import fit_of
+from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
 from .projection import linear_rows
 from .reports import Beam, Determined, Fit, Plane, StartReport
@@ -42,7 +44,7 @@ from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
 from .warnings import (
     COARSE,
-    FAR_OFF,
+    TEN_TIMES,
     fit_warnings,
     implausible_mounts,
     misfit,
@@ -55,8 +57,6 @@ NO_REDUNDANCY = "the noise of the readings: there are no more readings than unkn
 MOST_EXCHANGED = 1.0 / 3.0
 """Where readings of beams are exchanged and one of them loses more than this part of its own, it is not
 sure which of the two mounts is whose, or whether both are one."""
-MANY_LABELS = 4
-"""So many wrong labels are no slips, but have one cause, and are named once."""
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
@@ -202,7 +202,8 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
         f"{recording.plane_labels[station]} but fits plane {planes[plane]}"
         for station, plane in found
     ]
-    if len(words) >= MANY_LABELS:
+    # More wrong labels than a line names are no slips, but have one cause.
+    if len(words) >= NAMES_IN_LINE:
         message = (
             f"{len(words)} stations have the label of another plane than they fit: {words[0]}, "
         )
@@ -301,7 +302,7 @@ def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
 
     Readings that scatter as much as is stated of them do fit, however little they spread.
     """
-    expected = fit.range_sigma_given and fit.sigma0 <= FAR_OFF
+    expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
     return not expected and suspicious(used, fit) and _motion_determines(used, solution)
 
 

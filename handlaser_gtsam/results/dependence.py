@@ -35,23 +35,24 @@ from scipy.optimize import nnls
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from .projection import WIDTH, Projection, Rows
+from .projection import BEAM_UNKNOWNS, LinearRows, Projection
+from .significance import FAR_SIGMAS
 
-FAR = 4.0
-"""Standard deviations above its mean from which one of up to a dozen sums is no accident."""
 LEAST_PAIRS = 20
-"""Fewer neighbours tell nothing of a correlation."""
+"""A correlation estimated from fewer neighbours is unsure by more than a fifth."""
 LEAST_GROWTH = 1.02
-"""Standard deviations that grow by less are left as they are."""
+"""Standard deviations that grow by less stay as they are: no digit that is shown changes."""
 CHAINS_IN_LENGTH = 4
-"""Sums and lengths of correlation are at most such a part of the longest chain: of longer ones the
-unknowns leave nothing that could be told."""
-DRAWS, LEAST_DRAWS, NUMBERS = 300, 20, 1_000_000
-"""Draws of the noise; fewer where there are so many readings that all numbers would be more."""
+"""Sums and lengths of correlation are at most a quarter of the longest chain, because the unknowns
+explain longer correlations."""
+DRAWS = 300
+"""Draws of the noise, which give the spread of a sum to 4 %."""
+LEAST_DRAWS = 20
+"""Draws for the largest recordings, which give that spread to 16 %."""
+NUMBERS = 1_000_000
+"""Numbers drawn at most, 8 megabytes of them: larger recordings get fewer draws."""
 MOST_STEPS = 1000
-"""Of the search for sizes: a dozen parts take some twenty."""
-SEED = 20
-"""Of the draws: the same recording gives the same result each time."""
+"""Steps of the search for the sizes of the parts: a dozen parts take some twenty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,8 @@ class Dependence:
     length : float
         Stations after which the correlated part of the noise has fallen to 1/e.
     growth, plane_growth : float
-        By how much the standard deviations of the beams, and those of the planes for known beams, are
-        larger than with independent noise; one or more.
+        By how much the standard deviations of the beams, and of the planes for known beams, are larger
+        than with independent noise; one or more.
     """
 
     correlation: float = 0.0
@@ -92,12 +93,12 @@ class Dependence:
 INDEPENDENT = Dependence()
 
 
-def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> Dependence:
+def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
     Parameters
     ----------
-    rows : Rows
+    rows : LinearRows
     known : bool
         Whether the size of the noise was given.
     found : (N, q), optional
@@ -108,13 +109,14 @@ def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> D
         return INDEPENDENT
     residuals = _Residuals(rows, found)
     count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
-    white = np.random.default_rng(SEED).standard_normal((len(rows.readings), count))
+    # A fixed seed: the same recording gives the same result each time.
+    white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
     quiet = chains.squares(residuals.of_noise(white))
     seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
     shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
-    if not (share > shares.mean(axis=1) + FAR * shares.std(axis=1))[1:].any():
+    if not (share > shares.mean(axis=1) + FAR_SIGMAS * shares.std(axis=1))[1:].any():
         return INDEPENDENT
     lengths = chains.lengths()
     drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
@@ -141,7 +143,7 @@ def dependence(rows: Rows, *, known: bool, found: FloatArray | None = None) -> D
 class _Residuals:
     """Whitened residuals, less what the unknowns and the systematic errors that were found explain."""
 
-    def __init__(self, rows: Rows, found: FloatArray | None) -> None:
+    def __init__(self, rows: LinearRows, found: FloatArray | None) -> None:
         self.projection, self.back = Projection(rows), rows.how.inverse()
         self.found = np.empty((len(rows.readings), 0))
         if found is not None and found.size:
@@ -158,12 +160,12 @@ class _Residuals:
 
 
 def _growths(
-    rows: Rows, projection: Projection, chains: "_Chains", parts: FloatArray
+    rows: LinearRows, projection: Projection, chains: "_Chains", parts: FloatArray
 ) -> Iterator[float]:
     """Yield of every beam the largest ratio of a variance to that with independent noise."""
     planes = projection.response.reshape(-1, projection.beam_inverse.shape[0])
     for beam in range(rows.readings.beams):
-        x = projection.beam_inverse[:, WIDTH * beam : WIDTH * (beam + 1)]
+        x = projection.beam_inverse[:, BEAM_UNKNOWNS * beam : BEAM_UNKNOWNS * (beam + 1)]
         x = x[:, x.any(axis=0)]
         gain = rows.how.apply_rows(projection.J @ np.concatenate((x, -planes @ x)))
         alone = (gain**2).sum(axis=0)
@@ -178,7 +180,7 @@ class _Chains:
     Attributes
     ----------
     order : (N,)
-        Rows by plane, beam and time.
+        LinearRows by plane, beam and time.
     joined : (N - 1,) of bool
         Which neighbours in that order are of one chain.
     """
@@ -212,12 +214,12 @@ class _Chains:
         """Return the squares of sums of 1, 2, 4 ... neighbours of columns (N, q), (s, q)."""
         sums = np.concatenate((np.zeros((1, w.shape[1])), np.cumsum(w[self.order], axis=0)))
         chain = np.concatenate(([0], np.cumsum(~self.joined)))
-        found = []
+        squares = []
         for m in (1, *(2 * self.lengths()).astype(int).tolist()):
             whole = chain[m - 1 :] == chain[: len(chain) - m + 1]
             if whole.any():
-                found.append(((sums[m:] - sums[:-m])[whole] ** 2).sum(axis=0))
-        return np.stack(found)
+                squares.append(((sums[m:] - sums[:-m])[whole] ** 2).sum(axis=0))
+        return np.stack(squares)
 
     def coloured(self, white: FloatArray, length: float) -> FloatArray:
         """Return noise (N, q) of unit variance with a length of correlation, from white noise."""
@@ -231,12 +233,11 @@ class _Chains:
 
     def variances(self, gain: FloatArray, length: float) -> FloatArray:
         """Return the variances (q,) of the sums over columns (N, q) times noise of that length."""
-        rho, found = float(np.exp(-1.0 / length)), np.zeros(gain.shape[1])
+        rho, variances = float(np.exp(-1.0 / length)), np.zeros(gain.shape[1])
         for rows in np.split(self.order, self.bounds[1:-1]):
-            found += (gain[rows] * (2.0 * _discounted_sums(gain[rows], rho) - gain[rows])).sum(
-                axis=0
-            )
-        return found
+            past = _discounted_sums(gain[rows], rho)
+            variances += (gain[rows] * (2.0 * past - gain[rows])).sum(axis=0)
+        return variances
 
     def growth_of_means(self, length: float) -> float:
         """Return the variance of the mean of the longest chain, over that of independent noise."""

@@ -20,7 +20,8 @@ from ..observability.rank import ObservabilityOptions
 from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
 from .calibration import Calibration
-from .calibration_fields import Status, strong_correlations
+from .calibration_fields import Status
+from .correlations import strong_correlations
 from .graph_variables import OwnGraph, Variable, fit_of_graph
 from .problem import named_estimates
 from .reports import Determined, Fit, StartReport

@@ -13,23 +13,22 @@ import numpy as np
 
 from .calibration_fields import CalibrationData
 from .limits import LimitCheck
+from .significance import FEW_DEGREES
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
 from .systematic_words import WORDING
-from .warnings import MANY_LEFT_OUT
+from .warnings import MANY_OUTLIERS
 
 DOMINANT = 0.5
 """A cause that makes up more than this part of the variance of the spot is worth the first word."""
 WELL_CONDITIONED = 100.0
 """A condition number below this is the usual demand: no motion is missing then."""
-FEW_DEGREES = 12.0
-"""With fewer degrees of freedom the 95 % radius is more than 1.2 times that of known sigmas."""
 MOTIONS: dict[Quantity, str] = {
     "location": "turning the hand further, about two axes (the locations are known worst)",
     "direction": "turning the hand further and varying the range (the directions are known worst)",
     "range error": "a wider span of ranges (the range errors are known worst)",
 }
-"""What tells the quantity that is known worst."""
+"""The motion that determines each quantity better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,7 @@ def improvement(
     codes = {one.code for one in calibration.warnings}
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
-    if outliers > MANY_LEFT_OUT * total:
+    if outliers > MANY_OUTLIERS * total:
         words = f"finding the cause of {outliers} outliers among {total} readings"
         return Improvement("outliers", words, outliers)
     if codes & {"sigmas-too-small", "sigmas-too-large"}:

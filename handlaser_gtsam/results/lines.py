@@ -10,6 +10,10 @@ from ..text import some as some
 
 WIDTH = 100
 """Columns of the default screen, and of everything that is not printed to a terminal."""
+NAMES_IN_LINE = 4
+"""Names that a line lists: a fifth would rarely fit, and a long list is not read."""
+NAMES_ON_PAGE = 12
+"""Names that a row of a page, or a message of its own, lists: about three lines."""
 UNDETERMINED = "undetermined"
 """Stands for a number that the recording does not determine."""
 
@@ -23,7 +27,7 @@ def small_mm(value: float, digits: int) -> str:
 
 
 def as_many(lines: int, width: int) -> int:
-    """Return how many lines of `width` columns hold what so many of `WIDTH` columns hold.
+    """Return how many lines of `width` columns hold what `lines` of `WIDTH` columns hold.
 
     One more than their letters need, for what is lost at the ends of narrower lines.
     """
@@ -33,7 +37,7 @@ def as_many(lines: int, width: int) -> int:
 def wrapped(text: str, most: int | None = None, width: int = WIDTH) -> list[str]:
     """Return `text` in lines of at most `width` columns, further ones indented.
 
-    At most so many lines, if `most` is given. Words, such as paths, are not broken.
+    At most `most` lines, if it is given. Words, such as paths, are not broken.
     """
     return [
         line

@@ -1,4 +1,4 @@
-"""What the unknowns of a solution explain of columns of residuals, and what they leave.
+"""Columns of residuals without what the unknowns of a solution explain of them.
 
 Planes are eliminated before beams, as everywhere, so that the cost is linear in readings and planes.
 """
@@ -14,14 +14,14 @@ from ..data.recording import Readings
 from ..model.weighting import Whitening
 from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 
-WIDTH = 7
-"""Unknowns of a beam: location, direction, k1 and k2."""
-ROUNDING = 1e-14
-"""Information below this part of the largest is lost in rounding."""
+BEAM_UNKNOWNS = 7
+"""Unknowns of a beam: location (3), direction (2), k1 and k2."""
+SQUARE_ROUNDING = 1e-14
+"""Information, or a square, below this part of the whole is lost in rounding."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class LinearRows:
     """The linear problem at a solution.
 
     Attributes
@@ -58,11 +58,11 @@ class Rows:
     def sparse(self) -> csr_array:
         """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
         readings = self.readings
-        own = WIDTH * readings.beam[:, None] + np.arange(WIDTH)
-        plane = WIDTH * readings.beams + 3 * readings.plane[:, None] + np.arange(3)
-        size = WIDTH * readings.beams + 3 * readings.planes
-        starts = (WIDTH + 3) * np.arange(len(readings) + 1)
-        columns = np.hstack((own, plane)).ravel()
+        beam = BEAM_UNKNOWNS * readings.beam[:, None] + np.arange(BEAM_UNKNOWNS)
+        plane = BEAM_UNKNOWNS * readings.beams + 3 * readings.plane[:, None] + np.arange(3)
+        size = BEAM_UNKNOWNS * readings.beams + 3 * readings.planes
+        starts = (BEAM_UNKNOWNS + 3) * np.arange(len(readings) + 1)
+        columns = np.hstack((beam, plane)).ravel()
         return csr_array((self.J.ravel(), columns, starts), shape=(len(readings), size))
 
 
@@ -73,21 +73,21 @@ def linear_rows(
     prior: FloatArray,
     position: IntArray,
     channel: IntArray | None = None,
-) -> Rows:
-    """Return the linear problem at a solution, see `Rows`; raises GrazingBeamError like the model.
+) -> LinearRows:
+    """Return the linear problem at a solution; raises GrazingBeamError like the model.
 
     Where no channels are given, the beams are the columns of the recording in their order.
     """
     channel = np.arange(readings.beams) if channel is None else channel
     columns, _ = jacobian_columns(at, readings, 2)
     normal = normal_equations(at, readings, 2, whitening=how)
-    J = np.ascontiguousarray(columns[: WIDTH + 3].T)
-    return Rows(at, readings, how, prior, position, channel, J, columns[-1], normal)
+    J = np.ascontiguousarray(columns[: BEAM_UNKNOWNS + 3].T)
+    return LinearRows(at, readings, how, prior, position, channel, J, columns[-1], normal)
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """What the unknowns leave of columns.
+class Adjusted:
+    """Columns without the part that the unknowns explain.
 
     Attributes
     ----------
@@ -111,10 +111,10 @@ class Projection:
     matter.
     """
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: LinearRows) -> None:
         self.J, self.how, prior = rows.sparse(), rows.how, rows.prior
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
-        self.pull = np.zeros((readings.beams, WIDTH))
+        self.pull = np.zeros((readings.beams, BEAM_UNKNOWNS))
         finite = np.isfinite(prior) & (prior > 0.0)
         self.pull[:, 5:][finite] = self.how.sigma / prior[finite]
         active = np.ones_like(self.pull, dtype=bool)
@@ -124,18 +124,18 @@ class Projection:
         unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
         plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.plane[0]) / readings.planes)
         known = (self.pull.ravel() * unit) ** 2
-        found = normal.reduced(unit, plane_unit, used, known)
-        inverse = found.covariance(ROUNDING * float(used.sum()))
+        reduced = normal.reduced(unit, plane_unit, used, known)
+        inverse = reduced.covariance(SQUARE_ROUNDING * float(used.sum()))
         self.beam_inverse = np.zeros((len(unit), len(unit)))
         self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
-        self.plane_inverse = found.plane_inverse * np.outer(plane_unit, plane_unit)
+        self.plane_inverse = reduced.plane_inverse * np.outer(plane_unit, plane_unit)
         self.response = np.zeros((readings.planes, 3, len(unit)))
-        self.response[:, :, used] = plane_unit[:, None] * found.plane_response / unit[used]
+        self.response[:, :, used] = plane_unit[:, None] * reduced.plane_response / unit[used]
 
-    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Left:
-        """Return what the unknowns leave of columns (N, q), `pulled` (7 B, q) in the rows of the prior.
+    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
+        """Return columns (N, q), and `pulled` (7 B, q) in the prior, without what the unknowns explain.
 
-        They are projected twice: the second time takes what rounding left the first.
+        They are projected twice, which removes what rounding leaves of the first projection.
         """
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
@@ -153,19 +153,19 @@ class Projection:
             moved += x
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return Left(heavy, squares, moved)
+        return Adjusted(heavy, squares, moved)
 
     def members(
         self, products: FloatArray, squares: FloatArray, plane: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how beams follow the members of a family (m, 7 B), and the squares (m,) that are left.
+        """Return how beams follow the members of a family (m, 7 B), and their adjusted squares (m,).
 
-        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are those of a `Family`.
+        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are attributes of `PlaneErrors`.
         """
-        own = products[:, :, WIDTH:].sum(axis=1)
-        beams = products[:, :, :WIDTH].reshape(len(products), self.pull.size)
-        beams = beams - np.einsum("mi,mij->mj", own, self.response[plane])
+        planes = products[:, :, BEAM_UNKNOWNS:].sum(axis=1)
+        beams = products[:, :, :BEAM_UNKNOWNS].reshape(len(products), self.pull.size)
+        beams = beams - np.einsum("mi,mij->mj", planes, self.response[plane])
         moved = beams @ self.beam_inverse
-        left = squares - np.einsum("mi,mij,mj->m", own, self.plane_inverse[plane], own)
+        left = squares - np.einsum("mi,mij,mj->m", planes, self.plane_inverse[plane], planes)
         left -= (beams * moved).sum(axis=1)
         return moved, left

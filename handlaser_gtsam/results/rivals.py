@@ -18,15 +18,17 @@ from ..quantities import EXACT
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.search import SAME_DIRECTION
+from .significance import FAR_SIGMAS
 
-FIRST_LOOK = 100.0
-"""A minimum for the planes as they are is looked at where its chi2 is larger by at most this,"""
-TRIED, STEPS = 4, 40
-"""of so many beams, with so many steps of all unknowns;"""
-NEARLY = 12.0
-"""and is named where its chi2 is larger by less: one of 400 in probability."""
-OUTSIDE = 4.0
-"""Standard deviations of the direction that another minimum is off."""
+WORTH_REFINING = 100.0
+"""Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most
+this."""
+RIVAL_BEAMS = 4
+"""Beams whose other minima are refined at most: each takes a solution of all unknowns."""
+RIVAL_STEPS = 40
+"""Steps of such a solution at most: a search that takes more leads to no neighbouring minimum."""
+NEARLY_AS_WELL = 12.0
+"""Another mount is named where its chi2 is larger by less: it is one 400th as probable or more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +50,14 @@ def rivals(
     worse = each[:, None] * (found.cost - found.now[:, None]) / range_sigma**2
     worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
     least = worse.min(axis=1)
-    for beam in np.argsort(least)[:TRIED].tolist():
-        if least[beam] > FIRST_LOOK:
+    for beam in np.argsort(least)[:RIVAL_BEAMS].tolist():
+        if least[beam] > WORTH_REFINING:
             break
         one = int(np.argmin(worse[beam]))
         r, v = solution.locations.copy(), solution.directions.copy()
         r[beam], v[beam] = found.locations[beam, one], found.directions[beam, one]
         moved = replace(solution, locations=r, directions=v)
-        both = [refine(start, readings, terms, STEPS) for start in (solution, moved)]
+        both = [refine(start, readings, terms, RIVAL_STEPS) for start in (solution, moved)]
         if both[0] is None or both[1] is None:
             continue
         turn = float(
@@ -77,7 +79,7 @@ def rival_warnings(
         return
     sigma, listed = direction_sigmas(joint), {i: name for name, i in names.beams}
     for one in rivals(solution.parameters, used, max(solution.problem.terms), size):
-        if one.worse > NEARLY or one.turn < OUTSIDE * sigma[one.beam]:
+        if one.worse > NEARLY_AS_WELL or one.turn < FAR_SIGMAS * sigma[one.beam]:
             continue
         turn = float(np.degrees(one.turn))
         yield CalibrationWarning(

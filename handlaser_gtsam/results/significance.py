@@ -8,18 +8,17 @@ import numpy as np
 from ..arrays import FloatArray
 
 FAMILY_LEVEL = 0.01
-"""At most so many good recordings have any of several tests contradict them."""
+"""The part of good recordings that several tests together may contradict; one test agrees hardly
+below."""
 SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
-DOUBTFUL_LEVEL = 0.01
-"""A p-value below this agrees hardly."""
-RARE = 0.1
-"""Rarer chances than this are stated as one in so many."""
-ROUND_FROM = 100.0
-"""From here on, one in so many is rounded to one digit."""
-MOST = 99.0
-"""Nothing is stated to happen in 100 of 100 cases."""
-LEAST = 1e-9
+CONFIDENCE = 0.95
+"""Probability of the intervals and radii that are stated: the usual one."""
+FAR_SIGMAS = 4.0
+"""A deviation by more standard deviations is no accident: good recordings have one in 16,000."""
+FEW_DEGREES = 10
+"""With fewer degrees of freedom an estimated sigma is itself unsure by more than a fifth."""
+LEAST_P = 1e-9
 """No approximation holds for smaller p-values."""
 
 
@@ -45,12 +44,10 @@ def contradicted(p_values: Mapping[str, float]) -> tuple[str, ...]:
 
 def chance(p: float) -> str:
     """Return how often chance alone does as much, in words: "in 1 of 700"."""
-    if p < LEAST:
-        return f"in fewer than 1 of {1.0 / LEAST:,.0f}"
-    if p >= RARE:
-        return f"in {min(100.0 * p, MOST):.0f} of 100"
+    if p < LEAST_P:
+        return f"in fewer than 1 of {1.0 / LEAST_P:,.0f}"
+    if p >= 0.1:  # nothing is stated to happen in 100 of 100 cases
+        return f"in {min(100.0 * p, 99.0):.0f} of 100"
     times = 1.0 / p
-    if times >= ROUND_FROM:
-        digits = 10.0 ** math.floor(math.log10(times))
-        times = digits * round(times / digits)
-    return f"in 1 of {times:,.0f}"
+    rounded = float(f"{times:.1g}") if times >= 100.0 else times
+    return f"in 1 of {rounded:,.0f}"

@@ -41,17 +41,14 @@ from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, SINGULAR
 from ..solvers.normal_equations import normal_equations
 from .calibration_fields import CalibrationData
 from .reports import Beam
+from .significance import CONFIDENCE
 
-LEVEL = 0.95
-"""Probability with which a laser spot is within its radius."""
-STEP = 2.0
+DERIVATIVE_FACTOR = 2.0
 """The pose variances are multiplied and divided by this to take the logarithmic derivative."""
-RANK = 1e-12
-"""Eigenvalues below this part of the largest are rounding, in natural units."""
 
 Quantity = Literal["location", "direction", "range error"]
 ROWS: dict[Quantity, slice] = {
@@ -92,7 +89,7 @@ def radius(covariance: FloatArray, dof: float = math.inf) -> float:
     if mean == 0.0:
         return 0.0
     f = float((values / mean).sum() ** 2 / ((values / mean) ** 2).sum())
-    ratio = chi2_quantile(LEVEL, f) / f if math.isinf(dof) else f_quantile(LEVEL, f, dof)
+    ratio = chi2_quantile(CONFIDENCE, f) / f if math.isinf(dof) else f_quantile(CONFIDENCE, f, dof)
     return math.sqrt(mean * float(ratio))
 
 
@@ -156,7 +153,7 @@ def variance_shares(
     if whole <= 0.0:
         return VarianceShares(0.0, 0.0, 0.0)
     k = np.flatnonzero(np.arange(len(S)) % 8 >= 6)
-    known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=RANK, hermitian=True) @ S[k]
+    known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=SINGULAR, hermitian=True) @ S[k]
     unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // 8)
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along, square = J @ (unit * axes[:, -1]), axes[:, -1].reshape(-1, 8) ** 2
@@ -184,13 +181,13 @@ def _pose_share(calibration: CalibrationData, J: FloatArray) -> float:
             _spot_variance(
                 calibration, J, readings, replace(variances, pose=factor * variances.pose)
             )
-            for factor in (1.0 / STEP, STEP)
+            for factor in (1.0 / DERIVATIVE_FACTOR, DERIVATIVE_FACTOR)
         )
     except HandlaserError:
         return math.nan
     if not low > 0.0:
         return math.nan
-    return _part(math.log(high / low) / (2.0 * math.log(STEP)))
+    return _part(math.log(high / low) / (2.0 * math.log(DERIVATIVE_FACTOR)))
 
 
 def _spot_variance(
@@ -200,7 +197,7 @@ def _spot_variance(
     at = calibration.parameters()
     how = whitening(at, readings, variances)
     normal = normal_equations(at, readings, 2, whitening=how)
-    inverse = np.linalg.pinv(normal.plane[0], rcond=RANK, hermitian=True)
+    inverse = np.linalg.pinv(normal.plane[0], rcond=SINGULAR, hermitian=True)
     W = inverse @ np.swapaxes(normal.border[0], 1, 2)
     S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
     prior, learned = np.zeros((len(calibration.beams), 7)), calibration.range_error_scales
@@ -212,4 +209,4 @@ def _spot_variance(
     unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
     S = S[np.ix_(active, active)] * np.outer(unit, unit)
     A = J @ beams_lift(model.tangent_basis(at.directions), terms) * unit
-    return float(np.trace(A @ np.linalg.pinv(S, rcond=RANK, hermitian=True) @ A.T))
+    return float(np.trace(A @ np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ A.T))

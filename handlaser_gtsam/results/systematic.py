@@ -17,7 +17,7 @@ Planes with more than `systematic_columns.MOST_SPLITS` splits are tested at so m
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,13 +27,13 @@ from ..data.value import Value
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
-from .projection import Rows
+from .projection import LinearRows
 from .significance import FAMILY_LEVEL
 from .systematic_tests import ScoreTests, alike
 from .systematic_words import WORDING, may_also_be
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class SystematicError(Value):
     """One kind of systematic error: what the readings say of it, and what it could do unnoticed.
 
@@ -73,23 +73,23 @@ class SystematicError(Value):
     """
 
     code: str
-    subject: str
     unit: str
-    size: float
-    sigma: float
-    p_value: float
-    found: bool
-    explained_by: str
-    detectable: float
-    plausible: float
+    subject: str = ""
+    size: float = np.nan
+    sigma: float = np.nan
+    p_value: float = 1.0
+    found: bool = False
+    explained_by: str = ""
+    detectable: float = np.inf
+    plausible: float = np.inf
     location_shift: FloatArray
     direction_shift: FloatArray
     location_error: FloatArray
     direction_error: FloatArray
     spot_shift: FloatArray
     spot_error: FloatArray
-    alike: tuple[str, ...]
-    confounded: bool
+    alike: tuple[str, ...] = ()
+    confounded: bool = False
     message: str
     remedy: str
 
@@ -116,7 +116,7 @@ class SystematicError(Value):
 
 
 def systematic_errors(
-    rows: Rows,
+    rows: LinearRows,
     names: BeamAndPlaneNames,
     stations: Sequence[str],
     *,
@@ -131,7 +131,7 @@ def systematic_errors(
 
     Parameters
     ----------
-    rows : Rows
+    rows : LinearRows
     names : BeamAndPlaneNames
     stations : sequence of str
         Names of the stations by position.
@@ -151,138 +151,127 @@ def systematic_errors(
     if dof < (1 if known else 2):
         return (), INDEPENDENT
     plausible = {} if plausible is None else plausible
-    found = ScoreTests(rows, None if known else dof, plausible)
-    together = dependence(rows, known=known, found=found.found_columns())
+    tests = ScoreTests(rows, None if known else dof, plausible)
+    together = dependence(rows, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
-        found = ScoreTests(rows, None if known else dof, plausible, together.plane_growth)
-    first, reports = found.representatives(), []
+        tests = ScoreTests(rows, None if known else dof, plausible, together.plane_growth)
+    first, reports = tests.representatives(), []
     if first.size:
-        rho = found.correlations(first)
-        explained = found.explained(first, rho)
-        same = alike(rho, found.delta) & found.determined
+        rho = tests.correlations(first)
+        explained = tests.explained(first, rho)
+        same = alike(rho, tests.delta) & tests.determined
         for number, member in enumerate(first.tolist()):
-            codes = dict.fromkeys(found.codes[same[number]].tolist())
-            others = tuple(code for code in codes if code != found.codes[member])
-            subject = _subject(found, member, names, stations)
-            report = _report(found, member, subject, explained[number], others, names)
-            reports.append(replace(report, plausible=plausible.get(report.code, np.inf)))
+            codes = dict.fromkeys(tests.codes[same[number]].tolist())
+            others = tuple(code for code in codes if code != tests.codes[member])
+            subject = _subject(tests, member, names, stations)
+            most = plausible.get(str(tests.codes[member]), np.inf)
+            reports.append(_report(tests, member, subject, explained[number], others, names, most))
     tested = {report.code for report in reports}
-    untold = [code for code in WORDING if code not in tested]
+    confounded = [code for code in WORDING if code not in tested]
     if rows.readings.beams == 1:
-        untold = [code for code in untold if code != "carry-over"]
-    return (*reports, *(_confounded(found, code, names, plausible) for code in untold)), together
+        confounded = [code for code in confounded if code != "carry-over"]
+    return (
+        *reports,
+        *(_confounded(tests, code, names, plausible) for code in confounded),
+    ), together
 
 
 def _report(
-    found: ScoreTests,
+    tests: ScoreTests,
     member: int,
     subject: str,
     explained: str,
     others: tuple[str, ...],
     names: BeamAndPlaneNames,
+    plausible: float,
 ) -> SystematicError:
-    code, p, size = str(found.codes[member]), float(found.p[member]), float(found.size[member])
-    words, beams, clear = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
-    family = np.flatnonzero((found.codes == code) & found.determined)
-    detectable = float(found.detectable[family].max())
-    shift, turn, spot = _worst(found, family, found.unnoticed[family])
-    error, twist, off = _worst(found, np.array([member]), found.size[[member]])
-    if clear:
-        effect = _effect(error, twist, beams, "wrong by")
+    """Return the report of an error that was tested, given its clearest member."""
+    code, p, size = str(tests.codes[member]), float(tests.p[member]), float(tests.size[member])
+    words, beams, found = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
+    family = np.flatnonzero((tests.codes == code) & tests.determined)
+    unnoticed = _largest_moves(tests, family, tests.unnoticed[family])
+    estimated = _largest_moves(tests, np.array([member]), tests.size[[member]])
+    if found:
         phrase = words.with_size(size, subject)
-        message = f"the readings show {phrase} (p = {p:.1g}), which makes {effect}"
+        message = f"the readings show {phrase} (p = {p:.1g}), which makes "
+        message += _effect(*estimated[:2], beams, "wrong by")
         message += f"; it is explained by what is found as {explained}" if explained else ""
         message += f"; {may_also_be(others)}" if others and not explained else ""
     else:
-        effect = _effect(shift, turn, beams, "wrong by up to")
-        largest = words.with_size(float(found.unnoticed[family].max()))
+        largest = words.with_size(float(tests.unnoticed[family].max()))
+        effect = _effect(*unnoticed[:2], beams, "wrong by up to")
         message = f"{largest} would go unnoticed, and make {effect}"
     return SystematicError(
-        code,
-        subject,
-        words.unit,
-        size,
-        float(found.sigma[member]),
-        p,
-        found=clear,
-        explained_by=explained if clear else "",
-        detectable=detectable,
-        plausible=np.inf,
-        location_shift=shift,
-        direction_shift=turn,
-        location_error=error,
-        direction_error=twist,
-        spot_shift=spot,
-        spot_error=off,
+        code=code,
+        unit=words.unit,
+        subject=subject,
+        size=size,
+        sigma=float(tests.sigma[member]),
+        p_value=p,
+        found=found,
+        explained_by=explained if found else "",
+        detectable=float(tests.detectable[family].max()),
+        plausible=plausible,
+        location_shift=unnoticed[0],
+        direction_shift=unnoticed[1],
+        spot_shift=unnoticed[2],
+        location_error=estimated[0],
+        direction_error=estimated[1],
+        spot_error=estimated[2],
         alike=others,
-        confounded=False,
         message=message,
         remedy=words.remedy,
     )
 
 
 def _confounded(
-    found: ScoreTests, code: str, names: BeamAndPlaneNames, plausible: Mapping[str, float]
+    tests: ScoreTests, code: str, names: BeamAndPlaneNames, plausible: Mapping[str, float]
 ) -> SystematicError:
     """Return the report of an error that the recording cannot show."""
     words, size = WORDING[code], plausible.get(code, np.inf)
-    family = np.flatnonzero(found.codes == code)
-    unknown = np.full((found.rows.readings.beams, 3), np.nan)
-    shift, turn, spot = unknown, unknown, np.full((len(unknown), 4, 3), np.nan)
+    family = np.flatnonzero(tests.codes == code)
+    unknown = np.full((tests.rows.readings.beams, 3), np.nan)
+    unknown_spot = np.full((len(unknown), 4, 3), np.nan)
+    shift, turn, spot = unknown, unknown, unknown_spot
     if code == "tilt" and np.isfinite(size):
-        shift, turn, spot = _sideways(found.rows.at.directions, size)
+        # Readings that err by size times tan(tilt): with dr across the beam a plane that is tilted by
+        # the angle a towards dr is met |dr| tan a earlier. The side to which the sensor is turned is
+        # unknown, and any will do.
+        shift = size * model.tangent_basis(tests.rows.at.directions)[:, :, 0]
+        turn, spot = np.zeros_like(shift), np.zeros((len(shift), 4, 3))
+        spot[:, 0] = shift
     elif family.size:
-        shift, turn, spot = _worst(found, family, np.full(len(family), size))
+        shift, turn, spot = _largest_moves(tests, family, np.full(len(family), size))
     message = f"{words.without_size()} cannot be told from {words.confounded}"
     if np.isfinite(size):
         effect = _effect(shift, turn, names.sorted_beams(), "wrong by up to")
         message = f"{words.with_size(size)} cannot be told from {words.confounded}, and would "
         message += f"make {effect}"
     return SystematicError(
-        code,
-        subject="",
+        code=code,
         unit=words.unit,
-        size=np.nan,
-        sigma=np.nan,
-        p_value=1.0,
-        found=False,
-        explained_by="",
-        detectable=np.inf,
         plausible=size,
         location_shift=shift,
         direction_shift=turn,
+        spot_shift=spot,
         location_error=unknown,
         direction_error=unknown,
-        spot_shift=spot,
-        spot_error=np.full_like(spot, np.nan),
-        alike=(),
+        spot_error=unknown_spot,
         confounded=True,
         message=message,
         remedy=words.remedy,
     )
 
 
-def _sideways(directions: FloatArray, size: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the shifts of r, v and spots by readings that err by `size` [m] times tan(tilt).
-
-    With dr across the beam a plane that is tilted by the angle a towards dr is met |dr| tan a earlier.
-    Which way the sensor is turned is not known: any way does.
-    """
-    shift = size * model.tangent_basis(directions)[:, :, 0]
-    spot = np.zeros((len(shift), 4, 3))
-    spot[:, 0] = shift
-    return shift, np.zeros_like(shift), spot
-
-
-def _worst(
-    found: ScoreTests, family: IntArray, sizes: FloatArray
+def _largest_moves(
+    tests: ScoreTests, family: IntArray, sizes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return of every beam its largest shifts of r, of v and of the spot by members of some sizes."""
-    shifts = (*found.shifts(family, sizes), found.spots(family, sizes))
-    powers = found.rows.readings.typical_range() ** np.arange(4)
-    amounts = [*shifts[:2], np.einsum("mbpi,p->mbi", shifts[2], powers)]
+    """Return by how much members of some sizes move r, v and the spot of every beam at most."""
+    shifts = (*tests.shifts(family, sizes), tests.spots(family, sizes))
+    powers = tests.rows.readings.typical_range() ** np.arange(4)
+    moves = [*shifts[:2], np.einsum("mbpi,p->mbi", shifts[2], powers)]
     beams = np.arange(shifts[0].shape[1])
-    worst = [np.linalg.norm(one, axis=2).argmax(axis=0) for one in amounts]
+    worst = [np.linalg.norm(move, axis=2).argmax(axis=0) for move in moves]
     location, turn, spot = (
         np.asarray(shift[member, beams]) for shift, member in zip(shifts, worst, strict=True)
     )
@@ -299,16 +288,16 @@ def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: st
 
 
 def _subject(
-    found: ScoreTests, member: int, names: BeamAndPlaneNames, stations: Sequence[str]
+    tests: ScoreTests, member: int, names: BeamAndPlaneNames, stations: Sequence[str]
 ) -> str:
     """Return in words which plane, beam or station a member concerns."""
-    number, beam = int(found.plane[member]), int(found.beam[member])
+    number, beam = int(tests.plane[member]), int(tests.beam[member])
     if number < 0:
-        if found.codes[member] != "tool-displaced":
+        if tests.codes[member] != "tool-displaced":
             return ""
-        first = int(found.position[member])
+        first = int(tests.position[member])
         return "little by little" if first < 0 else f"from station {stations[first]} on"
     plane = f"plane {names.sorted_planes()[number]}"
     if beam >= 0:
         return f"beam {names.sorted_beams()[beam]} on {plane}"
-    return f"{plane} from station {stations[found.position[member]]} on"
+    return f"{plane} from station {stations[tests.position[member]]} on"

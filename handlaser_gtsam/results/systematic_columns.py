@@ -1,18 +1,19 @@
-r"""Systematic errors that the model leaves out, each as a column of derivatives.
+r"""Systematic errors that the model does not hold, each as a column of derivatives.
 
 A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
-Errors that concern all readings have one column each. Errors local to one plane come in families: a
-column for all readings, and for every member the rows in which it counts.
+Errors that concern all readings have one column each (`common_columns`). Errors local to one plane come
+in families: a column for all readings, and for every member the rows in which it counts. What is said
+of each error stands under its code in `systematic_words`.
 
 With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h
 farther along n changes e by c h, a reading that is f too long by -g'(d) f, and a true hand pose
 that is xi beside the recorded one by -J xi. Positive sizes: readings too long (`incidence`, `cubic`,
 `beam-on-plane`), or longer and longer (`drift`); edges of the plate farther from the sensor than its
 middle (`sag`); a plane farther away (`displaced`); true poses ahead in time (`lag`); true turns and
-translations larger than reported. Of carry-over each channel keeps a part of the one before it, and the
-first one of the last. A tool frame that is displaced while recording moves in the hand along one of
-`DIRECTIONS`, at once or steadily; both are counted from their mean. A cubic error is a function of the
-reading itself, not of the true range: it is the next term of g.
+translations larger than reported. With carry-over each channel keeps a part of the channel before it,
+and the first channel a part of the last. A tool frame that is displaced while recording moves in the
+hand along one of `DIRECTIONS`, at once or steadily; both are counted from their mean. A cubic error is
+a function of the reading itself, not of the true range: it is the next term of g.
 """
 
 from itertools import product
@@ -22,73 +23,59 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import slopes
-from .projection import Projection, Rows
+from .projection import LinearRows, Projection
 
-WHOLE = (
-    "incidence",
-    "cubic",
-    "sag",
-    "lag",
-    "drift",
-    "drift",
-    "turn-scale",
-    "translation-scale",
-    "carry-over",
-)
-"""Codes of the errors that concern all readings, in the order of the columns.
-
-A drift is steady, or that of a sensor that warms up.
-"""
 WARMING = 8.0
 """A sensor that warms up does so within an eighth of the recording: a few minutes of half an hour."""
 OF_READINGS = ("incidence", "cubic", "carry-over")
-"""Codes of those that a reading has by itself, whenever it is taken."""
+"""Codes of the errors that a reading has by itself, whenever it is taken."""
 DIRECTIONS = np.array(
     [
-        one
-        for one in product((0.0, 1.0, -1.0), repeat=3)
-        if any(one) and one > tuple(-x for x in one)
+        axis
+        for axis in product((0.0, 1.0, -1.0), repeat=3)
+        if any(axis) and axis > tuple(-x for x in axis)
     ]
 )
-"""Directions in which a tool frame may be displaced (13, 3): axes and diagonals of a cube. One of them
-has a cosine of 0.886 or more to any direction."""
+"""Directions in which a tool frame may be displaced (13, 3): the axes and diagonals of a cube, one of
+which has a cosine of 0.886 or more to any direction."""
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 TOOL_STEPS = 7
-"""Evenly spaced stations from which on a tool frame may be displaced. A step half-way between two of
+"""Evenly spaced stations from which on a tool frame may be displaced: a step half-way between two of
 them correlates by 0.88 or more with one of the two."""
 LEAST_STATIONS = 2
-"""A plane is taken as displaced only where it has so many stations before and after."""
+"""Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
 MOST_SPLITS = 32
-"""A plane with more splits is tested at so many, evenly spaced: neighbours hardly differ."""
+"""Evenly spaced splits at which a plane with more is tested: neighbours hardly differ."""
 
 
-class Everywhere:
-    """Errors that concern all readings, with the interface of `Family`.
+class CommonErrors:
+    """Errors that concern all readings, with the interface of `PlaneErrors`.
 
     Attributes
     ----------
     columns : (N, c)
-        Derivatives of the residuals: the errors `WHOLE`, then x, y and z of the tool frame for every
-        time at which it may be displaced.
+        Derivatives of the residuals: the errors of `common_columns`, then x, y and z of the tool frame
+        for every time at which it may be displaced.
     mix : (c, m)
         Of which columns each member is the sum.
     position : (m,)
         Position in the recording from which on the tool frame is displaced; -1 for all other members.
     """
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: LinearRows) -> None:
         moves, since = _tool_columns(rows)
-        self.columns = np.hstack((_whole_columns(rows), *moves))
+        codes, columns = zip(*common_columns(rows), strict=True)
+        self.columns = np.column_stack((*columns, *moves))
         each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
-        self.mix = np.asarray(block_diag(np.eye(len(WHOLE)), each_time))
-        own = np.repeat(since, len(DIRECTIONS))
-        self.codes = np.array([*WHOLE, *["tool-displaced"] * len(own)])
+        self.mix = np.asarray(block_diag(np.eye(len(codes)), each_time))
+        since = np.repeat(since, len(DIRECTIONS))
+        self.codes = np.array([*codes, *["tool-displaced"] * len(since)])
         self.plane = self.beam = np.full(len(self.codes), -1)
-        self.position = np.concatenate((np.full(len(WHOLE), -1), own))
+        self.position = np.concatenate((np.full(len(codes), -1), since))
         self.squares = self._squares(rows.how.weighed(self.columns))
 
     def dot(self, y: FloatArray) -> FloatArray:
@@ -99,10 +86,10 @@ class Everywhere:
         """Return the column (N,) of one member."""
         return np.asarray(self.columns @ self.mix[:, member])
 
-    def left_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
-        """Return how beams follow the members (m, 7 B), and the squares (m,) that are left."""
-        found = projection.perpendicular(self.columns)
-        return (found.moved @ self.mix).T, self._squares(found.heavy)
+    def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
+        """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
+        rest = projection.perpendicular(self.columns)
+        return (rest.moved @ self.mix).T, self._squares(rest.heavy)
 
     def _squares(self, heavy: FloatArray) -> FloatArray:
         """Return the squares (m,) of the members, given their weighed columns (N, c)."""
@@ -111,7 +98,7 @@ class Everywhere:
         return np.maximum(squares, 0.0)
 
 
-class Family:
+class PlaneErrors:
     """Errors of one kind that are local to a plane.
 
     Attributes
@@ -130,7 +117,7 @@ class Family:
 
     def __init__(
         self,
-        rows: Rows,
+        rows: LinearRows,
         code: str,
         column: FloatArray,
         members: tuple[IntArray, IntArray, IntArray],
@@ -152,8 +139,8 @@ class Family:
         values = (self.column[:, None] * y)[self.order]
         if (self.beam < 0).all():
             return np.asarray(_range_sums(values, self.first, self.last).sum(axis=1))
-        own = (np.arange(len(self.beam)), self.beam)
-        return _range_sums(values, self.first[own], self.last[own])
+        of_beam = (np.arange(len(self.beam)), self.beam)
+        return _range_sums(values, self.first[of_beam], self.last[of_beam])
 
     def column_of(self, member: int) -> FloatArray:
         """Return the column (N,) of one member."""
@@ -164,27 +151,27 @@ class Family:
             column[rows] = self.column[rows]
         return column
 
-    def left_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
-        """Return how beams follow the members (m, 7 B), and the squares (m,) that are left."""
+    def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
+        """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
         return projection.members(self.products, self.squares, self.plane)
 
-    def _sum(self, rows: Rows) -> None:
+    def _sum(self, rows: LinearRows) -> None:
         """Fill in the products and the squares."""
         if not rows.how.is_coupled and (self.beam >= 0).all():  # only the own beam has any
-            own = np.arange(len(self.beam)), self.beam
+            of_beam = np.arange(len(self.beam)), self.beam
             values = self._weighed(rows, -1, np.empty(0))
-            found = _range_sums(values, self.first[own], self.last[own])
-            self.products[own], self.squares[:] = found[:, :-1], found[:, -1]
+            sums = _range_sums(values, self.first[of_beam], self.last[of_beam])
+            self.products[of_beam], self.squares[:] = sums[:, :-1], sums[:, -1]
             return
         matrix = rows.how.matrix() if (self.beam >= 0).any() else np.empty(0)
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
             values = self._weighed(rows, beam, matrix)
-            found = _range_sums(values, self.first[members], self.last[members])
-            self.products[members] = found[:, :, :-1]
-            self.squares[members] = found[:, :, -1].sum(axis=1)
+            sums = _range_sums(values, self.first[members], self.last[members])
+            self.products[members] = sums[:, :, :-1]
+            self.squares[members] = sums[:, :, -1].sum(axis=1)
 
-    def _weighed(self, rows: Rows, beam: int, matrix: FloatArray) -> FloatArray:
+    def _weighed(self, rows: LinearRows, beam: int, matrix: FloatArray) -> FloatArray:
         """Return the column times sigma^2 inv(C), with J and with itself, in the order (N, 11).
 
         Where a beam is given, the column is that of its readings alone, and `matrix` is sigma^2
@@ -201,35 +188,33 @@ class Family:
         return np.column_stack((rows.J * heavy[:, None], column * heavy))[self.order]
 
 
-def alternatives(rows: Rows) -> tuple[Everywhere, Family, Family]:
+def systematic_columns(rows: LinearRows) -> tuple[CommonErrors, PlaneErrors, PlaneErrors]:
     """Return all errors: those of all readings, and the families `displaced` and `beam-on-plane`.
 
-    A beam's bias on one plane is left out where the beam sees no other plane, or no other beam sees
-    the plane: it is then the location of the beam along itself, or the offset of the plane.
+    A beam has no bias on one plane where it sees no other plane, or where no other beam sees the plane:
+    that bias is then the location of the beam along itself, or the offset of the plane.
     """
     at, readings, position = rows.at, rows.readings, rows.position
-    order, key, times = in_time = _in_time(rows)
-    height = model.linearize(model.scene(at, readings), readings.distance).offset
-    plane, since = _splits(readings, position)
-    everyone = np.full_like(plane, -1)
-    displaced = Family(rows, "displaced", height, (plane, everyone, since), in_time)
-    plane, beam = np.nonzero(_pairs(readings))
-    start = position[order][np.searchsorted(key, (plane * readings.beams + beam) * times)]
-    longer = -slopes(at, readings)
-    biased = Family(rows, "beam-on-plane", longer, (plane, beam, start), in_time)
-    return Everywhere(rows), displaced, biased
-
-
-def _in_time(rows: Rows) -> tuple[IntArray, IntArray, int]:
-    """Return the readings by plane, beam and position, and a sorted key with its stride of blocks."""
-    readings, position = rows.readings, rows.position
+    # Readings by plane, beam and position, and a sorted key with its stride of blocks.
     order = np.lexsort((position, readings.beam, readings.plane))
     times = int(position.max()) + 1
     block = readings.plane * readings.beams + readings.beam
-    return order, (block * times + position)[order], times
+    key = (block * times + position)[order]
+    in_time = order, key, times
+    height = model.linearize(model.scene(at, readings), readings.distance).offset
+    plane, since = _splits(readings, position)
+    all_beams = np.full_like(plane, -1)
+    displaced = PlaneErrors(rows, "displaced", height, (plane, all_beams, since), in_time)
+    seen = np.zeros((readings.planes, readings.beams), dtype=bool)
+    seen[readings.plane, readings.beam] = True
+    plane, beam = np.nonzero(seen & (seen.sum(axis=0) > 1) & (seen.sum(axis=1) > 1)[:, None])
+    start = position[order][np.searchsorted(key, (plane * readings.beams + beam) * times)]
+    longer = -slopes(at, readings)
+    biased = PlaneErrors(rows, "beam-on-plane", longer, (plane, beam, start), in_time)
+    return CommonErrors(rows), displaced, biased
 
 
-def _tool_columns(rows: Rows) -> tuple[list[FloatArray], IntArray]:
+def _tool_columns(rows: LinearRows) -> tuple[list[FloatArray], IntArray]:
     """Return columns (N, 3) of a tool frame that is displaced by one metre, and since when.
 
     The first displacement is steady, and its position -1; the others begin at a station.
@@ -246,29 +231,32 @@ def _tool_columns(rows: Rows) -> tuple[list[FloatArray], IntArray]:
     return [along * (share - share.mean())[:, None] for share in shares], since
 
 
-def _whole_columns(rows: Rows) -> FloatArray:
-    """Return the columns (N, 9) of the errors `WHOLE`."""
+def common_columns(rows: LinearRows) -> list[tuple[str, FloatArray]]:
+    """Return the errors that concern all readings: the code of each, and its column (N,)."""
     at, readings, position = rows.at, rows.readings, rows.position
     x, d = model.scene(at, readings), readings.level
-    found = model.linearize(x, d, with_pose=True)
+    lin = model.linearize(x, d, with_pose=True)
     longer = -slopes(at, readings)
-    errors = errors_of_readings(at, readings, x, rows.channel, float(d.max()))
-    incidence, cubic, carry_over = errors.T
-    spot = found.normal / found.offset[:, None]
+    incidence, cubic, carry_over = errors_of_readings(
+        at, readings, x, rows.channel, float(d.max())
+    ).T
+    spot = lin.normal / lin.offset[:, None]
     square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
-    poses, time = _pose_errors(readings, position), position / max(int(position.max()), 1)
-    return np.column_stack(
-        (
-            incidence,
-            cubic,
-            found.offset * square / max(float(square.max()), 1e-300),
-            *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, :1])),
-            longer * (time - 0.5),
-            -longer * np.exp(-WARMING * time),
-            *(-np.einsum("ni,nik->kn", found.pose, poses[:, :, 1:])),
-            carry_over,
-        )
+    time = position / max(int(position.max()), 1)
+    lag, turn_scale, translation_scale = -np.einsum(
+        "ni,nik->kn", lin.pose, _pose_errors(readings, position)
     )
+    return [
+        ("incidence", incidence),
+        ("cubic", cubic),
+        ("sag", lin.offset * square / max(float(square.max()), np.finfo(float).tiny)),
+        ("lag", lag),
+        ("drift", longer * (time - 0.5)),  # a steady one,
+        ("drift", -longer * np.exp(-WARMING * time)),  # and that of a sensor that warms up
+        ("turn-scale", turn_scale),
+        ("translation-scale", translation_scale),
+        ("carry-over", carry_over),
+    ]
 
 
 def errors_of_readings(
@@ -280,33 +268,27 @@ def errors_of_readings(
 ) -> FloatArray:
     """Return the columns (N, 3) of the errors `OF_READINGS`.
 
-    The size of a cubic one is that at the `largest` reading [m]; `channel` (B,) is that of `Rows`.
-    What is carried over is that of predicted readings. The readings of two beams differ by errors of
-    the pose as well, which the residuals hold, too: of the little that the unknowns leave of their
-    difference most would be those.
+    The size of a cubic one is that at the `largest` reading [m]; `channel` (B,) is that of
+    `LinearRows`. Predicted readings are carried over, not those of the recording: two readings of a
+    station differ by errors of the pose as well, which the residuals hold, too, and most of the little
+    that the unknowns do not explain of the difference would be these errors.
     """
     slope, d = slopes(at, readings), readings.distance
     expected = d + model.residuals(x, d) / slope
+    # The reading of the channel before, at the same station: without one, nothing is carried over.
+    order = np.argsort(channel)
+    channel_before = np.empty_like(order)
+    channel_before[order] = np.roll(order, 1)
+    _, station = np.unique(readings.station, return_inverse=True)
+    table = np.full((int(station.max()) + 1, readings.beams), np.nan)
+    table[station, readings.beam] = expected
+    before = table[station, channel_before[readings.beam]]
     errors = (
         1.0 / model.cosines(x) ** 2 - 1.0,
         (readings.level / largest) ** 3,
-        _from_channel_before(readings, expected, channel),
+        np.nan_to_num(before - expected),
     )
     return np.asarray(-slope[:, None] * np.column_stack(errors))
-
-
-def _from_channel_before(readings: Readings, d: FloatArray, channel: IntArray) -> FloatArray:
-    """Return by how much (N,) the reading of the channel before is longer; zero where there is none.
-
-    Of readings d (N,) [m].
-    """
-    order = np.argsort(channel)
-    before = np.empty_like(order)
-    before[order] = np.roll(order, 1)
-    _, station = np.unique(readings.station, return_inverse=True)
-    grid = np.full((int(station.max()) + 1, readings.beams), np.nan)
-    grid[station, readings.beam] = d
-    return np.nan_to_num(grid[station, before[readings.beam]] - d)
 
 
 def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:
@@ -331,16 +313,7 @@ def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:
     mean = Rotation.from_matrix(R).mean().as_matrix()
     errors[:, :3, 1] = Rotation.from_matrix(mean.T @ R).as_rotvec()
     errors[:, 3:, 2] = np.einsum("mij,mi->mj", R, t)
-    whole: FloatArray = errors[station]
-    return whole
-
-
-def _pairs(readings: Readings) -> BoolArray:
-    """Return which beams (P, B) may have a bias on which plane."""
-    seen = np.zeros((readings.planes, readings.beams), dtype=bool)
-    seen[readings.plane, readings.beam] = True
-    shared: BoolArray = seen & (seen.sum(axis=0) > 1) & (seen.sum(axis=1) > 1)[:, None]
-    return shared
+    return np.asarray(errors[station])
 
 
 def _splits(readings: Readings, position: IntArray) -> tuple[IntArray, IntArray]:

@@ -1,4 +1,4 @@
-"""Score tests of systematic errors: all members of all families, and what could go unnoticed of them.
+"""Score tests of systematic errors: all members of all families, and how large each could be unnoticed.
 
 The formulas stand in `systematic`. The scales of a prior on range errors are learned: an error that
 shows by improbable range errors, and not by residuals, widens that prior until they are probable. Such
@@ -20,35 +20,33 @@ from ..model.distributions import (
     student_quantile,
     student_sf,
 )
-from .projection import WIDTH, Projection, Rows
-from .significance import FAMILY_LEVEL, holm
-from .systematic_columns import alternatives
+from .projection import BEAM_UNKNOWNS, SQUARE_ROUNDING, LinearRows, Projection
+from .significance import CONFIDENCE, FAMILY_LEVEL, holm
+from .systematic_columns import systematic_columns
 from .systematic_words import WORDING
 
 POWER = 0.8
-"""Probability with which an error of the detectable size is found."""
-RIGHT = 0.95
-"""Two errors are alike where the right one fits better with a smaller probability."""
-LEAST_SHARE = 1e-6
-"""A column of which less is left is confounded. Rounding leaves up to 1e-11 of a member of a family;
-of errors that a recording shows at all, 3e-5 or more is left."""
-MOST_SIGMA = 0.02
-"""So is one whose size is known worse than to this part of its natural unit, the typical range or 1: it
-would be found from five times that on, where derivatives at zero do not describe it any more."""
-LEAST_LOOSE = 0.95
-"""Of what the unknowns leave of a column beside the prior, the part that is left without it; where it
-is less, the prior tells more than a little. It is 0.04 to 0.1 of a cubic range error and 0.7 or more of
-all others. An error that is there widens the prior: with a half here, a cubic one was judged beside the
-prior once it had, and found in 96 of 100 recordings instead of the 80 that its stated size promises."""
-TINY = 1e-14
-"""Rounding of what is left where everything is explained."""
+"""Probability with which an error of the detectable size is found: the usual one in reliability
+theory."""
+CONFOUNDED_SHARE = 1e-6
+"""An error is confounded where the unknowns explain all but this part of its column. Rounding makes up
+to 1e-11 of a member of a family; errors that a recording shows at all have 3e-5 or more."""
+UNKNOWN_SIZE = 0.02
+"""An error is confounded, too, where the standard deviation of its size is above this part of its
+natural unit, the typical range or 1: it would be found from five times that on, where derivatives at
+zero do not describe it any more."""
+STRAINED_SHARE = 0.95
+"""An error strains the prior where removing the prior lowers the square of its adjusted column below
+this part: to 0.04 to 0.1 for a cubic range error, to 0.7 or more for all others. A cubic error that is
+there widens the prior: with a half here it was judged beside the widened prior, and found in 96 of 100
+recordings instead of the 80 that its stated size promises."""
 GAUSSIAN_DOF = 1e5
-"""With so many degrees of freedom an estimated scale is as good as given."""
+"""With more degrees of freedom an estimated scale is as good as given."""
 
 
 @dataclass(frozen=True, slots=True)
-class Remains:
-    """What the unknowns leave of all members and of the residuals, with or without the prior.
+class AdjustedMembers:
+    """All members and the residuals without what the unknowns explain, with or without the prior.
 
     Attributes
     ----------
@@ -75,7 +73,7 @@ class ScoreTests:
 
     Attributes
     ----------
-    rows : Rows
+    rows : LinearRows
     dof : int or None
         Behind the scale of the noise; None where it is given.
     growth : float
@@ -97,32 +95,32 @@ class ScoreTests:
 
     def __init__(
         self,
-        rows: Rows,
+        rows: LinearRows,
         dof: int | None,
         plausible: Mapping[str, float] | None = None,
         growth: float = 1.0,
     ) -> None:
         self.rows, self.dof, self.growth, prior = rows, dof, growth, rows.prior
-        self.kinds = alternatives(rows)
+        self.kinds = systematic_columns(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
         self.position = np.concatenate([kind.position for kind in self.kinds])
-        self._bound = self._loose = self._remains(Projection(rows))
+        self._bound = self._loose = self._adjusted(Projection(rows))
         if self._bound.projection.pull.any():
             free = replace(rows, prior=np.where(prior > 0.0, np.inf, 0.0))
-            self._loose = self._remains(Projection(free))
+            self._loose = self._adjusted(Projection(free))
         bound, loose = self._bound, self._loose
         scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
         scale *= growth
         self.determined = self._determined(scale)
         self.critical, self.delta = needed(FAMILY_LEVEL / max(int(self.determined.sum()), 1), dof)
-        self.strained = loose.left < LEAST_LOOSE * bound.left
+        self.strained = loose.left < STRAINED_SHARE * bound.left
         self.left = np.where(self.strained, loose.left, bound.left)
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
         self._test(scale)
-        largest = {} if plausible is None else plausible
-        most = np.array([largest.get(code, np.inf) for code in self.codes.tolist()])
+        plausible = plausible or {}
+        most = np.array([plausible.get(code, np.inf) for code in self.codes.tolist()])
         self.unnoticed = np.minimum(self.detectable, most)
 
     def products(self, y: FloatArray) -> FloatArray:
@@ -137,14 +135,14 @@ class ScoreTests:
             member -= len(kind.plane)
         return kind.column_of(member)
 
-    def _remains(self, projection: Projection) -> Remains:
+    def _adjusted(self, projection: Projection) -> AdjustedMembers:
         """Take out of all members, and of the residuals, what the unknowns explain."""
-        moved, left = zip(*(kind.left_by(projection) for kind in self.kinds), strict=True)
+        moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
         pulled = projection.pull.copy()
         pulled[:, 5:] *= self.rows.at.range_errors
         rest = projection.perpendicular(self.rows.residual[:, None], pulled.reshape(-1, 1))
         score = self.products(rest.heavy)[:, 0]
-        return Remains(
+        return AdjustedMembers(
             projection, np.concatenate(left), np.concatenate(moved), score, float(rest.squares[0])
         )
 
@@ -153,11 +151,11 @@ class ScoreTests:
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
-        most = np.array([MOST_SIGMA * unit[WORDING[code].unit] for code in self.codes.tolist()])
-        found = (share > LEAST_SHARE) & (left > (scale / most) ** 2)
+        most = np.array([UNKNOWN_SIZE * unit[WORDING[code].unit] for code in self.codes.tolist()])
+        determined = (share > CONFOUNDED_SHARE) & (left > (scale / most) ** 2)
         if (self.rows.prior[:, 0] > 0.0).all():
-            found &= self.codes != "translation-scale"
-        return np.asarray(found)
+            determined &= self.codes != "translation-scale"
+        return np.asarray(determined)
 
     def _test(self, scale: float) -> None:
         """Test all members, given the typical scale of noise."""
@@ -169,9 +167,13 @@ class ScoreTests:
             explained = np.where(self.determined, score**2 / left, 0.0)
             priors = int((self._bound.projection.pull > 0.0).sum())
             dof = np.where(self.strained, max(self.dof - priors, 2), self.dof)
-            each = self.growth * np.sqrt(np.maximum(square - explained, TINY * square) / (dof - 1))
+            each = self.growth * np.sqrt(
+                np.maximum(square - explained, SQUARE_ROUNDING * square) / (dof - 1)
+            )
         self.size, self.sigma = score / left, each / np.sqrt(left)
-        self.z = np.where(self.determined, self.size / np.maximum(self.sigma, TINY * scale), 0.0)
+        self.z = np.where(
+            self.determined, self.size / np.maximum(self.sigma, SQUARE_ROUNDING * scale), 0.0
+        )
         tested = np.flatnonzero(self.determined)
         self.p = np.ones(len(left))
         self.p[tested] = holm(two_sided(self.z[tested], self.dof))
@@ -198,12 +200,12 @@ class ScoreTests:
         at, x = self.rows.at, self._moved_by(members, sizes)
         k, v, turn = at.range_errors[:, :, None], at.directions, self._turns(x)
         cubic = np.where(self.codes[members] == "cubic", sizes, 0.0)
-        own = cubic / self.rows.readings.level.max() ** 3
+        fourth = cubic / self.rows.readings.level.max() ** 3
         parts = (
             x[:, :, :3],
             (1.0 + k[:, 0]) * turn + x[:, :, 5:6] * v,
             k[:, 1] * turn + x[:, :, 6:7] * v,
-            own[:, None, None] * v,
+            fourth[:, None, None] * v,
         )
         return np.stack(parts, axis=2)
 
@@ -212,7 +214,7 @@ class ScoreTests:
         sizes = np.where(np.isfinite(sizes), sizes, np.nan)
         beams = len(self.rows.at.directions)
         return np.asarray(
-            -self.moved[members].reshape(len(members), beams, WIDTH) * sizes[:, None, None]
+            -self.moved[members].reshape(len(members), beams, BEAM_UNKNOWNS) * sizes[:, None, None]
         )
 
     def _turns(self, x: FloatArray) -> FloatArray:
@@ -221,14 +223,14 @@ class ScoreTests:
         return np.asarray(np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5]))
 
     def representatives(self) -> IntArray:
-        """Return the clearest determined member of every family, the clearest first."""
+        """Return the clearest determined member of every family, in the order of their clearness."""
         tested = np.flatnonzero(self.determined)
         tested = tested[np.argsort(-np.abs(self.z[tested]), kind="stable")]
         _, first = np.unique(self.codes[tested], return_index=True)
         return np.asarray(tested[np.sort(first)])
 
     def found_columns(self) -> FloatArray:
-        """Return the columns (N, q) of the errors that are found, and that no clearer one explains."""
+        """Return the columns (N, q) of the errors that are found and that no clearer error explains."""
         first = self.representatives()
         first = first[self.p[first] < FAMILY_LEVEL]
         if not first.size:
@@ -243,33 +245,35 @@ class ScoreTests:
         Two of which one is strained are compared without the prior, as that one is judged.
         """
         columns = np.stack([self.column(member) for member in members.tolist()], axis=1)
-        found = self._correlated(self._bound, members, columns)
+        rho = self._correlated(self._bound, members, columns)
         if self.strained[self.determined].any():
             loose = self._correlated(self._loose, members, columns)
             either = self.strained[members][:, None] | self.strained
-            found = np.where(either, loose, found)
-        return np.clip(found, -1.0, 1.0)
+            rho = np.where(either, loose, rho)
+        return np.clip(rho, -1.0, 1.0)
 
-    def _correlated(self, remains: Remains, members: IntArray, columns: FloatArray) -> FloatArray:
-        products = self.products(remains.projection.perpendicular(columns).heavy).T
-        left = np.where(self.determined, remains.left, np.inf)
+    def _correlated(
+        self, adjusted: AdjustedMembers, members: IntArray, columns: FloatArray
+    ) -> FloatArray:
+        products = self.products(adjusted.projection.perpendicular(columns).heavy).T
+        left = np.where(self.determined, adjusted.left, np.inf)
         return np.asarray(products / np.sqrt(left[members, None] * left))
 
     def explained(self, members: IntArray, rho: FloatArray) -> list[str]:
         """Return for every representative the code of a clearer one that explains it, or nothing."""
         kept: list[int] = []
         words = []
-        for one in range(len(members)):
+        for number, member in enumerate(members.tolist()):
             G = rho[kept][:, members[kept]]
-            r = rho[kept, members[one]]
+            r = rho[kept, member]
             solved = np.linalg.lstsq(G, np.stack((r, self.z[members[kept]]), axis=1), rcond=None)[0]
-            freedom = max(1.0 - float(r @ solved[:, 0]), TINY)
-            alone = (self.z[members[one]] - float(r @ solved[:, 1])) / np.sqrt(freedom)
+            freedom = max(1.0 - float(r @ solved[:, 0]), SQUARE_ROUNDING)
+            alone = (self.z[member] - float(r @ solved[:, 1])) / np.sqrt(freedom)
             if kept and abs(alone) < self.critical:
                 words.append(str(self.codes[members[kept[int(np.argmax(np.abs(r)))]]]))
             else:
                 words.append("")
-                kept.append(one)
+                kept.append(number)
         return words
 
 
@@ -302,4 +306,4 @@ def alike(rho: FloatArray, delta: float) -> BoolArray:
     """
     a, b = delta * np.sqrt(0.5 * (1.0 - rho)), delta * np.sqrt(0.5 * (1.0 + rho))
     right = gaussian_cdf(a) * gaussian_cdf(b) + gaussian_sf(a) * gaussian_sf(b)
-    return np.asarray(right < RIGHT)
+    return np.asarray(right < CONFIDENCE)

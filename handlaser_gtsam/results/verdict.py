@@ -10,7 +10,7 @@ from ..quantities import IN_MM
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
-from .lines import count, some
+from .lines import NAMES_IN_LINE, count, some
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
 from .systematic_words import WORDING, may_also_be
@@ -260,7 +260,7 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
     if found.undetermined:
         first, *more = found.undetermined
         others = list(dict.fromkeys(one.partition(":")[0] for one in more))
-        what = first + (f"; and unknowns of {some(others, 3)}" if others else "")
+        what = first + (f"; and unknowns of {some(others, NAMES_IN_LINE)}" if others else "")
     best = Improvement("more-motion", words)
     causes = CalibrationWarning("undetermined", calibration.message), *calibration.warnings
     return Verdict("undetermined", (_clause(what), _clause(words)), best, reading, causes=causes)

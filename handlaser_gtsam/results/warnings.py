@@ -21,31 +21,29 @@ from ..quantities import IN_DEG, IN_MM
 from .dependence import Dependence
 from .lines import count
 from .reports import Fit
-from .significance import SINGLE_LEVEL
+from .significance import FAR_SIGMAS, FEW_DEGREES, SINGLE_LEVEL
 
-SUSPICIOUS_FIT, FAR_OFF = 0.06, 10.0
-"""An rms above this part of the readings' spread, or above so many given sigmas, is suspicious."""
-POOR_FIT = 0.1
-"""An rms residual above this part of the readings' spread is no fit."""
-FAR_TOGETHER = 4.0
-"""Residuals of one station that go together by so many standard deviations are no accident."""
-SAME_PLACE, SAME_WAY = 1e-3, 0.01
-"""Beams that lie nearer [m] and point more alike [rad] are one: no two sensors fit there."""
-FEW = 10
-"""Readings beyond the unknowns from which a noise that is not given is known to a quarter or so."""
-FAR_READING = 4.0
-"""A residual of so many sigmas is worth a look."""
-MANY_LEFT_OUT = 0.1
-"""More outliers than this part of the readings are no accident."""
+SUSPICIOUS_FIT = 0.06
+"""An rms residual above this part of the readings' spread is suspicious: a file read wrongly has
+more."""
+NO_FIT = 0.1
+"""An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
+digit."""
+TEN_TIMES = 10.0
+"""A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
+SAME_PLACE = 1e-3
+"""Two beams that lie nearer [m] and point one way are one: no two sensors fit there."""
+SAME_WAY = 0.01
+"""Two beams of one place whose directions differ by less [rad] point one way."""
+MANY_OUTLIERS = 0.1
+"""More outliers than this part of the readings are no accident, but have a cause."""
 MOST_LOST = 0.5
 """A beam that loses this part of its readings or more is not calibrated: another solution would do as
 well."""
-BAD_ROBOT = 10.0
-"""Pose sigmas that are surely so many times what is expected stand for something else."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 NO_MOUNT = 10.0
-"""And one further away than this [m] is on no vehicle either: its millimetres were read as metres."""
+"""A beam further away than this [m] is on no vehicle either: its millimetres were read as metres."""
 LONG_RANGE = 100.0
 """A median reading above this [m] is probably in millimetres."""
 COARSE = "coarse-readings"
@@ -63,7 +61,7 @@ def misfit(
     lost = _lost_beam(recording, fit)
     if lost is not None:
         return lost
-    if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > FAR_OFF:
+    if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > TEN_TIMES:
         return CalibrationWarning(
             "no-fit",
             f"the readings do not fit: residuals are {fit.sigma0:.3g} times as large as the sigmas "
@@ -77,7 +75,7 @@ def misfit(
             f"sensor has; {CHECKS}",
         )
     spread = readings.spread()
-    if fit.dof <= 0 or fit.rms <= POOR_FIT * spread:
+    if fit.dof <= 0 or fit.rms <= NO_FIT * spread:
         return None
     half = rounding(readings.distance)
     if fit.rms <= half:
@@ -156,7 +154,7 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     """Tell whether the fit is so poor that the file may have been read the wrong way."""
     if fit.dof <= 0:
         return False
-    far = fit.range_sigma_given and fit.sigma0 > FAR_OFF
+    far = fit.range_sigma_given and fit.sigma0 > TEN_TIMES
     least = max(SUSPICIOUS_FIT * readings.spread(), rounding(readings.distance))
     return bool(far or fit.rms > least)
 
@@ -190,7 +188,7 @@ def _of_the_file(
 ) -> Iterator[CalibrationWarning]:
     """Yield warnings of many outliers, and of lengths that look like millimetres."""
     outliers, total = fit.outliers, fit.readings + fit.outliers
-    if outliers > MANY_LEFT_OUT * total:
+    if outliers > MANY_OUTLIERS * total:
         yield CalibrationWarning(
             "many-outliers",
             f"{outliers} of {total} readings were left out as outliers: look "
@@ -274,7 +272,7 @@ def _wrong_sigmas(
 def _pose_errors(fit: Fit, noise: Noise) -> Iterator[CalibrationWarning]:
     """Warn of errors of the robot where they are not counted."""
     together = _going_together(fit)
-    if together > FAR_TOGETHER:
+    if together > FAR_SIGMAS:
         yield CalibrationWarning(
             "poses-err",
             f"residuals of one station go together ({together:.0f} standard deviations): the "
@@ -295,7 +293,7 @@ def _large_pose_errors(scales: Sequence[ScaleEstimate]) -> Iterator[CalibrationW
     for one in scales:
         expected = one.scale.unit * one.scale.prior
         at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
-        if one.scale.name != RANGE and at_least > BAD_ROBOT * expected:
+        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
             turns = one.scale.name == ROTATION
             unit, size = ("deg", IN_DEG) if turns else ("mm", IN_MM)
             yield CalibrationWarning(
@@ -327,7 +325,7 @@ def _going_together(fit: Fit) -> float:
 def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
     """Yield warnings of one reading that is far off, and of a noise that is hardly determined."""
     far = fit.max_standardized_residual
-    if fit.dof > 0 and far > FAR_READING:
+    if fit.dof > 0 and far > FAR_SIGMAS:
         station, beam = fit.max_standardized_residual_at
         yield CalibrationWarning(
             "far-reading",
@@ -335,7 +333,7 @@ def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
             "it is an outlier",
             {"station": station, "beam": beam, "sigmas": far},
         )
-    if not fit.range_sigma_given and redundancy < FEW:
+    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
         more = (
             f"only {count(redundancy, 'reading')} more than"
             if redundancy > 0

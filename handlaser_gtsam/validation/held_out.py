@@ -1,10 +1,10 @@
-"""Planes and stations held out of a calibration and predicted, without calibrating anew.
+"""Planes and stations held out of a calibration and predicted, without another calibration.
 
-`leave_out.validate` calibrates from nothing for every part that it leaves out. Here the calibration is
+`leave_out.validate` calibrates from nothing for every part that it holds out. Here the calibration is
 the start: its choice of readings, its noise and its prior of range errors stay as they are, and a few
-steps of Gauss and Newton lead to the solution without that part. That takes milliseconds a plane, and
-is the same solution where noise and prior are given. Where they were learned from everything, what was
-held out has had its say in them.
+Gauss-Newton steps lead to the solution without that part. That takes milliseconds a plane, and is the
+same solution where noise and prior are given. Where they were learned from everything, the part that is
+held out has contributed to them.
 """
 
 from dataclasses import dataclass
@@ -20,11 +20,13 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .hold_out import hold_out
 from .leave_out import USUAL_SPLITS, PlaneLeftOut, training_stations
-from .parts import Whole
+from .parts import WholeSolution
 from .prediction import Prediction, predicted
 
-MOST_WORK, LEAST_PLANES = 2000, 10
-"""Planes that are left out times all planes, and the least planes that are left out of many."""
+PLANES_SQUARED = 2000
+"""Planes that are held out times all planes, at most: as many as take a second or two."""
+LEAST_HELD_OUT = 10
+"""Planes that are held out at least, however many there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -55,7 +57,7 @@ def held_out(calibration: Calibration) -> HeldOut:
     Returns
     -------
     HeldOut
-        Empty, with the reason, where `parts.Whole.of` knows of nothing to hold out.
+        Empty, with the reason, where `parts.WholeSolution.of` knows of nothing to hold out.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def held_out(calibration: Calibration) -> HeldOut:
     """
     require_kind("calibration", calibration, Calibration)
     try:
-        whole = Whole.of(calibration)
+        whole = WholeSolution.of(calibration)
     except SolverError as error:
         return HeldOut((), (), str(error))
     fit, planes = calibration.fit, whole.recording.plane_names
@@ -73,8 +75,8 @@ def held_out(calibration: Calibration) -> HeldOut:
     left_out = (_plane_held_out(whole, plane, sigma) for plane in _chosen(planes))
     rng = np.random.default_rng(0)
     parts = [training_stations(whole.recording, rng) for _ in range(USUAL_SPLITS)]
-    found = (_split(whole, training) for training in parts)
-    return HeldOut(tuple(left_out), tuple(one for one in found if one is not None))
+    predictions = [_split(whole, training) for training in parts]
+    return HeldOut(tuple(left_out), tuple(one for one in predictions if one is not None))
 
 
 def _chosen(planes: tuple[str, ...]) -> list[str]:
@@ -82,38 +84,35 @@ def _chosen(planes: tuple[str, ...]) -> list[str]:
     count = len(planes)
     if count < 2:
         return []
-    most = min(max(MOST_WORK // count, LEAST_PLANES), count)
+    most = min(max(PLANES_SQUARED // count, LEAST_HELD_OUT), count)
     return [planes[p] for p in np.linspace(0, count - 1, most).round().astype(int)]
 
 
-def _plane_held_out(whole: Whole, plane: str, range_sigma: float | None) -> PlaneLeftOut:
+def _plane_held_out(whole: WholeSolution, plane: str, range_sigma: float | None) -> PlaneLeftOut:
     """Return how the beams from all other planes fit one plane; see `hold_out` for an unknown sigma."""
     mine = np.array([label == plane for label in whole.recording.plane_labels])
     try:
-        found = whole.solved_from(~mine)
-        own, variances = whole.stations(mine)
+        others = whole.solved_from(~mine)
+        held, variances = whole.stations(mine)
         exact = 0.0 if variances.pose is None else None
         noise = Noise(range_sigma, exact, exact, variances.incidence_sigma, variances.pose)
         mounts = Mounts(
-            found.recording.beam_names,
-            *found.at.beams,
-            found.joint.terms,
-            found.joint.matrix(planes=[]),
+            others.recording.beam_names,
+            *others.at.beams,
+            others.joint.terms,
+            others.joint.matrix(planes=[]),
             float(np.median(variances.range_sigma)),
         )
-        return PlaneLeftOut(plane, hold_out(mounts, own, noise, each_beam=False), "")
+        return PlaneLeftOut(plane, hold_out(mounts, held, noise, each_beam=False), "")
     except (InputError, SolverError, GrazingBeamError) as error:
         return PlaneLeftOut(plane, None, str(error))
 
 
-def _split(whole: Whole, training: BoolArray) -> Prediction | None:
+def _split(whole: WholeSolution, training: BoolArray) -> Prediction | None:
     """Return how the other stations are predicted; None where the training stations do not suffice."""
     try:
-        found = whole.solved_from(training)
+        part = whole.solved_from(training)
         test, variances = whole.stations(~training)
+        return predicted(part.at, part.joint, test, variances)
     except (InputError, SolverError, GrazingBeamError):
         return None
-    known = found.joint
-    same = set(test.plane_names) <= set(known.plane_names)
-    same &= set(test.beam_names) <= set(known.beam_names)
-    return predicted(found.at, known, test, variances) if same else None

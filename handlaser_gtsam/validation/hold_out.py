@@ -26,19 +26,20 @@ from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
-from ..quantities import KNOWN
+from ..quantities import KNOWN, SINGULAR
 from ..results.mounts import Mounts
+from ..results.significance import FEW_DEGREES
 from ..solvers.normal_equations import normal_equations
 from ..solvers.progress import tell
 from ..solvers.steps import apply_step
 from ..starts.growing import PartialStart, grow
 
-STEPS, SETTLED = 20, 1e-12
-RANK = 1e-12
-"""Singular values below this part of the largest are rounding, in natural units."""
-ROUNDS = 3
-LEAST_DOF = 10
-"""Degrees of freedom from which a range sigma is estimated from the recording itself."""
+MOST_PLANE_STEPS = 20
+"""Steps of the planes for fixed beams at most: they converge quadratically from closed-form planes."""
+EXACT_STEP = 1e-12
+"""A step of the planes that is smaller in natural units is rounding."""
+SCALE_ROUNDS = 3
+"""Rounds in which the scale of the noise and the directions that it determines settle together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -152,12 +153,12 @@ def fit_planes(
     at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
     unit = np.array([1.0, 1.0, readings.typical_range()])
     still = np.zeros((readings.beams, 7))
-    for _ in range(STEPS):
+    for _ in range(MOST_PLANE_STEPS):
         how = whitening(at, readings, variances)
         normal = normal_equations(at, readings, 2, whitening=how)
         step = normal.reduced(np.ones(7 * readings.beams), unit).plane_step * unit
         at = apply_step(at, still, step, normal.centres[0], 2)
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < EXACT_STEP:
             break
     return at, whitening(at, readings, variances)
 
@@ -213,8 +214,8 @@ class _Quadratic:
         along = axes.T @ reduced.gradient / how.sigma**2
         scale, keep = 1.0, values > KNOWN**-2
         # Few readings cannot tell their own sigma: that of the calibration stands for it.
-        known = known or free - int(keep.sum()) < LEAST_DOF
-        for _ in range(0 if known else ROUNDS):
+        known = known or free - int(keep.sum()) < FEW_DEGREES
+        for _ in range(0 if known else SCALE_ROUNDS):
             rest = cost - float((along[keep] ** 2 / values[keep]).sum())
             scale = rest / (free - int(keep.sum()))
             keep = values / scale > KNOWN**-2
@@ -243,7 +244,7 @@ class _Quadratic:
         Q = A.T @ self.information @ A
         Q[: root.shape[1], : root.shape[1]] += np.eye(root.shape[1])
         b = A.T @ self.gradient
-        z = -np.linalg.pinv(Q, rcond=RANK, hermitian=True) @ b
+        z = -np.linalg.pinv(Q, rcond=SINGULAR, hermitian=True) @ b
         return float(-b @ z), A @ z
 
     def p_value(self, statistic: float, dof: int) -> float:

@@ -1,6 +1,6 @@
 """How well a calibration predicts readings that it has not seen.
 
-Every reading that was left out as an outlier of the whole recording stays out.
+A reading that was rejected as an outlier of the whole recording stays rejected.
 """
 
 from dataclasses import dataclass, replace
@@ -128,8 +128,8 @@ def _validated(
     predictions = []
     for number in range(splits):
         tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
-        one = _split(kept, noise, keep, rng)
-        predictions += [] if one is None else [one]
+        prediction = _split(kept, noise, keep, rng)
+        predictions += [] if prediction is None else [prediction]
     tell("leave-out", total - 1, total, "without range error")
     bare = _ended(
         calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
@@ -148,21 +148,21 @@ def _without(
 ) -> PlaneLeftOut:
     mine = np.array([label == plane for label in recording.plane_labels])
     try:
-        found = _ended(calibrate(*_part(recording, noise, ~mine), options))
-        if found.status != "converged":
-            return PlaneLeftOut(plane, None, found.message)
-        own, seen = _part(recording, noise, mine)
-        seen = found.noise(seen) if found.noise_estimate else seen
-        return PlaneLeftOut(plane, hold_out(Mounts.of(found), own, seen), "")
+        others = _ended(calibrate(*_part(recording, noise, ~mine), options))
+        if others.status != "converged":
+            return PlaneLeftOut(plane, None, others.message)
+        held, seen = _part(recording, noise, mine)
+        seen = others.noise(seen) if others.noise_estimate else seen
+        return PlaneLeftOut(plane, hold_out(Mounts.of(others), held, seen), "")
     except InputError as error:
         return PlaneLeftOut(plane, None, str(error))
 
 
-def _ended(found: Calibration) -> Calibration:
+def _ended(calibration: Calibration) -> Calibration:
     """Return a calibration; Ctrl-C in it ends everything."""
-    if found.interrupted:
+    if calibration.interrupted:
         raise KeyboardInterrupt
-    return found
+    return calibration
 
 
 def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
@@ -180,12 +180,11 @@ def _split(
     training = training_stations(recording, rng)
     try:
         part, seen = _part(recording, noise, training)
-        found = calibrate(part, seen, options)
+        calibration = calibrate(part, seen, options)
         test, seen = _part(recording, noise, ~training)
+        return predict(calibration, test, seen)
     except InputError:
         return None
-    same = set(test.plane_names) <= set(found.planes) and set(test.beam_names) <= set(found.beams)
-    return predict(found, test, seen) if found.status == "converged" and same else None
 
 
 def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:

@@ -1,8 +1,8 @@
-"""A calibration's own solution again, from some of its stations only: in milliseconds.
+"""The solution of a calibration from some of its stations only, in milliseconds.
 
 The readings that were used, the noise and the prior of range errors stay as they were found from
-everything; only beams and planes are solved for anew, from where they stood, by steps of Gauss and
-Newton. It is the same solution as that of `calibrate` where noise and prior are given.
+everything; only beams and planes are solved for, by Gauss-Newton steps from where they stood. It is
+the same solution as that of `calibrate` where noise and prior are given.
 """
 
 from dataclasses import dataclass, replace
@@ -23,12 +23,14 @@ from ..observability.rank import Observability, observability
 from ..results.calibration import Calibration
 from ..solvers.steps import newton_step
 
-STEPS, SETTLED = 30, 1e-6
-"""A step shorter than so many standard deviations ends the iteration; it takes about five."""
+MOST_NEWTON_STEPS = 30
+"""Steps to the solution of a part at most; it takes about five."""
+SHORT_STEP = 1e-6
+"""A step that is shorter, in standard deviations, ends the iteration."""
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PartSolution:
     """Beams and planes as some stations alone know them.
 
     Attributes
@@ -46,7 +48,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class WholeSolution:
     """What stays as it was found from everything.
 
     Attributes
@@ -69,7 +71,7 @@ class Whole:
     prior: RangeErrorPrior | None
 
     @classmethod
-    def of(cls, calibration: Calibration) -> "Whole":
+    def of(cls, calibration: Calibration) -> "WholeSolution":
         """Return what stays of a calibration.
 
         Raises
@@ -103,11 +105,12 @@ class Whole:
         """
         rows = np.flatnonzero(chosen & ~np.isnan(self.recording.ranges).all(axis=1))
         part, pose = self.recording.part(rows), self.variances.pose
-        own = self.variances.range_sigma[self._beams(part)]
+        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
+        sigma = self.variances.range_sigma[beams]
         pose = None if pose is None else pose[rows]
-        return part, replace(self.variances, range_sigma=own, pose=pose)
+        return part, replace(self.variances, range_sigma=sigma, pose=pose)
 
-    def known_by(self, chosen: BoolArray) -> Part:
+    def known_by(self, chosen: BoolArray) -> PartSolution:
         """Return beams and planes where they stand, with what the `chosen` stations know of them.
 
         Raises
@@ -121,7 +124,7 @@ class Whole:
         problem = _Problem.of(self, chosen)
         return problem.solved(problem.at)
 
-    def solved_from(self, chosen: BoolArray) -> Part:
+    def solved_from(self, chosen: BoolArray) -> PartSolution:
         """Return the solution from the `chosen` (M,) stations.
 
         Raises
@@ -135,22 +138,19 @@ class Whole:
         problem = _Problem.of(self, chosen)
         problem.determined(problem.at)
         at = problem.at
-        for _ in range(STEPS):
+        for _ in range(MOST_NEWTON_STEPS):
             readings, how = weighed(problem.readings, at, problem.variances, self.terms)
             at, length = newton_step(at, readings, self.terms, how, problem.prior)
-            if length < SETTLED:
+            if length < SHORT_STEP:
                 return problem.solved(at)
         raise SolverError("no solution was found near the whole one")
-
-    def _beams(self, part: Recording) -> list[int]:
-        return [self.recording.beam_names.index(name) for name in part.beam_names]
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
     """Some stations: their readings in the frames of the planes, and where beams and planes stood."""
 
-    whole: Whole
+    whole: WholeSolution
     recording: Recording
     readings: Readings
     origins: FloatArray
@@ -159,7 +159,7 @@ class _Problem:
     prior: RangeErrorPrior | None
 
     @classmethod
-    def of(cls, whole: Whole, chosen: BoolArray) -> "_Problem":
+    def of(cls, whole: WholeSolution, chosen: BoolArray) -> "_Problem":
         part, variances = whole.stations(chosen)
         beams = [whole.recording.beam_names.index(name) for name in part.beam_names]
         planes = [whole.recording.plane_names.index(name) for name in part.plane_names]
@@ -181,11 +181,11 @@ class _Problem:
             raise SolverError(words)
         return found, how.sigma
 
-    def solved(self, at: Parameters) -> Part:
+    def solved(self, at: Parameters) -> PartSolution:
         found, sigma = self.determined(at)
         joint = covariance_of_determined(found, at, sigma, self.origins)
         named = joint.arranged(
             [(name, i) for i, name in enumerate(self.recording.beam_names)],
             [(name, p) for p, name in enumerate(self.recording.plane_names)],
         )
-        return Part(self.recording, at.seen_from(-self.origins), named)
+        return PartSolution(self.recording, at.seen_from(-self.origins), named)

@@ -4,7 +4,7 @@ Predictions carry their own standard deviation, from the reading, the pose, and 
 behind it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,19 +48,20 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     Raises
     ------
     InputError
-        The calibration has no covariance.
+        The calibration did not converge, or the recording has a plane or beam that it does not.
     """
     joint = calibration.covariance
-    if joint is None:
+    if joint is None or calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    _require_known(joint, recording)
     ranges = np.full(len(recording.beam_names), calibration.fit.range_sigma)
     if calibration.variances is not None:
         beams = [list(calibration.beams).index(name) for name in recording.beam_names]
         ranges = calibration.variances.range_sigma[beams]
     pose = None
     if calibration.fit.poses != "exact":
-        told = calibration.noise(noise).reordered(np.arange(len(recording.plane_labels)))
-        pose = told.pose_covariances(len(recording.plane_labels))
+        stations = len(recording.plane_labels)
+        pose = calibration.noise(noise).reordered(np.arange(stations)).pose_covariances(stations)
     variances = Variances(ranges, noise.incidence_sigma, pose)
     return predicted(calibration.parameters(), joint, recording, variances)
 
@@ -78,7 +79,13 @@ def predicted(
     recording : Recording
     variances : Variances
         Of its readings, by its beams and stations.
+
+    Raises
+    ------
+    InputError
+        A plane or beam of the recording is not known.
     """
+    _require_known(joint, recording)
     readings = recording.readings()
     beams = [joint.beam_names.index(name) for name in recording.beam_names]
     planes = [joint.plane_names.index(name) for name in recording.plane_names]
@@ -91,8 +98,8 @@ def predicted(
     of_beam = 8 * readings.beam[:, None] + np.arange(8)
     of_plane = first + 4 * readings.plane[:, None] + np.arange(4)
     columns = np.hstack((of_beam, of_plane))
-    own = S[columns[:, :, None], columns[:, None, :]]
-    variance = np.einsum("ni,nij,nj->n", J, own, J)
+    of_reading = S[columns[:, :, None], columns[:, None, :]]
+    variance = np.einsum("ni,nij,nj->n", J, of_reading, J)
     sigmas = reading_sigmas(at, readings, variances)
     return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
 
@@ -100,7 +107,7 @@ def predicted(
 def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
     """Predict all stations of a plane from the plane that the beams span at each one of them."""
     planes = range(len(recording.plane_names))
-    errors = [one for p in planes for one in _of_plane(calibration, recording, p)]
+    errors = [e for p in planes for e in _of_plane(calibration, recording, p)]
     if not errors:
         return None
     e = np.concatenate(errors)
@@ -119,15 +126,36 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
     read = ~np.isnan(d)
     for station in range(len(rows)):
         X = spots[station, read[station]]
-        found = plane_of(X) if len(X) >= 3 else None
-        if found is None:
+        spanned = plane_of(X) if len(X) >= 3 else None
+        if spanned is None:
             continue
-        n, middle = found
+        n, middle = spanned
         others = read & (np.arange(len(rows)) != station)[:, None]
         m, b = np.nonzero(others)
         n_hand = np.einsum("mji,j->mi", R[m], n)
         height = np.einsum("mi,mi->m", n_hand, r[b]) + (t[m] - middle) @ n
         yield -height / np.einsum("mi,mi->m", n_hand, v[b]) - g[m, b]
+
+
+def pooled(predictions: Sequence[Prediction]) -> Prediction:
+    """Return the errors of several predictions as those of one."""
+    tests = np.array([one.tests for one in predictions])
+    rms, unit = np.array([(one.rms, one.standardized) for one in predictions]).T
+    largest = max(one.max_residual for one in predictions)
+    total = int(tests.sum())
+    rms, unit = np.sqrt(tests @ rms**2 / total), np.sqrt(tests @ unit**2 / total)
+    return Prediction(total, float(rms), largest, float(unit))
+
+
+def _require_known(joint: JointCovariance, recording: Recording) -> None:
+    """Refuse a recording with planes or beams that were not calibrated."""
+    for kind, names, known in (
+        ("plane", recording.plane_names, joint.plane_names),
+        ("beam", recording.beam_names, joint.beam_names),
+    ):
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise InputError(f"{kind} {unknown[0]}", f"one of {', '.join(known)}")
 
 
 def _prediction(e: FloatArray, sigmas: FloatArray) -> Prediction:

@@ -3,13 +3,11 @@
 from dataclasses import replace
 
 from ..results.limits import Limits, rms_checked
+from ..results.lines import NAMES_IN_LINE
 from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
 from ..text import some
 from .leave_out import Validation
-
-SHOWN = 4
-"""Planes that are named in one list."""
 
 
 def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:
@@ -42,4 +40,4 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
 def _planes(names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return f"plane {names[0]} contradicts"
-    return f"planes {some(names, SHOWN)} contradict"
+    return f"planes {some(names, NAMES_IN_LINE)} contradict"

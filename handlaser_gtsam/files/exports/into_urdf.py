@@ -5,11 +5,9 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ...errors import InputError
+from ...results.lines import NAMES_ON_PAGE
 from ...text import shown, some
 from ..checked_text import read_text
-
-SHOWN = 40
-"""Names of links that a message lists."""
 
 
 def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> str:
@@ -26,7 +24,9 @@ def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> s
     outline = _Outline(path, text)
     if link not in outline.links:
         found = f"no link {shown(link)}"
-        expected = f"one of {some(outline.links, SHOWN)}" if outline.links else "a URDF with links"
+        expected = (
+            f"one of {some(outline.links, NAMES_ON_PAGE)}" if outline.links else "a URDF with links"
+        )
         raise InputError(found, expected, path)
     if outline.links.count(link) > 1:
         raise InputError(f"the link {shown(link)} twice", "every link once", path)
@@ -38,7 +38,7 @@ def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> s
         if taken:
             raise InputError(
                 f"a {kind} {taken[0]} there already",
-                f"a URDF without the beams; it has {some(there, SHOWN)}",
+                f"a URDF without the beams; it has {some(there, NAMES_ON_PAGE)}",
                 path,
             )
     before, after = outline.halves

@@ -15,15 +15,13 @@ from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
 from .names import comment_text
-from .rendering import fixed, number, rendered
+from .rendering import REMARK, fixed, number, rendered
 
 CONVENTION = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
 """Of the poses of each language."""
 IN_JOINTS = ("krl", "rapid", "urscript")
 JOINTS = 6
 """An arm of another number of joints has axes that programs count in other ways."""
-LONGEST_NAME = 20
-"""Of a station in a remark: FANUC has 30 characters for all of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)
     stops = [
         Stop(
-            f"station {comment_text(name)[:LONGEST_NAME]}, plane {comment_text(plane)}",
+            f"station {comment_text(name)[: 2 * REMARK // 3]}, plane {comment_text(plane)}",
             tuple(map(write, pose)),
             tuple(write(unit * joint) for joint in turned),
             not name.startswith(VIA),

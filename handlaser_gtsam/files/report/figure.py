@@ -11,20 +11,29 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from ...text import shortened
 from ..json_text import Record
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
-"""Told apart by people who see no red or green, too."""
+"""Colours of beams, which people who see no red or green tell apart, too."""
 SYMBOLS = ("circle", "diamond", "square", "triangle-up", "x", "star", "cross", "pentagon")
 AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
-"""Of x, y and z of the hand."""
-LEGEND = 8
-"""Up to so many beams have a legend."""
+"""Colours of x, y and z of the hand."""
+LEGEND = len(COLOURS)
+"""Beams that have a legend, and a place on the map of correlations, at most: one for every colour."""
 GREY, LINE, INK = "#9aa3ad", "#e3e6ea", "#22303c"
-LONGEST = 26
-"""Characters of a name in a picture."""
+NAME_IN_PICTURE = 26
+"""Characters of a name in a picture: half of its width."""
+MOST_POINTS = 1000
+"""Points, segments or hands that a picture draws at most: a page with more is slow to turn and to
+load."""
+MOST_SHAPES = 60
+"""Planes and bands that a picture draws at most: an eye tells no more of them apart."""
+LETTERS_BELOW = 48
+"""Letters of all labels below a picture on a phone."""
+SHORTEST_LABEL = 3
+"""Letters of a label at least: fewer tell no names apart."""
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 
 
@@ -42,18 +51,23 @@ class Figure:
         return {"data": self.data, "layout": self.layout}
 
 
-def label(name: str, longest: int = LONGEST) -> str:
+def label(name: str, longest: int = NAME_IN_PICTURE) -> str:
     """Return a foreign name for a picture: short, and taken neither for HTML nor for TeX."""
     return harmless(short(name, longest))
 
 
-def tick_labels(names: Sequence[str], room: int) -> list[str]:
-    """Return names for the ticks of an axis that has room for so many letters."""
-    longest = max(3, room // max(len(names), 1))
+def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
+    """Return names for the ticks of an axis that has room for `room` letters."""
+    longest = max(SHORTEST_LABEL, room // max(len(names), 1))
     return [label(name, longest) for name in names]
 
 
-def short(name: str, longest: int = LONGEST) -> str:
+def evenly(count: int, most: int) -> IntArray:
+    """Return all `count` indices, or `most` of them that are evenly spread."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
+
+
+def short(name: str, longest: int = NAME_IN_PICTURE) -> str:
     """Return a name, cut where it is longer than a picture has room for."""
     return shortened(name, longest)
 
@@ -64,7 +78,7 @@ def harmless(words: str) -> str:
 
 
 def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float | None]:
-    """Return numbers for JSON, to so many significant digits; null where there is none."""
+    """Return numbers of this many significant digits for JSON; null where there is none."""
     return [
         None if not math.isfinite(x) else float(f"{x:.{digits}g}")
         for x in np.asarray(values, dtype=float).ravel().tolist()
@@ -73,7 +87,7 @@ def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float
 
 def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Record:
     """Return the layout that all flat figures share: thin lines, no frame, the page's font."""
-    found: Record = {
+    shared: Record = {
         "height": height,
         "margin": {"l": 58, "r": 14, "t": 12, "b": 48},
         "font": {"family": FONT, "size": 12, "color": INK},
@@ -92,12 +106,12 @@ def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Rec
         "dragmode": False,
         "showlegend": False,
     }
-    return found | (more or {})
+    return shared | (more or {})
 
 
 def axis(title: str, **more: object) -> Record:
     """Return an axis with a title."""
-    found: Record = {
+    shared: Record = {
         "title": {"text": title, "standoff": 8},
         "type": "linear",
         "gridcolor": LINE,
@@ -109,9 +123,9 @@ def axis(title: str, **more: object) -> Record:
         "ticklen": 4,
         "automargin": True,
     }
-    return found | more
+    return shared | more
 
 
 def colour(index: int, count: int) -> str:
-    """Return the colour of one of so many beams; one for all where there are too many to tell."""
+    """Return the colour of one of `count` beams: the same for all where there are more than colours."""
     return COLOURS[index] if count <= len(COLOURS) else COLOURS[0]

@@ -1,8 +1,8 @@
-"""All figures of a subject, in the order of the report."""
+"""All figures of a subject, in the order of the report: a further one is a line of this list."""
 
-from ...results.description.correlations import correlations_of
+from ...results.correlations import CorrelationMatrix
 from .correlations import correlation_figure
-from .figure import Figure
+from .figure import LEGEND, Figure
 from .history_figure import stations_figure
 from .residual_figures import qq_figure, residual_figures
 from .subject import Subject
@@ -10,11 +10,20 @@ from .subject import Subject
 
 def flat_figures(subject: Subject) -> list[Figure]:
     """Return the flat figures that there are something to draw for."""
-    correlated = correlations_of(subject.calibration)
-    found = [
+    figures = [
         *residual_figures(subject),
         qq_figure(subject),
-        None if correlated is None else correlation_figure(correlated),
+        _correlations(subject),
         stations_figure(subject),
     ]
-    return [one for one in found if one is not None]
+    return [figure for figure in figures if figure is not None]
+
+
+def _correlations(subject: Subject) -> Figure | None:
+    """Return the correlations of the first beams; None without a covariance."""
+    joint = subject.calibration.covariance
+    if joint is None or not subject.solved:
+        return None
+    names = joint.beam_names[:LEGEND]
+    directions = subject.calibration.parameters().directions[:LEGEND]
+    return correlation_figure(CorrelationMatrix.of(names, directions, joint.matrix(names, [])))

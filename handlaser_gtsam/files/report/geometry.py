@@ -5,22 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import model
-from ...arrays import FloatArray, IntArray
-from ...data.parameters import Beams as BeamArrays
+from ...arrays import FloatArray
+from ...data.parameters import Beams
 from ...quantities import IN_MM
-from .figure import short
+from .figure import MOST_POINTS, MOST_SHAPES, evenly, short
 from .subject import ReadingRows, Subject
 
-MOST_SEGMENTS, MOST_HANDS, MOST_PLANES = 800, 400, 60
-"""Drawn at most; of more, every so many-th."""
-MARGIN = 1.15
-"""A plane is drawn so many times as large as what its spots take up."""
-AXES = 0.05
-"""Length of the axes of a hand, as a part of the extent of the picture."""
+PLANE_SIZE = 1.15
+"""The size of a plane that is drawn, in sizes of what its spots take up: they stand clear of its
+edge."""
+AXIS_SIZE = 0.05
+"""Length of the axes of a hand, as a part of the extent of the picture: many hands do not cover it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Beams:
+class BeamSegments:
     """The segments of one beam, from the sensor to its spots.
 
     Attributes
@@ -47,7 +46,7 @@ class Geometry:
         `world` or `hand`.
     planes : tuple of (str, (4, 3))
         Name and corners of every plane [mm].
-    beams : tuple of Beams
+    beams : tuple of BeamSegments
     hands : (M, 4, 3)
         Origin of the hand and the ends of its x, y and z axis [mm].
     hand_names : tuple of str
@@ -55,7 +54,7 @@ class Geometry:
 
     frame: str
     planes: tuple[tuple[str, FloatArray], ...]
-    beams: tuple[Beams, ...]
+    beams: tuple[BeamSegments, ...]
     hands: FloatArray
     hand_names: tuple[str, ...]
 
@@ -63,7 +62,7 @@ class Geometry:
     def points(self) -> FloatArray:
         """Everything that is drawn (N, 3)."""
         parts = [corners for _, corners in self.planes] + [self.hands.reshape(-1, 3)]
-        parts += [one.segments.reshape(-1, 3) for one in self.beams]
+        parts += [beam.segments.reshape(-1, 3) for beam in self.beams]
         return np.concatenate(parts)
 
 
@@ -72,18 +71,19 @@ def in_world(subject: Subject) -> Geometry | None:
 
     Where there is no calibration, only the stations are known.
     """
-    recording, rows = subject.calibration.recording, subject.rows
-    if recording is None or rows is None:
+    rows = subject.rows
+    if rows is None:
         return None
+    recording = rows.recording
     R, t = recording.world_R_hand, recording.world_t_hand * IN_MM
-    shown = _every(len(t), MOST_HANDS)
-    beams: tuple[Beams, ...] = ()
+    shown = evenly(len(t), MOST_POINTS)
+    beams: tuple[BeamSegments, ...] = ()
     planes: tuple[tuple[str, FloatArray], ...] = ()
     everything = t
     if subject.solved:
         beams, planes = _beams(subject, rows), _planes(subject, rows)
         everything = np.concatenate((t, rows.spot * IN_MM))
-    length = AXES * max(float(np.ptp(everything, axis=0).max()), 1.0)
+    length = AXIS_SIZE * max(float(np.ptp(everything, axis=0).max()), 1.0)
     ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
     names = tuple(
         f"station {short(recording.station_names[j])}, plane {short(recording.plane_labels[j])}"
@@ -103,7 +103,7 @@ def in_hand(subject: Subject) -> Geometry | None:
     return of_hand(tuple(calibration.beams), calibration.parameters().beams, reach)
 
 
-def of_hand(names: tuple[str, ...], beams: BeamArrays, reach: FloatArray) -> Geometry | None:
+def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry | None:
     """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
     if not np.isfinite(reach).all():
         return None
@@ -111,42 +111,39 @@ def of_hand(names: tuple[str, ...], beams: BeamArrays, reach: FloatArray) -> Geo
     for name, r, v, k, most in zip(names, *beams, reach, strict=True):
         g = float(model.corrected(most[None], k[None])[0])
         ends = np.stack((r, r + g * v)) * IN_MM
-        found.append(Beams(name, ends[None], (f"beam {short(name)}",)))
-    extent = np.concatenate([one.segments.reshape(-1, 3) for one in found] + [np.zeros((1, 3))])
-    length = 4.0 * AXES * max(float(np.ptp(extent, axis=0).max()), 1.0)
+        found.append(BeamSegments(name, ends[None], (f"beam {short(name)}",)))
+    extent = np.concatenate([beam.segments.reshape(-1, 3) for beam in found] + [np.zeros((1, 3))])
+    length = 4.0 * AXIS_SIZE * max(float(np.ptp(extent, axis=0).max()), 1.0)
     hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
     return Geometry("hand", (), tuple(found), hand[None], ("the hand",))
 
 
-def _beams(subject: Subject, rows: ReadingRows) -> tuple[Beams, ...]:
-    calibration, recording = subject.calibration, subject.calibration.recording
-    if recording is None:
-        return ()
+def _beams(subject: Subject, rows: ReadingRows) -> tuple[BeamSegments, ...]:
+    calibration, recording = subject.calibration, rows.recording
     used = np.flatnonzero(rows.used)
-    used = used[_every(len(used), MOST_SEGMENTS)]
+    used = used[evenly(len(used), MOST_POINTS)]
     found = []
     for index, beam in enumerate(calibration.beams.values()):
-        own = used[rows.beam[used] == index]
-        R = recording.world_R_hand[rows.station[own]]
-        start = R @ beam.location + recording.world_t_hand[rows.station[own]]
+        mine = used[rows.beam[used] == index]
+        R = recording.world_R_hand[rows.station[mine]]
+        start = R @ beam.location + recording.world_t_hand[rows.station[mine]]
         words = tuple(
             f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
             f"plane {short(recording.plane_labels[j])}, reading {d * IN_MM:.3f} mm"
-            for j, d in zip(rows.station[own].tolist(), rows.reading[own].tolist(), strict=True)
+            for j, d in zip(rows.station[mine].tolist(), rows.reading[mine].tolist(), strict=True)
         )
-        found.append(Beams(beam.name, np.stack((start, rows.spot[own]), axis=1) * IN_MM, words))
+        found.append(
+            BeamSegments(beam.name, np.stack((start, rows.spot[mine]), axis=1) * IN_MM, words)
+        )
     return tuple(found)
 
 
 def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray], ...]:
     """Return a rectangle around the spots of every plane."""
-    calibration, recording = subject.calibration, subject.calibration.recording
-    if recording is None:
-        return ()
-    used = rows.used
+    recording = rows.recording
     found = []
-    for index, plane in enumerate(list(calibration.planes.values())[:MOST_PLANES]):
-        spots = rows.spot[used & (recording.plane_of_station[rows.station] == index)]
+    for index, plane in enumerate(list(subject.calibration.planes.values())[:MOST_SHAPES]):
+        spots = rows.spot[rows.used & (recording.plane_of_station[rows.station] == index)]
         if not len(spots):
             continue
         n = plane.normal
@@ -156,14 +153,7 @@ def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray]
         basis = model.tangent_basis(n[None])[0].T if axes is None else axes
         basis = basis - (basis @ n)[:, None] * n
         flat = (on - middle) @ basis.T
-        low, high = MARGIN * flat.min(axis=0), MARGIN * flat.max(axis=0)
+        low, high = PLANE_SIZE * flat.min(axis=0), PLANE_SIZE * flat.max(axis=0)
         corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
         found.append((plane.name, (middle + np.array(corners) @ basis) * IN_MM))
     return tuple(found)
-
-
-def _every(count: int, most: int) -> IntArray:
-    """Return at most so many indices, evenly spread."""
-    if count <= most:
-        return np.arange(count)
-    return np.unique(np.linspace(0, count - 1, most).round().astype(np.intp))

@@ -12,6 +12,7 @@ from ... import __version__
 from ...quantities import IN_MM
 from ...results.description.evidence import rejected_words
 from ...results.description.tables import Column, Facts, Table, concise, number, sentence, text
+from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
 from .options import changed_on, sha256
 from .subject import Subject
@@ -20,8 +21,6 @@ FRAMES = (
     "Mounts in the hand frame, which the recorded poses describe; planes and stations in the world "
     "frame, in which they are given. Lengths in mm, angles in deg, k1 without unit, k2 in 1/m."
 )
-SHOWN_NAMES = 12
-"""Names of beams, planes and columns that a row of the head lists."""
 LIBRARIES = ("gtsam", "numpy", "scipy")
 
 
@@ -53,15 +52,15 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield "its SHA-256", sha256(path)
     yield "robot", _robot(subject)
     yield "sensor", _sensor(subject)
-    yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), SHOWN_NAMES)}"
-    yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), SHOWN_NAMES)}"
+    yield "beams", f"{len(calibration.beams)}: {some(list(calibration.beams), NAMES_ON_PAGE)}"
+    yield "planes", f"{len(calibration.planes)}: {some(list(calibration.planes), NAMES_ON_PAGE)}"
     if recording is not None:
         read = np.atleast_1d((~np.isnan(recording.ranges)).any(axis=1))
         merged = "" if read.all() else f" with readings, of {len(read)}"
         yield "stations", f"{read.sum()}{merged}"
     yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject.described)}"
     if recording is not None and recording.ignored_columns:
-        yield "columns not used", some(recording.ignored_columns, SHOWN_NAMES)
+        yield "columns not used", some(recording.ignored_columns, NAMES_ON_PAGE)
     yield "frames and units", FRAMES
 
 

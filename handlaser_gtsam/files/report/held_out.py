@@ -13,8 +13,9 @@ from ...results.description.tables import (
     significant,
 )
 from ...results.lines import count
-from ...results.significance import DOUBTFUL_LEVEL, chance
+from ...results.significance import FAMILY_LEVEL, chance
 from ...validation.hold_out import HoldOut
+from ...validation.prediction import pooled
 from .subject import Subject
 
 
@@ -52,7 +53,7 @@ def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple
         state = Cell("not tested", 1.0, "care")
     elif plane in subject.contradicting:
         state = Cell(f"contradict it ({chance(held.p_value)})", 3.0, "bad")
-    elif held.p_value < DOUBTFUL_LEVEL:
+    elif held.p_value < FAMILY_LEVEL:
         state = Cell(f"hardly agree ({chance(held.p_value)})", 2.0, "care")
     numbers = (significant(held.rms * IN_MM), significant(held.max_residual * IN_MM))
     return (
@@ -69,12 +70,9 @@ def splits_words(subject: Subject) -> str:
     splits = subject.held_out.splits
     if not splits:
         return ""
-    tests = sum(one.tests for one in splits)
-    rms = math.sqrt(sum(one.tests * one.rms**2 for one in splits) / tests)
-    unit = math.sqrt(sum(one.tests * one.standardized**2 for one in splits) / tests)
-    largest = max(one.max_residual for one in splits)
+    every = pooled(splits)
     return (
         f"30 % of the stations predicted from the other 70 %, {count(len(splits), 'time')}: rms "
-        f"{concise(rms * IN_MM)} mm, largest {concise(largest * IN_MM)} mm, which is {concise(unit)} "
-        "of the predicted standard deviations (expected 1)."
+        f"{concise(every.rms * IN_MM)} mm, largest {concise(every.max_residual * IN_MM)} mm, which is "
+        f"{concise(every.standardized)} of the predicted standard deviations (expected 1)."
     )

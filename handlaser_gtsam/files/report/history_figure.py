@@ -11,10 +11,10 @@ from ..json_text import Record
 from .figure import COLOURS, Figure, axis, layout, numbers
 from .subject import Subject
 
-MOST_TICKS = 7
-"""Labels that fit above one another."""
-ROOM = 0.06
-"""Above and below a logarithmic curve, in decades."""
+LABELS_ABOVE = 7
+"""Labels of an axis that fit above one another."""
+CLEAR = 0.06
+"""Room above and below a logarithmic curve, in decades: its line stands clear of the edge."""
 
 
 def stations_figure(subject: Subject) -> Figure | None:
@@ -81,10 +81,10 @@ def _logarithmic(traces: list[Record], side: str) -> Record:
     ]
     if not values:  # of readings without noise
         return {"type": "linear"}
-    low, high = math.log10(min(values)) - ROOM, math.log10(max(values)) + ROOM
+    low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR
     powers = range(math.floor(low), math.ceil(high) + 1)
     ticks = [step * 10.0**power for power in powers for step in NICE]
     inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
-    inside = inside[:: math.ceil(len(inside) / MOST_TICKS) or 1]
+    inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
     words = [f"{tick:g}" for tick in inside]
     return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

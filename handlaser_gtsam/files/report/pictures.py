@@ -14,7 +14,7 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
-from ...results.description.correlations import correlations
+from ...results.correlations import CorrelationMatrix
 from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
 from .correlations import correlation_figure
@@ -28,8 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-SIZE, SIZE_IN_SPACE, DPI = (6.0, 4.0), (7.0, 6.0), 130
-"""Inches, and dots an inch."""
+SIZE = (6.0, 4.0)
+"""Inches of a flat picture: two of them fill the width of a page; one in space is half as large
+again."""
+DPI = 130
+"""Dots an inch of a picture, which a page shows without enlarging it."""
 MARKERS = {
     "circle": "o",
     "diamond": "D",
@@ -131,8 +134,9 @@ def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[
     reach = np.array(
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
-    found = correlations(names, v, np.array(calibration.beam_covariance))
-    return [of_hand(names, (r, v, k), reach)], [correlation_figure(found)]
+    S = np.array(calibration.beam_covariance)[: 8 * LEGEND, : 8 * LEGEND]
+    correlations = CorrelationMatrix.of(names[:LEGEND], v[:LEGEND], S)
+    return [of_hand(names, (r, v, k), reach)], [correlation_figure(correlations)]
 
 
 def _flat(figure: Figure) -> "Drawing":
@@ -215,28 +219,24 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
 
 def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
-    own = axes.xaxis if side == "x" else axes.yaxis
-    own.set_label_text(axis["title"]["text"], fontsize=9)
-    own.set_tick_params(labelsize=8)
+    from matplotlib.ticker import NullLocator
+
+    drawn = axes.xaxis if side == "x" else axes.yaxis
+    drawn.set_label_text(axis["title"]["text"], fontsize=9)
+    drawn.set_tick_params(labelsize=8)
     if axis["type"] == "log":
         axes.set_yscale("log")
         axes.set_ylim(*(10.0 ** np.array(axis["range"])))
-        own.set_minor_locator(_no_ticks())
+        drawn.set_minor_locator(NullLocator())
     elif "range" in axis:
         (axes.set_xlim if side == "x" else axes.set_ylim)(*axis["range"])
     if "tickvals" in axis:
-        own.set_ticks(axis["tickvals"], [html.unescape(str(one)) for one in axis["ticktext"]])
-        for text in own.get_ticklabels():
+        drawn.set_ticks(axis["tickvals"], [html.unescape(str(one)) for one in axis["ticktext"]])
+        for text in drawn.get_ticklabels():
             text.set_parse_math(False)
     if axis.get("showgrid", True):
         axes.grid(axis=side, color=LINE, lw=0.7)
         axes.set_axisbelow(True)
-
-
-def _no_ticks() -> Any:
-    from matplotlib.ticker import NullLocator
-
-    return NullLocator()
 
 
 def _in_space(geometry: Geometry) -> "Drawing":
@@ -244,7 +244,7 @@ def _in_space(geometry: Geometry) -> "Drawing":
     from matplotlib.figure import Figure as Drawing
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    drawing = Drawing(figsize=SIZE_IN_SPACE, layout="constrained")
+    drawing = Drawing(figsize=(1.5 * SIZE[1], 1.5 * SIZE[1]), layout="constrained")
     axes: Any = drawing.add_subplot(projection="3d")
     corners = [corners for _, corners in geometry.planes]
     if corners:

@@ -6,18 +6,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import FloatArray, IntArray
 from ...model.distributions import beta_quantile, gaussian_quantile
 from ...quantities import IN_DEG, IN_MM
+from ...results.significance import CONFIDENCE
 from ..json_text import Record
 from .figure import (
     COLOURS,
     GREY,
     LEGEND,
+    LETTERS_BELOW,
+    MOST_POINTS,
+    MOST_SHAPES,
+    SHORTEST_LABEL,
     SYMBOLS,
     Figure,
     axis,
     colour,
+    evenly,
     label,
     layout,
     numbers,
@@ -25,64 +31,120 @@ from .figure import (
 )
 from .subject import ReadingRows, Subject
 
-MOST_POINTS = 1000
-"""Points of a figure; of more, every so many-th and the largest."""
-MOST_TICKS, MOST_BANDS = 16, 60
-"""Names of planes that fit below a figure, and bands that an eye tells apart behind it."""
-ROOM = 48
-"""Letters of all planes below a figure on a phone."""
-SPREAD = 0.7
-"""Of the distance between two planes, what the beams of one take up."""
+BESIDE = 0.7
+"""The part of the distance between two planes that their beams take up: a gap tells the planes
+apart."""
 UPPER_MARGIN: Record = {"l": 58, "r": 14, "t": 34, "b": 48}
+"""Room for a legend above a figure."""
 
 
 def residual_figures(subject: Subject) -> list[Figure]:
     """Return the residuals against range, incidence, station and plane; none without a recording."""
-    recording, rows = subject.calibration.recording, subject.rows
-    if recording is None or rows is None or not rows.used.any():
+    rows = subject.rows
+    if rows is None or not rows.used.any():
         return []
-    shown = _shown(rows)
-    found = [_against_range(subject, rows, shown)]
-    if subject.solved:
-        found.append(_against_incidence(subject, rows, shown))
-    found += [_against_station(subject, rows, shown), _against_plane(subject, rows, shown)]
+    drawn = _drawn(rows)
+    figures = [_by_range(subject, rows, drawn)]
+    figures += [_by_incidence(subject, rows, drawn)] if subject.solved else []
+    figures += [_by_station(subject, rows, drawn), _by_plane(subject, rows, drawn)]
     used = int(rows.used.sum())
-    if len(shown) == used:
-        return found
-    note = f" {len(shown)} of {used} readings are drawn, the largest residuals among them."
-    return [replace(one, caption=one.caption + note) for one in found]
+    if len(drawn) == used:
+        return figures
+    note = f" {len(drawn)} of {used} readings are drawn, the largest residuals among them."
+    return [replace(figure, caption=figure.caption + note) for figure in figures]
 
 
-def _shown(rows: ReadingRows) -> IntArray:
-    """Return the rows that are drawn: all, or every so many-th and the largest."""
+def _drawn(rows: ReadingRows) -> IntArray:
+    """Return the rows that are drawn: all, or half of them evenly spread and half the largest."""
     used = np.flatnonzero(rows.used)
     if len(used) <= MOST_POINTS:
         return used
     half = MOST_POINTS // 2
     largest = np.argsort(-np.abs(rows.residual[used]), kind="stable")[:half]
-    every = np.linspace(0, len(used) - 1, half).round().astype(np.intp)
-    return used[np.union1d(largest, every)]
+    return used[np.union1d(largest, evenly(len(used), half))]
 
 
-def _points(subject: Subject, rows: ReadingRows, shown: IntArray, x: FloatArray) -> list[Record]:
-    """Return one trace a beam: residuals over x, which has one entry a reading."""
-    recording, names = subject.calibration.recording, list(subject.calibration.beams)
+def _by_range(subject: Subject, rows: ReadingRows, drawn: IntArray) -> Figure:
+    caption = "Residual against reading. A trend says that the range error has more terms."
+    if subject.solved:
+        caption += (
+            " The grey band is one standard deviation of a reading, without that of the pose."
+        )
+    return _figure(subject, "by-range", caption, "reading, mm", rows, drawn, rows.reading * IN_MM)
+
+
+def _by_incidence(subject: Subject, rows: ReadingRows, drawn: IntArray) -> Figure:
+    caption = (
+        "Residual against the angle between beam and plane normal. A spread that grows says that "
+        "flat incidence errs more."
+    )
+    x = rows.incidence * IN_DEG
+    return _figure(subject, "by-incidence", caption, "incidence, deg", rows, drawn, x)
+
+
+def _by_station(subject: Subject, rows: ReadingRows, drawn: IntArray) -> Figure:
+    caption = (
+        "Residual by station, in the order of the recording; a band for every other plane. A drift "
+        "or a step says that something moved."
+    )
+    planes = rows.recording.plane_of_station
+    ends = [0.5, *(np.flatnonzero(np.diff(planes)) + 1.5).tolist(), len(planes) + 0.5]
+    bands = [
+        _band("y", x0=low, x1=high) for low, high in list(pairwise(ends))[1 : 2 * MOST_SHAPES : 2]
+    ]
+    below = axis("station, in their order", zeroline=False, range=[0.0, len(planes) + 1.0])
+    x = 1.0 + rows.station.astype(np.float64)
+    return _figure(subject, "by-station", caption, "", rows, drawn, x, xaxis=below, shapes=bands)
+
+
+def _by_plane(subject: Subject, rows: ReadingRows, drawn: IntArray) -> Figure:
+    caption = (
+        "Residual by plane, its beams side by side. A plane that stands out is bent, moved or "
+        "wrongly labelled."
+    )
+    beams, names = len(subject.calibration.beams), rows.recording.plane_names
+    x = rows.recording.plane_of_station[rows.station] + BESIDE * ((rows.beam + 0.5) / beams - 0.5)
+    every = max(1, math.ceil(len(names) * SHORTEST_LABEL / LETTERS_BELOW))
+    ticks = list(range(0, len(names), every))
+    below = axis(
+        "plane",
+        tickvals=ticks,
+        ticktext=tick_labels([names[p] for p in ticks]),
+        range=[-0.6, len(names) - 0.4],
+        showgrid=False,
+        zeroline=False,
+    )
+    return _figure(subject, "by-plane", caption, "plane", rows, drawn, x, xaxis=below)
+
+
+def _figure(
+    subject: Subject,
+    name: str,
+    caption: str,
+    title: str,
+    rows: ReadingRows,
+    drawn: IntArray,
+    x: FloatArray,
+    **more: object,
+) -> Figure:
+    """Return the residuals over x, which has one entry a reading: one trace a beam."""
+    recording, names = rows.recording, list(subject.calibration.beams)
     traces: list[Record] = []
-    for index, name in enumerate(names):
-        own = shown[rows.beam[shown] == index]
-        if recording is None or not len(own):
+    for index, beam in enumerate(names):
+        mine = drawn[rows.beam[drawn] == index]
+        if not len(mine):
             continue
         words = [
             f"station {label(recording.station_names[j])}, plane {label(recording.plane_labels[j])}"
-            for j in rows.station[own].tolist()
+            for j in rows.station[mine].tolist()
         ]
         traces.append(
             {
                 "type": "scatter",
                 "mode": "markers",
-                "name": f"beam {label(name)}",
-                "x": numbers(x[own]),
-                "y": numbers(rows.residual[own] * IN_MM),
+                "name": f"beam {label(beam)}",
+                "x": numbers(x[mine]),
+                "y": numbers(rows.residual[mine] * IN_MM),
                 "text": words,
                 "marker": {
                     "color": colour(index, len(names)),
@@ -93,111 +155,27 @@ def _points(subject: Subject, rows: ReadingRows, shown: IntArray, x: FloatArray)
                 "hovertemplate": "%{y:.4f} mm<br>%{text}",
             }
         )
-    return traces
-
-
-def _legend(subject: Subject) -> Record:
-    wanted = 1 < len(subject.calibration.beams) <= LEGEND
-    return {"showlegend": wanted, "margin": UPPER_MARGIN} if wanted else {}
-
-
-def _band(subject: Subject) -> list[Record]:
-    """Return the band of one standard deviation of a reading."""
+    # The band of one standard deviation of a reading, where nothing else lies behind the points.
     sigma = subject.calibration.fit.range_sigma * IN_MM
-    if not (subject.solved and math.isfinite(sigma)):
-        return []
-    shape: Record = {
+    known = subject.solved and math.isfinite(sigma)
+    shared: Record = {"shapes": [_band("x", y0=-sigma, y1=sigma)] if known else []}
+    if 1 < len(names) <= LEGEND:
+        shared |= {"showlegend": True, "margin": UPPER_MARGIN}
+    return Figure(name, caption, traces, layout(title, "residual, mm", more=shared | more))
+
+
+def _band(across: str, **edges: float) -> Record:
+    """Return a grey band that goes all `across` the figure, along x or y, between two edges."""
+    return {
         "type": "rect",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": -sigma,
-        "y1": sigma,
-        "fillcolor": "rgba(120,135,150,0.14)",
+        f"{across}ref": "paper",
+        f"{across}0": 0,
+        f"{across}1": 1,
+        **edges,
+        "fillcolor": "rgba(120,135,150,0.12)",
         "line": {"width": 0},
         "layer": "below",
     }
-    return [shape]
-
-
-def _against_range(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figure:
-    caption = "Residual against reading. A trend says that the range error has more terms."
-    if subject.solved:
-        caption += (
-            " The grey band is one standard deviation of a reading, without that of the pose."
-        )
-    drawn = layout(
-        "reading, mm", "residual, mm", more={"shapes": _band(subject)} | _legend(subject)
-    )
-    return Figure("by-range", caption, _points(subject, rows, shown, rows.reading * IN_MM), drawn)
-
-
-def _against_incidence(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figure:
-    caption = (
-        "Residual against the angle between beam and plane normal. A spread that grows says that "
-    )
-    caption += "flat incidence errs more."
-    drawn = layout(
-        "incidence, deg", "residual, mm", more={"shapes": _band(subject)} | _legend(subject)
-    )
-    points = _points(subject, rows, shown, rows.incidence * IN_DEG)
-    return Figure("by-incidence", caption, points, drawn)
-
-
-def _against_station(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figure:
-    recording = subject.calibration.recording
-    planes = np.empty(0) if recording is None else recording.plane_of_station
-    edges = np.flatnonzero(np.diff(planes)) + 1.5
-    ends = [0.5, *edges.tolist(), len(planes) + 0.5]
-    bands: list[Record] = [
-        {
-            "type": "rect",
-            "yref": "paper",
-            "x0": low,
-            "x1": high,
-            "y0": 0,
-            "y1": 1,
-            "fillcolor": "rgba(120,135,150,0.09)",
-            "line": {"width": 0},
-            "layer": "below",
-        }
-        for low, high in list(pairwise(ends))[1:MOST_BANDS:2]
-    ]
-    caption = (
-        "Residual by station, in the order of the recording; a band for every other plane. A drift "
-    )
-    caption += "or a step says that something moved."
-    below = axis("station, in their order", zeroline=False, range=[0.0, len(planes) + 1.0])
-    drawn = layout("", "residual, mm", more={"xaxis": below, "shapes": bands} | _legend(subject))
-    points = _points(subject, rows, shown, 1.0 + rows.station.astype(np.float64))
-    return Figure("by-station", caption, points, drawn)
-
-
-def _against_plane(subject: Subject, rows: ReadingRows, shown: IntArray) -> Figure:
-    recording, beams = subject.calibration.recording, len(subject.calibration.beams)
-    names = () if recording is None else recording.plane_names
-    plane = np.zeros(len(rows.station))
-    if recording is not None:
-        plane = recording.plane_of_station[rows.station].astype(float)
-    places = plane + SPREAD * ((rows.beam + 0.5) / beams - 0.5)
-    every = max(1, math.ceil(len(names) / MOST_TICKS))
-    ticks = list(range(0, len(names), every))
-    below = axis(
-        "plane",
-        tickvals=list(ticks),
-        ticktext=tick_labels([names[p] for p in ticks], ROOM),
-        range=[-0.6, len(names) - 0.4],
-        showgrid=False,
-        zeroline=False,
-    )
-    caption = (
-        "Residual by plane, its beams side by side. A plane that stands out is bent, moved or "
-    )
-    caption += "wrongly labelled."
-    drawn = layout(
-        "plane", "residual, mm", more={"xaxis": below, "shapes": _band(subject)} | _legend(subject)
-    )
-    return Figure("by-plane", caption, _points(subject, rows, shown, places), drawn)
 
 
 def qq_figure(subject: Subject) -> Figure | None:
@@ -205,23 +183,24 @@ def qq_figure(subject: Subject) -> Figure | None:
     rows = subject.rows
     if rows is None or not subject.solved:
         return None
-    z = rows.standardized[rows.used & np.isfinite(rows.standardized)]
-    if len(z) < 3:
+    z = np.sort(rows.standardized[rows.used & np.isfinite(rows.standardized)])
+    count = len(z)
+    if count < 3:
         return None
-    z, count = np.sort(z), len(z)
     rank = np.arange(1, count + 1)
     expected = gaussian_quantile((rank - 0.5) / count)
     low, high = (
-        gaussian_quantile(beta_quantile(tail, rank, count + 1 - rank)) for tail in (0.025, 0.975)
+        gaussian_quantile(beta_quantile(tail, rank, count + 1 - rank))
+        for tail in (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))
     )
-    keep = _evenly(count)
-    x = numbers(expected[keep])
+    drawn = evenly(count, MOST_POINTS)
+    x = numbers(expected[drawn])
     edge: Record = {"type": "scatter", "mode": "lines", "x": x, "hoverinfo": "skip"}
     traces: list[Record] = [
-        edge | {"y": numbers(low[keep]), "line": {"width": 0}},
+        edge | {"y": numbers(low[drawn]), "line": {"width": 0}},
         edge
         | {
-            "y": numbers(high[keep]),
+            "y": numbers(high[drawn]),
             "line": {"width": 0},
             "fill": "tonexty",
             "fillcolor": "rgba(120,135,150,0.18)",
@@ -231,19 +210,13 @@ def qq_figure(subject: Subject) -> Figure | None:
             "type": "scatter",
             "mode": "markers",
             "x": x,
-            "y": numbers(z[keep]),
+            "y": numbers(z[drawn]),
             "marker": {"color": COLOURS[0], "size": 5},
             "hovertemplate": "%{y:.2f} where %{x:.2f} is expected<extra></extra>",
         },
     ]
-    caption = "Q-Q plot: residuals in their standard deviations beside those of a Gaussian. Good "
-    caption += "ones stay in the grey band, which holds each point with 95 %."
+    caption = (
+        "Q-Q plot: residuals in their standard deviations beside those of a Gaussian. Good "
+        "ones stay in the grey band, which holds each point with 95 %."
+    )
     return Figure("qq", caption, traces, layout("expected", "residual, standard deviations"))
-
-
-def _evenly(count: int) -> BoolArray:
-    keep = np.ones(count, dtype=bool)
-    if count > MOST_POINTS:
-        keep[:] = False
-        keep[np.linspace(0, count - 1, MOST_POINTS).round().astype(np.intp)] = True
-    return keep

@@ -22,11 +22,13 @@ from .figure import (
 from .geometry import Geometry
 
 EYE = (1.15, -1.3, 0.75)
-"""From where both are seen."""
-WIDTH, HEIGHT, ROOM = 760, 520, 28
-"""Of the still picture, and the room around it."""
-LEGEND_ROW, LETTERS = 26, 19
-"""On paper two pictures stand side by side, half as large."""
+"""From where both pictures are seen: a little from above, so that walls and floors are both seen."""
+SIZE = (760, 520)
+"""Width and height of the still picture: on paper two stand side by side, half as large."""
+MARGIN = 28
+"""Room around the still picture, and the height of a row of its legend."""
+LETTERS = 19
+"""Height of letters in the still picture, which is readable at half the size."""
 
 
 def scene_figure(geometry: Geometry) -> Figure:
@@ -167,16 +169,16 @@ def still_picture(geometry: Geometry) -> str:
     flat, _ = _projected(geometry.points)
     low, high = flat.min(axis=0), flat.max(axis=0)
     span = np.maximum(high - low, 1e-9)
-    scale = float(np.min((np.array([WIDTH, HEIGHT]) - 2.0 * ROOM) / span))
+    scale = float(np.min((np.array(SIZE) - 2.0 * MARGIN) / span))
     middle = 0.5 * (low + high)
 
     def place(points: FloatArray) -> FloatArray:
         on, _ = _projected(points)
         flipped: FloatArray = (on - middle) * scale * np.array([1.0, -1.0])
-        return flipped + 0.5 * np.array([WIDTH, HEIGHT])
+        return flipped + 0.5 * np.array(SIZE)
 
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {SIZE[0]} {SIZE[1]}" role="img">',
         f"<title>Beams and planes, {geometry.frame} frame</title>",
     ]
     nearness = {name: float(_projected(c)[1].mean()) for name, c in geometry.planes}
@@ -216,7 +218,7 @@ def _key(geometry: Geometry) -> Iterable[str]:
     if len(geometry.beams) > LEGEND:
         return
     for index, one in enumerate(geometry.beams):
-        y, shade = 18 + LEGEND_ROW * index, colour(index, len(geometry.beams))
+        y, shade = 18 + MARGIN * index, colour(index, len(geometry.beams))
         yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
         words = f"beam {label(one.name)}"
         yield f'<text x="26" y="{y + 6}" font-size="{LETTERS}" fill="{INK}">{words}</text>'
@@ -224,9 +226,9 @@ def _key(geometry: Geometry) -> Iterable[str]:
 
 def _ruler(scale: float) -> Iterable[str]:
     """Yield a bar of a round length."""
-    power = 10.0 ** np.floor(np.log10(0.25 * WIDTH / scale))
-    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power * scale <= 0.25 * WIDTH)
-    x, y = WIDTH - 12.0, HEIGHT - 12.0
+    power = 10.0 ** np.floor(np.log10(0.25 * SIZE[0] / scale))
+    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power * scale <= 0.25 * SIZE[0])
+    x, y = SIZE[0] - 12.0, SIZE[1] - 12.0
     yield f'<path d="M{x:.1f} {y:.1f}h{-length * scale:.1f}" stroke="{GREY}" stroke-width="2"/>'
     yield (
         f'<text x="{x:.1f}" y="{y - 6.0:.1f}" font-size="{LETTERS}" text-anchor="end" fill="{INK}">'

@@ -71,6 +71,7 @@ class ReadingRows:
 
     Attributes
     ----------
+    recording : Recording
     station, beam : (N,) of int
         Rows and columns of the recording.
     reading : (N,)
@@ -85,6 +86,7 @@ class ReadingRows:
         Laser spot, world frame [m]; NaN likewise.
     """
 
+    recording: Recording
     station: IntArray
     beam: IntArray
     reading: FloatArray
@@ -125,9 +127,9 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
 def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
     d, e = recording.ranges, calibration.fit.residuals
     station, beam = np.nonzero(~np.isnan(d))
-    residual = e[station, beam] if e.shape == d.shape else np.full(len(station), np.nan)
     nothing = np.full(len(station), np.nan)
-    where = (station, beam, d[station, beam], residual)
+    residual = e[station, beam] if e.shape == d.shape else nothing
+    where = (recording, station, beam, d[station, beam], residual)
     if calibration.status != "converged":
         return ReadingRows(*where, nothing, nothing, np.full((len(station), 3), np.nan))
     at = calibration.parameters()

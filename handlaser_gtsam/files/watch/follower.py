@@ -17,18 +17,19 @@ from pathlib import Path
 from ...text import printable
 from .hub import STATUS
 from .watched import Fingerprint, Watched
-from .worker import Answer, work
+from .worker import FileAnswer, work
 
-EVERY = 0.15
-"""Seconds from one look at the files to the next."""
-SETTLED = 1.2
+LOOK_S = 0.15
+"""Seconds from one look at the files to the next: a person sees the page follow at once."""
+SETTLED_S = 1.2
 """Seconds after which files that have not changed are taken for whole.
 
 They are read once more then, because a change within one tick of the file system's clock shows in no
 time stamp.
 """
-SOON = 0.5
-"""Seconds after which the page says that it is being calibrated."""
+BUSY_S = 0.5
+"""Seconds after which the page says that a calibration is going on: shorter words would only
+flicker."""
 Publish = Callable[[Mapping[str, str]], None]
 
 
@@ -98,10 +99,10 @@ class Follower:
         if seen != self._seen:
             self._seen, self._changed = seen, now
         if self._asked is not None:
-            if self._refused_since is None and now - self._asked[2] > SOON:
+            if self._refused_since is None and now - self._asked[2] > BUSY_S:
                 self._say("calibrating", "calibrating")
             return
-        settled = now - self._changed >= SETTLED
+        settled = now - self._changed >= SETTLED_S
         if self._answered in ((seen, settled), (seen, True)):
             return
         self._asked = (seen, settled, now)
@@ -114,9 +115,9 @@ class Follower:
         """Wait for an answer, or until it is time to look again."""
         worker = self._worker
         if worker is None or self._asked is None:
-            self._over.wait(EVERY)
+            self._over.wait(LOOK_S)
             return
-        if not connection.wait([worker.asked, worker.process.sentinel], EVERY):
+        if not connection.wait([worker.asked, worker.process.sentinel], LOOK_S):
             return
         try:
             answer = worker.asked.recv()
@@ -130,12 +131,14 @@ class Follower:
                 return
             code = worker.process.exitcode or 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            answer = Answer(error=f"the calibration ended with {how}; the next change begins anew")
+            answer = FileAnswer(
+                error=f"the calibration ended with {how}; the next change begins anew"
+            )
         seen, settled, _ = self._asked
         self._answered, self._asked = (seen, settled), None
         self._tell(answer, settled)
 
-    def _tell(self, answer: Answer, settled: bool) -> None:
+    def _tell(self, answer: FileAnswer, settled: bool) -> None:
         if answer.messages:
             self._publish(answer.messages)
         self._beside = answer.beside
@@ -145,7 +148,7 @@ class Follower:
             self._say("waiting" if answer.waiting else "current", "up to date", note=answer.note)
             return
         self._refused_since = self._refused_since or now
-        if settled or now - self._refused_since >= SETTLED:  # before, it may be half written
+        if settled or now - self._refused_since >= SETTLED_S:  # before, it may be half written
             self._say("refused", "not readable as it stands", error=answer.error)
 
     def _say(self, phase: str, words: str, *, error: str = "", note: str = "") -> None:

@@ -8,14 +8,14 @@ import ipaddress
 import re
 import socket
 from dataclasses import dataclass
+from http import HTTPStatus
+from http.client import HTTP_PORT
 
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
-FORBIDDEN, HTTP_PORT = 403, 80
-"""A status of HTTP, and the port that browsers leave out of addresses."""
 HEADERS = {
     "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",
@@ -27,7 +27,7 @@ HEADERS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
+class HostNames:
     """By what names a server may be asked.
 
     Attributes
@@ -52,15 +52,15 @@ class Names:
         return found[1] in self.names or (self.any_address and _is_address(found[1]))
 
 
-def names_of(host: str, bound: socket.socket) -> Names:
+def names_of(host: str, bound: socket.socket) -> HostNames:
     """Return the names of a server that was asked to listen at `host`, and does so at `bound`."""
     address, port = bound.getsockname()[:2]
     here = {spelt(host), spelt(address)}
     if is_loopback(bound):
-        return Names(port, frozenset(here | {"localhost", "127.0.0.1", "[::1]"}), False)
+        return HostNames(port, frozenset(here | {"localhost", "127.0.0.1", "[::1]"}), False)
     name = socket.gethostname().lower()
     everywhere = {"localhost", name, f"{name.partition('.')[0]}.local"}
-    return Names(port, frozenset(here | everywhere), True)
+    return HostNames(port, frozenset(here | everywhere), True)
 
 
 def is_loopback(bound: socket.socket) -> bool:
@@ -85,7 +85,7 @@ def _is_address(host: str) -> bool:
 class Guard:
     """Refuses requests under a foreign name or from a foreign page, and sets headers of security."""
 
-    def __init__(self, app: ASGIApp, names: Names, policy: str) -> None:
+    def __init__(self, app: ASGIApp, names: HostNames, policy: str) -> None:
         self._app, self._names = app, names
         headers = HEADERS | {"content-security-policy": policy}
         self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
@@ -99,7 +99,7 @@ class Guard:
             await send(message)
 
         fault = self.fault(Headers(scope=scope))
-        app = self._app if not fault else PlainTextResponse(f"{fault}\n", FORBIDDEN)
+        app = self._app if not fault else PlainTextResponse(f"{fault}\n", HTTPStatus.FORBIDDEN)
         await app(scope, receive, with_headers)
 
     def fault(self, headers: Headers) -> str:

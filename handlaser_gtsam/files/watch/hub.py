@@ -9,12 +9,10 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-BEAT = 10.0
-"""Seconds after which who has heard nothing hears that there is nothing."""
+BEAT_S = 10.0
+"""Seconds after which a client hears that nothing is new, and so that the server is there."""
 STATE, STATUS = "state", "status"
 """Topics: that all of a calibration was sent, and what is going on."""
-RETRY_MS = 1000
-"""Milliseconds after which a browser that lost the connection tries again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +34,8 @@ class Hub:
 
     @property
     def hello(self) -> bytes:
-        """What every client hears first: which page this server has, and when to try again."""
-        return f"retry: {RETRY_MS}\nevent: hello\ndata: {self._page}\n\n".encode()
+        """What every client hears first: which page this server has, and when to try again [ms]."""
+        return f"retry: 1000\nevent: hello\ndata: {self._page}\n\n".encode()
 
     def publish(self, messages: Mapping[str, str]) -> None:
         """Replace the newest messages of some topics, at once, by texts of one line.
@@ -76,7 +74,7 @@ class Hub:
         if found:
             return found
         try:
-            await asyncio.wait_for(changed.wait(), BEAT)
+            await asyncio.wait_for(changed.wait(), BEAT_S)
         except TimeoutError:
             return b"event: beat\ndata:\n\n"
         return self.unheard(heard)

@@ -5,12 +5,13 @@ from typing import cast
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-PATIENCE = 30.0
-"""Seconds in which a client that is sent something has to read any of it."""
-HEAD = 10.0
-"""Seconds in which a client has to send the whole head of a request."""
-MOST_CONNECTIONS = 256
-"""Connections at one time: 64 tabs with the two or three that a browser opens ahead of need."""
+READ_TIMEOUT_S = 30.0
+"""Seconds in which a client that is sent something has to read any of it: slow networks take a few."""
+HEAD_TIMEOUT_S = 10.0
+"""Seconds in which a client has to send the whole head of a request, which is one packet."""
+MOST_CLIENTS = 64
+"""Clients that look on at a time: a browser has one a tab, and more would take the time of
+calibrating."""
 
 
 class PatientProtocol(H11Protocol):
@@ -24,10 +25,10 @@ class PatientProtocol(H11Protocol):
         """Begin, and wait for the head of a request."""
         stream = cast(asyncio.Transport, transport)
         super().connection_made(stream)
-        if len(self.connections) > MOST_CONNECTIONS:
+        if len(self.connections) > 4 * MOST_CLIENTS:  # a browser opens two or three ahead of need
             stream.abort()
         else:
-            self._head = self.loop.call_later(HEAD, stream.abort)
+            self._head = self.loop.call_later(HEAD_TIMEOUT_S, stream.abort)
 
     def data_received(self, data: bytes) -> None:
         """Take a part of a request; the head has come once there is a cycle that answers it."""
@@ -37,7 +38,7 @@ class PatientProtocol(H11Protocol):
             self._head.cancel()
             self._head = None
         elif not whole and self._head is None:
-            self._head = self.loop.call_later(HEAD, self._judge_head)
+            self._head = self.loop.call_later(HEAD_TIMEOUT_S, self._judge_head)
 
     def _judge_head(self) -> None:
         """Hang up where the head of a further request is not whole, and nothing is being answered."""
@@ -64,7 +65,7 @@ class PatientProtocol(H11Protocol):
 
     def _wait(self) -> None:
         self._left = self.transport.get_write_buffer_size()
-        self._waiting = self.loop.call_later(PATIENCE, self._judge)
+        self._waiting = self.loop.call_later(READ_TIMEOUT_S, self._judge)
 
     def _judge(self) -> None:
         if self.transport.get_write_buffer_size() >= self._left:

@@ -18,16 +18,14 @@ from ...errors import InputError
 from ..report.page import live_page
 from .guard import Guard, is_loopback, names_of, spelt
 from .hub import Hub
-from .patience import PatientProtocol
+from .patience import MOST_CLIENTS, PatientProtocol
 
 PORT = 8642
-"""Of the page where none is stated: one that no common server takes."""
-TRIED = 20
-"""Ports that are tried, from `PORT` on, where none is asked for."""
-BUFFER = 1 << 18
-"""Bytes that the system holds back at most for a client that does not read."""
-MOST_CLIENTS = 64
-"""Who looks on at a time; a browser has one connection a tab."""
+"""The port of the page where none is stated: one that no common server takes."""
+PORTS_TRIED = 20
+"""Ports that are tried, from `PORT` on, where none is asked for: as many pages stand open at a time."""
+SEND_BUFFER = 1 << 18
+"""Bytes that the system holds back at most for a client that does not read: a quarter of a state."""
 
 
 def listening(host: str, port: int | None) -> socket.socket:
@@ -44,7 +42,7 @@ def listening(host: str, port: int | None) -> socket.socket:
     InputError
         The port is taken, or the host is none of this computer's.
     """
-    ports = range(PORT, PORT + TRIED) if port is None else (port,)
+    ports = range(PORT, PORT + PORTS_TRIED) if port is None else (port,)
     for one in ports:
         try:
             return _bound(host, one)
@@ -69,7 +67,7 @@ def _bound(host: str, port: int) -> socket.socket:
     found = socket.socket(family, kind, protocol)
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         found.bind(address)
         found.listen()
     except OSError:

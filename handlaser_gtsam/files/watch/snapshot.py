@@ -13,12 +13,12 @@ from ..logs.tables import BOOKS
 from ..rig_reading import read_with
 from ..rig_toml import Rig
 
-MOST_BYTES = 200_000_000
-"""A recording that is larger is none, or nothing for a page."""
+LARGEST_FILE = 200_000_000
+"""Bytes of a followed file at most: a larger one is no recording, or nothing for a page."""
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class FileContent:
     """A file at one moment.
 
     Attributes
@@ -48,7 +48,7 @@ class Part:
 class Snapshot:
     """The recording or log, and the files beside it that its format names, at one moment."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[FileContent, ...]
 
     @property
     def rests(self) -> tuple[bytes, ...]:
@@ -101,12 +101,12 @@ def snapshot(paths: Sequence[Path]) -> Snapshot:
     return Snapshot(tuple(_part(path) for path in paths))
 
 
-def _part(path: Path) -> Part:
+def _part(path: Path) -> FileContent:
     data = content(path, "a recording or a log")
     if path.suffix.lower() in BOOKS:
-        return Part(path, data, b"")
+        return FileContent(path, data, b"")
     cut = data.rfind(b"\n" if b"\n" in data else b"\r") + 1
-    return Part(path, data[:cut], data[cut:])
+    return FileContent(path, data[:cut], data[cut:])
 
 
 def content(path: Path, expected: str) -> bytes:
@@ -121,8 +121,8 @@ def content(path: Path, expected: str) -> bytes:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise InputError("no regular file there", expected, path)
-        if found.st_size > MOST_BYTES:
-            raise InputError(f"{found.st_size} bytes", f"at most {MOST_BYTES}", path)
+        if found.st_size > LARGEST_FILE:
+            raise InputError(f"{found.st_size} bytes", f"at most {LARGEST_FILE}", path)
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"no readable file ({error.strerror})", expected, path) from error

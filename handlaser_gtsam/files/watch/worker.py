@@ -22,12 +22,9 @@ from .messages import messages_of
 from .snapshot import Snapshot, content, snapshot
 from .watched import Watched
 
-GIVING_WAY = 5
-"""Added to the niceness: whoever moves the robot and records comes first."""
-
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class FileAnswer:
     """What became of the files.
 
     Attributes
@@ -58,9 +55,9 @@ class Calibrator:
     def __init__(self, watched: Watched) -> None:
         self._watched = watched
         self._last: tuple[str, bytes, tuple[bytes, ...]] | None = None
-        self._answer = Answer()
+        self._answer = FileAnswer()
 
-    def answer(self, settled: bool) -> Answer:
+    def answer(self, settled: bool) -> FileAnswer:
         """Calibrate.
 
         Parameters
@@ -73,7 +70,7 @@ class Calibrator:
             rig, mark = self._rig()
         except InputError as error:
             self._last = None
-            return Answer(error=str(error))
+            return FileAnswer(error=str(error))
         beside = tuple(path for path in rig.log.files if path is not None)
         return replace(self._of_files(rig, mark, beside, settled), beside=beside)
 
@@ -85,7 +82,9 @@ class Calibrator:
         mark = b"" if path is None else content(path, "a rig file, TOML")
         return known_rig(path, watched.given), mark
 
-    def _of_files(self, rig: Rig, mark: bytes, beside: tuple[Path, ...], settled: bool) -> Answer:
+    def _of_files(
+        self, rig: Rig, mark: bytes, beside: tuple[Path, ...], settled: bool
+    ) -> FileAnswer:
         paths = (self._watched.recording, *beside)
         try:
             found = snapshot(paths)
@@ -94,8 +93,8 @@ class Calibrator:
             missing = isinstance(error.__cause__, FileNotFoundError)
             if missing and error.path in paths:
                 name = printable(error.path.name)
-                return Answer(note=f"waiting for {name}, which is not there", waiting=True)
-            return Answer(error=str(error))
+                return FileAnswer(note=f"waiting for {name}, which is not there", waiting=True)
+            return FileAnswer(error=str(error))
         rests = found.rests if settled else tuple(b"" for _ in found.parts)
         last = (found.digest, mark, rests)
         if last != self._last:
@@ -103,11 +102,11 @@ class Calibrator:
             return _noted(self._answer, found, settled)
         return _noted(replace(self._answer, messages={}), found, settled)
 
-    def _calibrated(self, found: Snapshot, rests: tuple[bytes, ...], rig: Rig) -> Answer:
+    def _calibrated(self, found: Snapshot, rests: tuple[bytes, ...], rig: Rig) -> FileAnswer:
         heads = 0 if rig.log.header_given else 1
         first, rest = found.parts[0], rests[0]
         if first.rows(rest) <= heads:
-            return Answer(note="waiting for the first station", waiting=True)
+            return FileAnswer(note="waiting for the first station", waiting=True)
         try:
             try:
                 (report, rig), note = found.read(rig, rests), ""
@@ -116,13 +115,13 @@ class Calibrator:
                 if not any(rest.strip() for rest in rests) or first.rows() <= heads:
                     raise
                 (report, rig), note = found.read(rig, whole), f"not used: {error}"
-            return Answer(self._messages(report, rig), note=note)
+            return FileAnswer(self._messages(report, rig), note=note)
         except HandlaserError as error:
-            return Answer(error=printable(str(error)))
+            return FileAnswer(error=printable(str(error)))
         except Exception as error:  # the page goes on with the next station
             words = " ".join(str(error).split())[:200]
             fault = f"a fault of handlaser, please report it: {type(error).__name__}: {words}"
-            return Answer(error=printable(fault))
+            return FileAnswer(error=printable(fault))
 
     def _messages(self, report: LogReport, rig: Rig) -> Mapping[str, str]:
         options = replace(self._watched.options, sensor=rig.sensor)
@@ -131,7 +130,7 @@ class Calibrator:
         return messages_of(content_of(subject))
 
 
-def _noted(answer: Answer, found: Snapshot, settled: bool) -> Answer:
+def _noted(answer: FileAnswer, found: Snapshot, settled: bool) -> FileAnswer:
     """Return an answer that says which line is not whole yet."""
     for part in found.parts:
         if part.rest.strip() and not settled and not answer.error:
@@ -139,10 +138,10 @@ def _noted(answer: Answer, found: Snapshot, settled: bool) -> Answer:
     return answer
 
 
-def work(asked: "Connection[Answer, bool]", watched: Watched) -> None:
-    """Answer whoever asks, until nobody does."""
+def work(asked: "Connection[FileAnswer, bool]", watched: Watched) -> None:
+    """FileAnswer whoever asks, until nobody does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
-    os.nice(GIVING_WAY)
+    os.nice(5)  # the process that moves the robot and records comes first
     threading.Thread(target=_end_with_parent, daemon=True).start()
     calibrator = Calibrator(watched)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):

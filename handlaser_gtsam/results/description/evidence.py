@@ -8,14 +8,15 @@ import numpy as np
 
 from ...quantities import IN_MM
 from ...text import count, some
+from ..correlations import STRONG
 from ..improvement import WELL_CONDITIONED
-from ..lines import small_mm
+from ..lines import NAMES_IN_LINE, small_mm
 from ..systematic import SystematicError
 from ..systematic_words import size_in_words
-from .correlations import FLAGGED, MOST_BEAMS, correlations_of
 from .noise import noise_words, range_error_words
 from .tables import (
     NONE,
+    ROWS_ON_PAGE,
     Cell,
     Column,
     Facts,
@@ -31,13 +32,6 @@ from .tables import (
 
 if TYPE_CHECKING:
     from .description import Description
-
-SMALL = 0.005
-"""Parts of a variance below this are not worth a word."""
-MOST_PAIRS = 12
-"""Correlations that are listed: more say the same of further beams."""
-MOST_REJECTED = 200
-"""Rejected readings that are listed; the JSON has all."""
 
 
 def fit_facts(described: "Description") -> Facts:
@@ -75,7 +69,7 @@ def rejected_words(described: "Description") -> str:
     for reading in rejected:
         numbers[reading.reason] = numbers.get(reading.reason, 0) + 1
     most = sorted(numbers, key=lambda reason: -numbers[reason])
-    listed = some([f"{reason}: {numbers[reason]}" for reason in most], 4)
+    listed = some([f"{reason}: {numbers[reason]}" for reason in most], NAMES_IN_LINE)
     return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
 
 
@@ -122,7 +116,7 @@ def _shares(described: "Description") -> Iterator[str]:
             (shares.range_error, "from not knowing the range errors"),
             (shares.weakest, weakest),
         )
-        if math.isfinite(share) and share >= SMALL
+        if math.isfinite(share) and round(100.0 * share) > 0
     ]
     overlap = "; these overlap" if len(parts) > 1 else ""
     if parts:
@@ -149,31 +143,18 @@ def advice_sentences(described: "Description") -> Iterator[str]:
 
 
 def correlations_table(described: "Description") -> Table | None:
-    """Return the pairs of unknowns that are correlated above `FLAGGED`; None without a covariance."""
-    matrix = correlations_of(described.calibration)
-    if matrix is None:
+    """Return the pairs of unknowns that are hardly told apart; None without a covariance."""
+    calibration = described.calibration
+    if calibration.covariance is None or not described.solved:
         return None
-    labels, C = matrix.labels, matrix.matrix
-    first, second = np.triu_indices(len(labels), 1)
-    size = np.abs(C[first, second])
-    strong = np.flatnonzero(size > FLAGGED)
-    strong = strong[np.argsort(-size[strong], kind="stable")]
-    pairs = zip(first[strong[:MOST_PAIRS]], second[strong[:MOST_PAIRS]], strict=True)
-    rows = [
-        (
-            text(f"beam {labels[i][0]} {labels[i][1]}"),
-            text(f"beam {labels[j][0]} {labels[j][1]}"),
-            number(float(C[i, j]), 3, "care"),
-        )
-        for i, j in pairs
-    ]
-    note = [f"{count(len(strong), 'pair')} above {FLAGGED}."]
-    if len(strong) > MOST_PAIRS:
-        note.append(f"The {MOST_PAIRS} strongest are listed.")
-    if len(described.calibration.beams) > MOST_BEAMS:
-        note.append(f"Only the first {MOST_BEAMS} beams are compared here.")
+    pairs = calibration.correlations
+    rows = tuple(
+        (text(str(pair.first)), text(str(pair.second)), number(pair.coefficient, 3, "care"))
+        for pair in pairs[:ROWS_ON_PAGE]
+    )
     columns = (Column("unknown", number=False), Column("and", number=False), Column("correlation"))
-    return Table("correlations", "", columns, tuple(rows), " ".join(note))
+    notes = f"{count(len(pairs), 'pair')} above {STRONG}.", more(len(pairs) - len(rows), "pair")
+    return Table("correlations", "", columns, rows, " ".join(filter(None, notes)))
 
 
 def systematic_table(described: "Description") -> Table | None:
@@ -245,7 +226,7 @@ def rejected_table(described: "Description") -> Table | None:
             text(reading.reason),
             significant(None if reading.residual is None else reading.residual * IN_MM),
         )
-        for reading in rejected[:MOST_REJECTED]
+        for reading in rejected[:ROWS_ON_PAGE]
     )
     return Table(
         "rejected",
@@ -257,5 +238,5 @@ def rejected_table(described: "Description") -> Table | None:
             Column("residual mm"),
         ),
         rows,
-        more(len(rejected) - MOST_REJECTED, "reading"),
+        more(len(rejected) - ROWS_ON_PAGE, "reading"),
     )

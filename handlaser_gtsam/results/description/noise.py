@@ -6,13 +6,11 @@ import numpy as np
 
 from ...quantities import IN_DEG, IN_MM
 from ..calibration_fields import CalibrationData
-from ..lines import small_mm, some
+from ..lines import NAMES_IN_LINE, small_mm, some
 from ..reports import NoiseComponent
 
-SHOWN = 4
-"""Names of beams that a line lists."""
 PRIOR = "the prior decides"
-"""Of a sigma of which the recording says little."""
+"""Stands beside a sigma of which the recording says little."""
 KINDS = {
     "range": "a reading",
     "pose translation": "hand position",
@@ -28,7 +26,7 @@ def noise_words(result: CalibrationData) -> str:
     estimated = result.noise_estimate
     ranges = [component for component in estimated if component.quantity == "range"]
     parts = [_estimate(component) for component in ranges]
-    if len(parts) > SHOWN:
+    if len(parts) > NAMES_IN_LINE:
         sigmas = [component.sigma * IN_MM for component in ranges]
         some_by_prior = any(component.prior_carries for component in ranges)
         how = f"estimated; {PRIOR} some" if some_by_prior else "estimated"
@@ -96,4 +94,4 @@ def range_error_words(result: CalibrationData) -> str:
 def _beams(names: list[str], beams: int) -> str:
     if len(names) == beams:
         return " of all beams" if beams > 1 else ""
-    return f" of beam{'s' if len(names) > 1 else ''} {some(names, SHOWN)}"
+    return f" of beam{'s' if len(names) > 1 else ''} {some(names, NAMES_IN_LINE)}"

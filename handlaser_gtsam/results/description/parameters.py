@@ -8,13 +8,14 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...quantities import IN_DEG, IN_MM
-from ..calibration_fields import LABELS
+from ..correlations import LABELS
 from ..lines import UNDETERMINED, decimals
 from ..measuring import spot, typical_plane
 from ..reports import Beam
 from ..spot_error import spot_radii
 from .tables import (
     NONE,
+    ROWS_ON_PAGE,
     Cell,
     Column,
     Table,
@@ -32,15 +33,14 @@ from .tables import (
 if TYPE_CHECKING:
     from .description import Description
 
-MOST_BEAMS, MOST_PLANES = 50, 200
-"""Beams and planes that are listed; the JSON has all."""
-UNITS = ("mm", "mm", "mm", "1", "1", "1", "1", "1/m")
-SCALES = (IN_MM, IN_MM, IN_MM, 1.0, 1.0, 1.0, 1.0, 1.0)
-"""From SI units to these, for x, y, z, vx, vy, vz, k1 and k2."""
-MOST_DIGITS = (5, 5, 5, 7, 7, 7, 7, 5)
-"""Decimals of each at most: what is smaller no sensor shows."""
-PARTS = (slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 8))
-"""Coordinates that are shown with equally many decimals."""
+PARTS = {
+    "location": (range(3), "mm", IN_MM, 5),
+    "direction": (range(3, 6), "1", 1.0, 7),
+    "k1": (range(6, 7), "1", 1.0, 7),
+    "k2": (range(7, 8), "1/m", 1.0, 5),
+}
+"""The coordinates of each part of a mount, the unit in which they are shown, that unit per SI unit, and
+their decimals at most: no sensor shows what is smaller."""
 
 
 def beams_table(described: "Description") -> Table | None:
@@ -53,8 +53,8 @@ def beams_table(described: "Description") -> Table | None:
     if radii:
         at = concise(described.reading * IN_MM, 4)
         spot_words = f" 95 % of laser spots lie within the radius at a reading of {at} mm."
-    rows = tuple(_beam_row(beam, radii.get(beam.name)) for beam in beams[:MOST_BEAMS])
-    notes = [more(len(beams) - MOST_BEAMS, "beam")]
+    rows = tuple(_beam_row(beam, radii.get(beam.name)) for beam in beams[:ROWS_ON_PAGE])
+    notes = [more(len(beams) - ROWS_ON_PAGE, "beam")]
     if any(cell.mark == "care" for row in rows for cell in row):
         notes.insert(0, "A dash stands for what the stations do not determine.")
     return Table(
@@ -122,7 +122,7 @@ def mounts_table(described: "Description") -> Table | None:
     beams = list(described.calibration.beams.values())
     if not any(_known(beam.sigma) for beam in beams):
         return None
-    rows = [row for beam in beams[:MOST_BEAMS] for row in _parameters(described, beam)]
+    rows = [row for beam in beams[:ROWS_ON_PAGE] for row in _parameters(described, beam)]
     return Table(
         "mounts",
         "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
@@ -137,7 +137,7 @@ def mounts_table(described: "Description") -> Table | None:
             Column("unit", number=False, wide=True),
         ),
         tuple(rows),
-        more(len(beams) - MOST_BEAMS, "beam"),
+        more(len(beams) - ROWS_ON_PAGE, "beam"),
     )
 
 
@@ -147,11 +147,11 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     interval = calibration.intervals(beam.name)
     interval = np.full((8, 2), np.nan) if interval is None else interval
-    for rows in PARTS:
-        for i in range(*rows.indices(6 + beam.terms)):
-            scale, most = SCALES[i], MOST_DIGITS[i]
-            digits = digits_of((sigma[rows] * scale).tolist(), most)
-            name, unit = text(LABELS[i]), text(UNITS[i])
+    for part, (coordinates, unit_name, scale, most) in PARTS.items():
+        digits = digits_of((sigma[list(coordinates)] * scale).tolist(), most)
+        unit = text(unit_name)
+        for i in coordinates[: max(6 + beam.terms - coordinates.start, 0)]:
+            name = text(LABELS[i])
             if not math.isfinite(sigma[i]):
                 blank = (Cell(UNDETERMINED, None, "care"), *[Cell(NONE)] * 3)
                 yield text(beam.name), name, *blank, unit
@@ -159,7 +159,7 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
             values = (beam.coordinates[i], sigma[i], *interval[i])
             yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
         turn = beam.direction_sigma
-        if rows.start == 3 and turn is not None and math.isfinite(turn):
+        if part == "direction" and turn is not None and math.isfinite(turn):
             words, blank = text("direction, angle"), (Cell(NONE),) * 2
             yield (
                 text(beam.name),
@@ -178,12 +178,12 @@ def spots_table(described: "Description") -> Table | None:
     if not radii:
         return None
     rows = []
-    for name in list(radii)[:MOST_BEAMS]:
+    for name in list(radii)[:ROWS_ON_PAGE]:
         found = spot(calibration, name, reading)
         numbers = (radii[name], found.along, found.across, found.reading_sigma)
         cells = [significant(x * IN_MM, 2) for x in numbers]
         rows.append((name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)))
-    notes = [more(len(radii) - MOST_BEAMS, "beam")]
+    notes = [more(len(radii) - ROWS_ON_PAGE, "beam")]
     measured = typical_plane(calibration)
     if measured is not None:
         station, plane = measured
@@ -217,7 +217,7 @@ def planes_table(described: "Description") -> Table | None:
     if not any(_known(plane.sigma) for plane in planes):
         return None
     rows = []
-    for plane in planes[:MOST_PLANES]:
+    for plane in planes[:ROWS_ON_PAGE]:
         sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
         turn, shift = plane.normal_sigma, float(sigma[3])
         turn = math.inf if turn is None else turn
@@ -242,7 +242,7 @@ def planes_table(described: "Description") -> Table | None:
             Column("std dev mm"),
         ),
         tuple(rows),
-        more(len(planes) - MOST_PLANES, "plane"),
+        more(len(planes) - ROWS_ON_PAGE, "plane"),
     )
 
 
@@ -256,7 +256,7 @@ def limits_table(described: "Description") -> Table | None:
     if not checks:
         return None
     rows = []
-    for one in checks[: 3 * MOST_BEAMS]:
+    for one in checks[:ROWS_ON_PAGE]:
         scale, unit = (IN_DEG, "deg") if one.quantity == "direction_sigma" else (IN_MM, "mm")
         words = one.quantity.replace("_", " ").replace("sigma", "std dev")
         state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
@@ -274,5 +274,5 @@ def limits_table(described: "Description") -> Table | None:
             Column("result", number=False),
         ),
         tuple(rows),
-        more(len(checks) - 3 * MOST_BEAMS, "limit"),
+        more(len(checks) - ROWS_ON_PAGE, "limit"),
     )

@@ -5,22 +5,16 @@ And in full, where every table is asked for.
 
 from ...quantities import IN_MM
 from ...text import count, some
-from ..lines import WIDTH, as_many, wrapped
+from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
 from ..systematic import SystematicError
 from ..systematic_words import size_in_words
 from .description import Description
 from .evidence import moved
 from .rendering import PLAIN, full_table, text_lines, text_table
-from .tables import Facts
+from .tables import ROWS_ON_SCREEN, Facts
 
 LINES = 30
 """Lines of the whole answer, which then stands on one screen."""
-SHOWN_BEAMS = 8
-"""Beams that are shown: half a screen where the table stands in two parts."""
-SHOWN_REJECTED = 3
-"""Rejected readings that the screen names."""
-SHOWN_ERRORS = 4
-"""Kinds of systematic errors that are named in one list."""
 BRIEF = ("rms residual", "largest residual", "sigma0", "degrees of freedom")
 """Facts of the fit that stand on the screen."""
 
@@ -38,7 +32,7 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
 
     lines += wrapped(_head(described), as_many(1, width), width)
     if described.beams is not None:
-        lines += text_table(described.beams, width, SHOWN_BEAMS)
+        lines += text_table(described.beams, width, ROWS_ON_SCREEN)
     if any(beam.sigma is not None for beam in calibration.beams.values()):
         add("range errors", described.range_errors)
         add("noise", described.noise)
@@ -53,9 +47,8 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
         add("systematic errors", _systematic(calibration.systematic, described.reading), 3)
     if calibration.fit.rejected:
         names = [f"station {it.station} beam {it.beam}" for it in calibration.fit.rejected]
-        add(
-            "rejected", f"{count(len(names), 'reading')}: {some(names, SHOWN_REJECTED)} (--verbose)"
-        )
+        listed = some(names, NAMES_IN_LINE - 1)  # a station and its beam take the room of two names
+        add("rejected", f"{count(len(names), 'reading')}: {listed} (--verbose)")
     return lines + _warnings(described, as_many(LINES, width) - closing - len(lines), width)
 
 
@@ -112,11 +105,13 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
             if not error.explained_by
         ]
         explained = [error.code for error in found if error.explained_by]
-        return "; ".join(clear) + (f" (which explains {_codes(explained)})" if explained else "")
+        return "; ".join(clear) + (
+            f" (which explains {some(explained, NAMES_IN_LINE)})" if explained else ""
+        )
     tested_for = [error for error in tested if not error.confounded]
     hidden = [error.code for error in tested if error.confounded]
     words = f"none of {count(len(tested_for), 'kind')} found"
-    words += f" (cannot be told: {_codes(hidden)})" if hidden else ""
+    words += f" (cannot be told: {some(hidden, NAMES_IN_LINE)})" if hidden else ""
     if not tested_for:
         return words
     worst = max(tested_for, key=lambda error: moved(error, reading, unnoticed=True))
@@ -125,10 +120,6 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
         f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
         f"{moved(worst, reading, unnoticed=True) * IN_MM:.2g} mm"
     )
-
-
-def _codes(codes: list[str]) -> str:
-    return some(codes, len(codes) if len(codes) <= SHOWN_ERRORS else SHOWN_ERRORS - 1)
 
 
 def _warnings(described: Description, room: int, width: int) -> list[str]:

@@ -8,8 +8,13 @@ from ...text import count, shortened
 from ..lines import UNDETERMINED, decimals
 
 NONE = "\N{EN DASH}"
-LONGEST = 60
-"""Characters of a name in a table of many rows; that of the mounts has all."""
+NAME_IN_TABLE = 60
+"""Characters of a name in a table of many rows; the table of the mounts has all."""
+ROWS_ON_PAGE = 200
+"""Rows of beams, planes, readings or stations on a page, which more would make slow; the JSON has
+all."""
+ROWS_ON_SCREEN = 8
+"""Rows of a table on the default screen: half of it where the table stands in two parts."""
 MINUS = "\N{MINUS SIGN}"
 Facts = tuple[tuple[str, str], ...]
 """Pairs of a name and words."""
@@ -45,26 +50,26 @@ class Table:
 
 
 def number(value: float | None, digits: int, mark: str = "") -> Cell:
-    """Return a cell of so many decimals; a dash where there is no number."""
+    """Return a cell with this number of decimals; a dash where there is no number."""
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
     return Cell(plain(value, digits), float(value), mark)
 
 
 def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
-    """Return a cell of so many significant digits; a dash where there is no number."""
+    """Return a cell with this number of significant digits; a dash where there is no number."""
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
     return Cell(concise(value, digits), float(value), mark)
 
 
 def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
-    """Return a cell of so many decimals; what stands for it where its sigma is not finite."""
+    """Return a cell with this number of decimals; `unknown` where its sigma is not finite."""
     return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
 
 
 def more(left: int, noun: str) -> str:
-    """Return that so many are not listed; empty where all are."""
+    """Return how many rows are not listed; empty where all are."""
     words = f"{count(left, f'more {noun}')}: the JSON of the calibration has all."
     return words if left > 0 else ""
 
@@ -81,19 +86,19 @@ def sentence(words: str) -> str:
 
 def name_cell(name: str) -> Cell:
     """Return a cell with the name of one of many, cut where it is longer than a table has room for."""
-    return Cell(shortened(name, LONGEST))
+    return Cell(shortened(name, NAME_IN_TABLE))
 
 
 def plain(value: float, digits: int) -> str:
-    """Return a number with so many decimals, a true minus, and no minus zero."""
-    found = f"{value:.{digits}f}"
-    if float(found) == 0.0:
-        found = found.removeprefix("-")
-    return found.replace("-", MINUS)
+    """Return a number with this many decimals, a true minus, and no minus zero."""
+    shown = f"{value:.{digits}f}"
+    if float(shown) == 0.0:
+        shown = shown.removeprefix("-")
+    return shown.replace("-", MINUS)
 
 
 def concise(value: float, digits: int = 3) -> str:
-    """Return a number of so many significant digits, a true minus."""
+    """Return a number of this many significant digits, a true minus."""
     if value == 0.0:
         return "0"
     if 1e-4 <= abs(value) < 1e6:
