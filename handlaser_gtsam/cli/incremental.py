@@ -76,7 +76,7 @@ def _warning(moved: Moved) -> CalibrationWarning:
 
 
 def update_table(fed: PlaneByPlane) -> Table:
-    """Return what every plane taught, and how standard deviations fell; those of the result last."""
+    """Return what every plane taught, and how standard deviations fell; the result comes last."""
     rows = [
         _row(name, update.information, update.sigma, len(update.rejected), _remark(name, update))
         for name, update in fed.updates

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Against:
-    """What is tested instead of planes left out."""
+    """What is tested instead of planes that are held out."""
 
     calibration: Annotated[
         Path | None,
@@ -38,7 +38,7 @@ class Against:
 
 @dataclass(frozen=True, slots=True)
 class Splits:
-    """How stations are left out."""
+    """How stations are held out."""
 
     splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5
     seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0
@@ -55,7 +55,7 @@ def validate(
     """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
 
     Exit codes: 0 good; 2 bad input; 3 no calibration; 4 not usable: outside the limits of the rig
-    file (its rms holds for planes left out, too), a plane left out contradicts the beams found without
+    file (its rms holds for planes held out, too), a plane held out contradicts the beams found without
     it (1 in 100 good recordings exits so), a systematic error larger than what the result states; with
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
     """

@@ -25,7 +25,7 @@ RANGE_ERRORS = ("k1", "k2_per_m")
 def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -> str:
     """Return the calibration as JSON text, with a verdict and the laser spots at its working distance.
 
-    The verdict is that of the calibration itself where no other is given.
+    Where no verdict is given, it is `calibration.verdict`.
 
     Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
     `covariance` are null: the numbers beside them are one of many solutions.

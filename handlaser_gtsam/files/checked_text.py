@@ -85,7 +85,7 @@ def read_checked(
 def _first_fault(
     error: ValidationError, data: object, schema: type[BaseModel], expected: str, path: Path
 ) -> InputError:
-    """Return the first fault in words of the file.
+    """Return the first fault as the file spells it.
 
     A field that may be one of several kinds has a fault for each; the one that is found deepest in the
     file belongs to the kind that was meant.

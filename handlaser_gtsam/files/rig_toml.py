@@ -6,7 +6,7 @@
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent, kind: triangulation,
               time-of-flight, confocal, ultrasonic or other
-    [plausible]  largest plausible sizes of systematic errors, instead of those of the kind:
+    [plausible]  largest plausible sizes of systematic errors, instead of the sizes of the kind:
               incidence_mm, tilt_mm, cubic_mm, drift_mm, carry_over_percent, beam_on_plane_mm, sag_mm,
               displaced_mm, tool_displaced_mm, lag_percent, turn_scale_percent,
               translation_scale_percent
@@ -267,7 +267,7 @@ def errors_instead(
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
-    """Write the noise and the sensor's range; unknown values are left out."""
+    """Write the noise and the sensor's range; unknown values are not written."""
     lines = ["[noise]"]
     for name, value, unit in (
         ("range_sigma_mm", noise.range_sigma, IN_MM),

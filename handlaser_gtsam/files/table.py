@@ -39,9 +39,9 @@ STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 MOST_LOOKED_AT = 1000
 """Cells of a line that tell whether it is a header: no log has more columns."""
 MOST_TITLES = 20
-"""A header stands behind so many lines of titles at most."""
+"""A header stands behind this number of lines of titles at most."""
 NANOMETRE_DECIMALS = 9
-"""A length that is cut behind so many decimals is wrong by less than a nanometre."""
+"""A length that is cut behind this number of decimals is wrong by less than a nanometre."""
 
 
 @dataclass(frozen=True, slots=True)

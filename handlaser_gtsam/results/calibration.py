@@ -57,7 +57,7 @@ class Calibration(CalibrationData):
         Behind the weights of the readings, by beam and station in the order of the recording; None
         where all weigh the same.
     noise_estimate : tuple of NoiseComponent
-        Sigmas that were estimated beside those of the mounts.
+        Standard deviations of the noise that were estimated with the mounts.
     covariance : JointCovariance or None
         Of all beams and planes together; None unless everything is determined.
     correlations : tuple of Correlation
@@ -126,7 +126,7 @@ class Calibration(CalibrationData):
 
     @property
     def graph(self) -> "gtsam.NonlinearFactorGraph":
-        """The factor graph that was solved, built anew every time; see `problem`."""
+        """The factor graph that was solved, built again every time; see `problem`."""
         return self.problem().graph
 
     @property

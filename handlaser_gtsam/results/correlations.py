@@ -9,7 +9,7 @@ from ..arrays import FloatArray
 from ..model.joint import BEAM_COORDINATES, JointCovariance
 
 STRONG = 0.95
-"""Two unknowns whose correlation is larger in size are hardly told apart: each would be known three
+"""Two unknowns whose correlation is larger in size are hardly distinguished: each would be known three
 times as well if the other were known."""
 NAMES = ("location x", "location y", "location z", "direction x", "direction y", "direction z")
 LABELS = (*NAMES, "k1", "k2")

@@ -16,7 +16,7 @@ linear problem. The squares of sums of m neighbours,
 
     V_m = sum_j (w_j + ... + w_(j + m - 1))^2,    m = 1, 2, 4 ...,
 
-pooled over all beams and planes, are compared with those of white noise, which gives the test: their
+pooled over all beams and planes, are compared with sums of white noise, which gives the test: their
 ratios to V_1, as cube roots, which are nearly Gaussian. Every part has its means of V_m, by simulation;
 the s that are not negative and fit those of the residuals best are the estimate (an indirect inference:
 Gourieroux, Monfort and Renault, Indirect inference, J. Appl. Econometrics 1993). K C K' follows from
@@ -240,7 +240,7 @@ class _Chains:
         return variances
 
     def growth_of_means(self, length: float) -> float:
-        """Return the variance of the mean of the longest chain, over that of independent noise."""
+        """Return the variance of the mean of the longest chain, over the variance with independent noise."""
         lags = np.arange(1, self.longest)
         return 1.0 + 2.0 * float(((1.0 - lags / self.longest) * np.exp(-lags / length)).sum())
 

@@ -35,7 +35,7 @@ def fit_of_rows(
 ) -> Fit:
     """Return the fit of residuals e (N,) [m], of which nothing is rejected; see `Fit` for the rest.
 
-    `names` are those of the stations and of the beams, the rows and columns of the table of residuals,
+    `names` name the stations and the beams, the rows and columns of the table of residuals,
     and `at` says where in it each residual stands. `standardized` are residuals in units of their own
     standard deviations, and `ranges` the readings [m], NaN where they are not known.
     """

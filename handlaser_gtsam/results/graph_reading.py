@@ -62,7 +62,7 @@ def read_graph(
     Returns
     -------
     Calibration
-        Its fit lists the rows of the range factors; chi2 and dof are those of the whole graph.
+        Its fit lists the rows of the range factors; chi2 and dof count the whole graph.
         `not_converged` where the values are no optimum, `unobservable` where the graph leaves beams or
         planes undetermined.
 

@@ -30,11 +30,15 @@ class Kind:
 
 
 LOCATION = Kind("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1))
+"""Three lengths."""
 DIRECTION = Kind("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0))
+"""Two angles, along the tangent plane."""
 RANGE_ERROR = Kind(
     "range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)
 )
+"""k1 is a number, and k2 is per length."""
 PLANE = Kind("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1))
+"""Two angles of the normal, and the offset, which is a length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +123,7 @@ def key_name(key: int) -> str:
 
 
 def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
-    """Return how the rows of the range factors fit; chi2 and dof are those of the whole graph.
+    """Return how the rows of the range factors fit; chi2 and dof count the whole graph.
 
     Raises
     ------
@@ -197,7 +201,7 @@ def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
 
 
 def _sigmas(model: gtsam.noiseModel.Base, rows: int) -> FloatArray:
-    """Return the standard deviations of a noise model, those of the inner one where it is robust."""
+    """Return the standard deviations of a noise model, of the inner model where it is robust."""
     inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
     sigmas = inner.sigmas() if hasattr(inner, "sigmas") else np.ones(rows)
     return np.asarray(sigmas, dtype=np.float64)

@@ -59,10 +59,3 @@ def decimals(sigma: float, most: int) -> int:
     if not (math.isfinite(sigma) and sigma > 0.0):
         return most
     return min(max(1 - math.floor(math.log10(sigma)), 0), most)
-
-
-def with_sigma(value: float, sigma: float, digits: int) -> str:
-    """Return a value and its standard deviation, "10.880 +- 0.081"; no value where there is none."""
-    if not math.isfinite(sigma):
-        return UNDETERMINED
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}"

@@ -27,7 +27,7 @@ class Problem:
     readings : Readings
         All of them, in the world frame.
     order : Order
-        From numbers in the readings to those of the recording.
+        From numbers in the readings to numbers in the recording.
     origins : (P, 3)
         Origin of the frame in which each plane is solved, in the world [m]; axes are the world's.
     noise : Noise

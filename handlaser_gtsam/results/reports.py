@@ -153,12 +153,12 @@ class Fit(Value):
     loss : str
         `gaussian`, or the robust loss of the estimate.
     max_standardized_residual : float
-        Largest residual in units of its own standard deviation, that of the reading and its pose.
+        Largest residual in units of its own standard deviation, with the errors of the reading and its pose.
     max_standardized_residual_at : (str, str)
         Station and beam of it.
     residuals : (M, B)
         Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
-    rejected : readings left out, each with its reason
+    rejected : readings that were rejected, each with its reason
     """
 
     readings: int
@@ -279,7 +279,7 @@ class Determined(Value):
     condition : float or None
         Condition number in natural units; None when rank is short.
     undetermined : tuple of str
-        What is left open, in words.
+        What is undetermined, in words.
     advice : tuple of str
         Which motion would determine it.
     open_parts : tuple of OpenPart
@@ -287,7 +287,7 @@ class Determined(Value):
     indices : Indices or None
         Observability indices O1 to O4; None when rank is short.
     weakest : str
-        Along what the solution is known worst, in words; empty when rank is short.
+        Along what the solution is least certain, in words; empty when rank is short.
     """
 
     rank: int

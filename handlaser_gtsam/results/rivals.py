@@ -43,7 +43,7 @@ class Rival:
 def rivals(
     solution: Parameters, readings: Readings, terms: int, range_sigma: float
 ) -> Iterator[Rival]:
-    """Yield other mounts that fit nearly as well; `range_sigma` [m] is that of a residual."""
+    """Yield other mounts that fit nearly as well, with the sigma [m] of a residual."""
     found = beam_minima(solution, readings)
     turned = np.linalg.norm(found.directions - solution.directions[:, None], axis=2)
     each = np.maximum(np.bincount(readings.beam, minlength=readings.beams) / found.readings, 1.0)
@@ -92,7 +92,7 @@ def rival_warnings(
 
 
 def direction_sigmas(joint: JointCovariance) -> FloatArray:
-    """Return the standard deviation (B,) of each direction, along the axis known worst [rad]."""
+    """Return the standard deviation (B,) of each direction, along its least certain axis [rad]."""
     first = np.cumsum([0, *(5 + terms for terms in joint.terms[:-1])])
     rows = first[:, None] + np.array([3, 4])
     blocks = joint.beams[rows[:, :, None], rows[:, None, :]]

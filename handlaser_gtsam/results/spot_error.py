@@ -22,7 +22,7 @@ variances of the readings and of the hand poses: both doubled, V doubles. The sh
 
 therefore add up to 1, and each is what V would lose, to first order, if its cause were smaller.
 Besides, V would fall to the conditional variance if the range errors k of all beams were known, and the
-part of it that lies along the direction in which the solution is known worst would fall with motion
+part of it that lies along the direction in which the solution is least certain would fall with motion
 along it.
 """
 
@@ -125,7 +125,7 @@ class VarianceShares:
     range_error : float
         Of not knowing k1 and k2.
     weakest : float
-        Of the direction in which the beams are known worst, in natural units.
+        Of the direction in which the beams are least certain, in natural units.
     weakest_quantity : str
         What takes most of that direction: `location`, `direction` or `range error`.
     """

@@ -13,7 +13,7 @@ to r and v is the external reliability (Baarda, A testing procedure for use in g
 and a t distribution.
 
 All members of all families are tested together with Holm's correction, which needs no independence.
-Planes with more than `systematic_columns.MOST_SPLITS` splits are tested at so many of them.
+Planes with more than `systematic_columns.MOST_SPLITS` splits are tested at this number of them.
 """
 
 from collections.abc import Mapping, Sequence

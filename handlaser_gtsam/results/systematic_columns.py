@@ -174,7 +174,7 @@ class PlaneErrors:
     def _weighed(self, rows: LinearRows, beam: int, matrix: FloatArray) -> FloatArray:
         """Return the column times sigma^2 inv(C), with J and with itself, in the order (N, 11).
 
-        Where a beam is given, the column is that of its readings alone, and `matrix` is sigma^2
+        Where a beam is given, the column holds its readings alone, and `matrix` is sigma^2
         inv(C) of every station.
         """
         how, column = rows.how, self.column
@@ -189,7 +189,7 @@ class PlaneErrors:
 
 
 def systematic_columns(rows: LinearRows) -> tuple[CommonErrors, PlaneErrors, PlaneErrors]:
-    """Return all errors: those of all readings, and the families `displaced` and `beam-on-plane`.
+    """Return all errors: the errors of all readings, and the families `displaced` and `beam-on-plane`.
 
     A beam has no bias on one plane where it sees no other plane, or where no other beam sees the plane:
     that bias is then the location of the beam along itself, or the offset of the plane.
@@ -296,7 +296,7 @@ def _pose_errors(readings: Readings, position: IntArray) -> FloatArray:
 
     The lag of one step is half the way from the previous station of the plane to the next, or the
     whole way to or from the neighbour at the ends; turns count from the mean orientation, and
-    translations from the origin of the plane's frame, in which a shift is that of the plane.
+    translations from the origin of the plane's frame, in which the plane shifts.
     """
     _, row, station = np.unique(readings.station, return_index=True, return_inverse=True)
     R, t = readings.world_R_hand[row], readings.world_t_hand[row]

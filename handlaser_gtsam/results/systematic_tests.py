@@ -297,7 +297,7 @@ def needed(level: float, dof: int | None) -> tuple[float, float]:
 
 
 def alike(rho: FloatArray, delta: float) -> BoolArray:
-    """Tell which errors cannot be told from a true one of which z has the mean `delta`.
+    """Tell which errors cannot be distinguished from a true one of which z has the mean `delta`.
 
     The statistic of another is z' ~ N(rho delta, 1) with correlation rho to z. The right one fits
     better where z^2 > z'^2. As z - z' and z + z' are independent with means (1 -+ rho) delta and

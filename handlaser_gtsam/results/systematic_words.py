@@ -17,7 +17,7 @@ class Wording:
     unit : str
         "m" or "1".
     confounded : str
-        What it cannot be told from.
+        What it is confounded with.
     anywhere : str
         The subject where no member is meant.
     reveal : str

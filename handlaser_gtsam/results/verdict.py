@@ -50,7 +50,7 @@ class Verdict:
     reading : float
         The working distance [m].
     spot_beam : str
-        The beam whose laser spot is known worst; empty where there is no covariance.
+        The beam whose laser spot is least certain; empty where there is no covariance.
     spot_error : float or None
         The radius [m] around its stated place that holds that spot with 95 %, from the calibration
         alone.
@@ -65,9 +65,9 @@ class Verdict:
     shares : VarianceShares or None
         What the spot error is made of.
     confirmed_by : int
-        How many planes were left out and agree.
+        How many planes were held out and agree.
     contradicted_by : tuple of str
-        The planes that were left out and do not.
+        The planes that were held out and disagree.
     causes : tuple of CalibrationWarning
         Why it is not usable, or usable with care: each with a code and its numbers.
     """

@@ -167,7 +167,7 @@ def fit_warnings(
     names: Sequence[str],
     together: Dependence,
 ) -> tuple[CalibrationWarning, ...]:
-    """Return the warnings that a fit deserves, beside that of `misfit`, the gravest first.
+    """Return the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
 
     `names` are the beams' in the order of the readings; `together` says how many readings count as one.
     """

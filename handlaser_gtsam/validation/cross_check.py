@@ -43,7 +43,7 @@ class CrossCheck(Value):
 
 
 def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
-    """Solve the readings of `calibration` again with SciPy, from a start found anew.
+    """Solve the readings of `calibration` again with SciPy, from a start of its own.
 
     Where scales were integrated over, the solution at the most probable ones is compared.
 
@@ -85,7 +85,7 @@ def _rows(
     reference: ReferenceSolution,
     variance: float,
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield the rows of `_compare` of every beam and plane; `variance` is that of a reading."""
+    """Yield the rows of `_compare` of every beam and plane; `variance` is the variance of a reading."""
     found = reference.parameters
     off = [ours - other for ours, other in zip(own.beams, found.beams, strict=True)]
     names = [f"beam {name}" for name in calibration.beams]
@@ -109,7 +109,7 @@ def _compare(
 ) -> list[tuple[str, float, float]]:
     """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.
 
-    Axes without variance (along a unit vector) are left out.
+    Axes without variance (along a unit vector) are omitted.
     """
     if part.start == part.stop:
         return []

@@ -51,7 +51,7 @@ class HeldOut(Value):
 def held_out(calibration: Calibration) -> HeldOut:
     """Predict every plane, and 30 % of all stations several times, from the rest of the recording.
 
-    Of many planes only some are left out, evenly spread: as many as take a second or two. The splits
+    Of many planes only some are held out, evenly spread: as many as take a second or two. The splits
     are the same each time.
 
     Returns
@@ -80,7 +80,7 @@ def held_out(calibration: Calibration) -> HeldOut:
 
 
 def _chosen(planes: tuple[str, ...]) -> list[str]:
-    """Return the planes that are left out: the cost of one is linear in the number of planes."""
+    """Return the planes that are held out: the cost of one is linear in the number of planes."""
     count = len(planes)
     if count < 2:
         return []

@@ -107,10 +107,10 @@ def hold_out(
     ----------
     mounts : Mounts
     recording : Recording
-        Its beams must be among those of `mounts`; its planes may be any.
+        Its beams must be among the beams of `mounts`; its planes may be any.
     noise : Noise, optional
-        An unknown range sigma is that of the calibration, and what the recording shows where it has
-        readings enough. Unknown errors of the poses are those of the calibration.
+        An unknown range sigma is taken from the calibration, and what the recording shows where it has
+        readings enough. Unknown errors of the poses are taken from the calibration.
     each_beam : bool
         Whether each beam is tested alone, too; that takes long for dozens of beams.
 

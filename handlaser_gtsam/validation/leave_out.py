@@ -188,7 +188,7 @@ def _split(
 
 
 def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:
-    """Return which stations (M,) a split calibrates with: 70 % of those of every plane."""
+    """Return which stations (M,) a split calibrates with: 70 % of the stations of every plane."""
     training = np.zeros(len(recording.plane_labels), dtype=bool)
     for plane in range(len(recording.plane_names)):
         rows = np.flatnonzero(recording.plane_of_station == plane)

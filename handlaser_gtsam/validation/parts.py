@@ -2,7 +2,7 @@
 
 The readings that were used, the noise and the prior of range errors stay as they were found from
 everything; only beams and planes are solved for, by Gauss-Newton steps from where they stood. It is
-the same solution as that of `calibrate` where noise and prior are given.
+the same solution as `calibrate` where noise and prior are given.
 """
 
 from dataclasses import dataclass, replace

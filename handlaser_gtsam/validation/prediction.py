@@ -138,7 +138,7 @@ def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Ite
 
 
 def pooled(predictions: Sequence[Prediction]) -> Prediction:
-    """Return the errors of several predictions as those of one."""
+    """Return the errors of several predictions as one."""
     tests = np.array([one.tests for one in predictions])
     rms, unit = np.array([(one.rms, one.standardized) for one in predictions]).T
     largest = max(one.max_residual for one in predictions)

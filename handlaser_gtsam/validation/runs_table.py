@@ -34,7 +34,7 @@ RUN_SCHEMA: dict[str, pl.DataType] = {
 }
 """Columns of the table of runs.
 
-`study` is the same where cases and seed are. `codes` are those of warnings, or the name of the error
+`study` is the same where cases and seed are. `codes` name the warnings, or the name of the error
 that refuses a run. Squares are sums of squared errors over the beams [m^2], [rad^2]. The NEES is taken
 for a degree of freedom, without range errors and with them. `covered` counts the coordinates whose 95 %
 interval holds the truth, and `worst` is the largest error in standard deviations.

@@ -68,7 +68,9 @@ class _Reach:
 
 
 _PAPER = _Reach((0.003, 0.029), 0.015, 0.20, 0.35, 0.25, (0.6, 0.1, 0.4))
+"""The scene of the paper: a small hand a few millimetres to three centimetres before its planes."""
 _ARM = _Reach((0.15, 0.45), 0.050, 0.25, 0.50, 0.40, (0.5, 0.2, 0.5))
+"""Distance sensors on an arm: beams 15 to 45 cm long."""
 
 
 def paper(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
@@ -88,6 +90,7 @@ def arm(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]
 
 SCENES: dict[str, Scene] = {"paper": paper, "unplanned": unplanned, "arm": arm}
 _PAPER_ERRORS = Errors(3e-5, 5e-5, math.radians(0.03), (1,))
+"""The standard deviations of the paper's simulation."""
 ERRORS = {
     "paper": _PAPER_ERRORS,
     "unplanned": _PAPER_ERRORS,
@@ -115,9 +118,9 @@ def draw_scene(
         "paper", "unplanned" or "arm".
     layout : Layout, optional
     errors : Errors, optional
-        Those of the scene where not given.
+        The errors of the scene where not given.
     range_error_sigmas : (float, float)
-        Standard deviations of k1 [1] and k2 [1/m] of every beam about those of the layout.
+        Standard deviations of k1 [1] and k2 [1/m] of every beam about the layout.
     redraw : bool
         Whether beams, planes and stations are drawn too, or are always the same.
 

@@ -186,7 +186,7 @@ def solve_runs(case: Case, key: tuple[int, int], runs: Sequence[int]) -> pl.Data
 
 
 def _digest(study: Study) -> str:
-    """Return what tells a study from those of other cases or another seed."""
+    """Return a digest that differs for other cases or another seed."""
     try:
         content = pickle.dumps((tuple(study.cases), study.seed), protocol=5)
     except (pickle.PicklingError, AttributeError, TypeError) as error:

@@ -1,4 +1,4 @@
-"""The verdict on a calibration that was validated by leaving planes out."""
+"""The verdict on a calibration that was validated by holding planes out."""
 
 from dataclasses import replace
 
@@ -11,9 +11,9 @@ from .leave_out import Validation
 
 
 def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:
-    """Return the verdict on a calibration that was validated by leaving planes out.
+    """Return the verdict on a calibration that was validated by holding planes out.
 
-    Beside that on the calibration itself: the rms limit holds for planes that were left out, too, and
+    Beside the verdict on the calibration itself: the rms limit holds for planes held out, too, and
     none of them contradicts the beams found without it.
     """
     found = verdict(validation.calibration, limits)

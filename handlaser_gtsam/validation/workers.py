@@ -17,7 +17,7 @@ ATTEMPTS = 4
 """Losses of workers one after the other, without a result between them, after which work is given up:
 a single loss may be chance, and work that needs too much memory loses every worker."""
 LOST = ("BrokenProcessPool", "CancelledError", "CommClosedError", "KilledWorker")
-"""Names of the errors by which executors, those of Dask among them, say that a worker was lost."""
+"""Names of the errors by which executors, also executors of Dask, say that a worker was lost."""
 
 
 @contextmanager

@@ -63,7 +63,7 @@ class Stands:
     begin, end : (S,)
         Their times [s].
     trimmed, dropped : int
-        Runs of still rows that were cut to where they do not creep, and that were left out because
+        Runs of still rows that were cut to where they do not creep, and that were dropped because
         less than half of the shortest stand is left of them.
     """
 

@@ -1,4 +1,4 @@
-"""What a report is told beside the calibration: limits, working distance, and where all came from."""
+"""What a report states beside the calibration: limits, working distance, and where all came from."""
 
 import hashlib
 import shlex
@@ -21,7 +21,7 @@ MOST_COMMAND = 2000
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """What a report is told beside the calibration.
+    """What a report states beside the calibration.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class ReportOptions:
 
 
 def sha256(path: Path | str) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits; of the folder of a bag, that of those in it.
+    """Return the SHA-256 of a file, 64 hexadecimal digits; for the folder of a bag, of its files together.
 
     Raises
     ------

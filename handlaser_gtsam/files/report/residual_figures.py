@@ -179,7 +179,7 @@ def _band(across: str, **edges: float) -> Record:
 
 
 def qq_figure(subject: Subject) -> Figure | None:
-    """Return the standardized residuals beside those of a Gaussian; None without a calibration."""
+    """Return the standardized residuals beside Gaussian quantiles; None without a calibration."""
     rows = subject.rows
     if rows is None or not subject.solved:
         return None

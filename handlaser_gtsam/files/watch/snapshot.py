@@ -57,7 +57,7 @@ class Snapshot:
 
     @property
     def digest(self) -> str:
-        """Of the files, rests left out."""
+        """Of the whole lines of the files."""
         each = [hashlib.sha256(part.lines).digest() for part in self.parts]
         return hashlib.sha256(b"".join(each)).hexdigest()
 

@@ -28,7 +28,7 @@ class Watched:
     given : mapping
         What counts instead of fields of the rig file, as `rig_toml.known_rig` takes it.
     options : CalibrationOptions
-        The sensor in them is that of the rig file.
+        Their sensor comes from the rig file.
     reading : float or None
         Working distance at which laser spots are judged [m].
     """

@@ -58,26 +58,25 @@ class Description:
         return tuple(map(sentence, found))
 
     @property
-    def counts(self) -> Facts:
-        """How much there is of everything."""
+    def counts(self) -> tuple[tuple[str, int], ...]:
+        """How much there is of everything, as names and numbers."""
         calibration = self.calibration
         fit, recording = calibration.fit, calibration.recording
-        stations = () if recording is None else (("stations", str(len(recording.plane_labels))),)
+        stations = () if recording is None else (("stations", len(recording.plane_labels)),)
         return (
             *stations,
-            ("planes", str(len(calibration.planes))),
-            ("beams", str(len(calibration.beams))),
-            ("readings", str(fit.readings + len(fit.rejected))),
-            ("rejected", str(len(fit.rejected))),
+            ("planes", len(calibration.planes)),
+            ("beams", len(calibration.beams)),
+            ("readings", fit.readings + len(fit.rejected)),
+            ("rejected", len(fit.rejected)),
         )
 
     @property
     def sizes(self) -> str:
         """The same in one line: "44 stations, 4 planes, ..."."""
-        numbers = ((name, int(number)) for name, number in self.counts)
         return ", ".join(
             f"{number} rejected" if name == "rejected" else count(number, name.removesuffix("s"))
-            for name, number in numbers
+            for name, number in self.counts
         )
 
     @property
@@ -152,7 +151,7 @@ class Description:
 
     @property
     def systematic_facts(self) -> Facts:
-        """Systematic errors that were found or cannot be told, with their remedies."""
+        """Systematic errors that were found or are confounded, with their remedies."""
         return evidence.systematic_facts(self)
 
     @cached_property

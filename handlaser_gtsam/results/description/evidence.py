@@ -143,7 +143,7 @@ def advice_sentences(described: "Description") -> Iterator[str]:
 
 
 def correlations_table(described: "Description") -> Table | None:
-    """Return the pairs of unknowns that are hardly told apart; None without a covariance."""
+    """Return the pairs of unknowns that are hardly distinguished; None without a covariance."""
     calibration = described.calibration
     if calibration.covariance is None or not described.solved:
         return None
@@ -205,7 +205,7 @@ def moved(error: SystematicError, reading: float, *, unnoticed: bool) -> float:
 
 
 def systematic_facts(described: "Description") -> Facts:
-    """Return what was found, or cannot be told, by its name in words with the remedy."""
+    """Return the errors that were found or are confounded, each by its name in words with the remedy."""
     tested = described.calibration.systematic if described.solved else ()
     return tuple(
         (_name(error), sentence(f"{error.message}; {error.remedy}"))

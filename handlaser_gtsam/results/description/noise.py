@@ -21,7 +21,7 @@ KINDS = {
 def noise_words(result: CalibrationData) -> str:
     """Return the standard deviations behind the result: given, estimated, or carried by a prior.
 
-    Those of many beams are summed up by the least and the largest.
+    The sigmas of many beams are summed up by the least and the largest.
     """
     estimated = result.noise_estimate
     ranges = [component for component in estimated if component.quantity == "range"]
