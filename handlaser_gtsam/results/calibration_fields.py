@@ -95,7 +95,7 @@ class CalibrationData(Value):
 
     @property
     def pose_covariance(self) -> FloatArray | None:
-        """What hand poses err by (6, 6): the covariance of the first station that was used; None if exact."""
+        """What hand poses err by (6, 6): of the first station that was used; None if exact."""
         if self.variances is None or self.variances.pose is None:
             return None
         pose = self.variances.pose

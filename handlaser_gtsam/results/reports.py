@@ -153,7 +153,7 @@ class Fit(Value):
     loss : str
         `gaussian`, or the robust loss of the estimate.
     max_standardized_residual : float
-        Largest residual in units of its own standard deviation, with the errors of the reading and its pose.
+        Largest residual in its own standard deviation, the errors of reading and pose included.
     max_standardized_residual_at : (str, str)
         Station and beam of it.
     residuals : (M, B)

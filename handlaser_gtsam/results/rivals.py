@@ -43,7 +43,7 @@ class Rival:
 def rivals(
     solution: Parameters, readings: Readings, terms: int, range_sigma: float
 ) -> Iterator[Rival]:
-    """Yield other mounts that fit nearly as well, with the sigma [m] of a residual."""
+    """Yield other mounts that fit nearly as well; `range_sigma` [m] is the sigma of a residual."""
     found = beam_minima(solution, readings)
     turned = np.linalg.norm(found.directions - solution.directions[:, None], axis=2)
     each = np.maximum(np.bincount(readings.beam, minlength=readings.beams) / found.readings, 1.0)

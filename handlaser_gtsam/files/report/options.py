@@ -81,7 +81,7 @@ class ReportOptions:
 
 
 def sha256(path: Path | str) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits; for the folder of a bag, of its files together.
+    """Return the SHA-256 of a file, 64 hexadecimal digits; of all files of a bag that is a folder.
 
     Raises
     ------

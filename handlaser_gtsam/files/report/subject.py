@@ -79,7 +79,7 @@ class ReadingRows:
     residual : (N,)
         [m]; NaN where it was rejected.
     standardized : (N,)
-        Residual in units of its own standard deviation, with the error of the pose; NaN where not known.
+        Residual in its own standard deviation, the error of the pose included; NaN where not known.
     incidence : (N,)
         Angle between beam and plane normal [rad]; NaN where there is no calibration.
     spot : (N, 3)

@@ -205,7 +205,7 @@ def moved(error: SystematicError, reading: float, *, unnoticed: bool) -> float:
 
 
 def systematic_facts(described: "Description") -> Facts:
-    """Return the errors that were found or are confounded, each by its name in words with the remedy."""
+    """Return the errors that were found or are confounded, each with its remedy in words."""
     tested = described.calibration.systematic if described.solved else ()
     return tuple(
         (_name(error), sentence(f"{error.message}; {error.remedy}"))
