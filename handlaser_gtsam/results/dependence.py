@@ -240,7 +240,7 @@ class _Chains:
         return variances
 
     def growth_of_means(self, length: float) -> float:
-        """Return how much larger the variance of the mean of the longest chain is than with white noise."""
+        """Return the variance of the mean of the longest chain relative to white noise."""
         lags = np.arange(1, self.longest)
         return 1.0 + 2.0 * float(((1.0 - lags / self.longest) * np.exp(-lags / length)).sum())
 
