@@ -47,6 +47,6 @@ def test_the_numbers_of_the_page_are_those_of_the_program():
     from handlaser_gtsam.files.watch import patience, server, snapshot
 
     assert f"port {server.PORT} or the next" in PAGE
-    assert f"up to {server.MOST_CLIENTS} look on" in PAGE
-    assert f"nothing for {patience.PATIENCE:.0f} s is hung up on" in PAGE
-    assert f"above {snapshot.MOST_BYTES // 1_000_000} MB is refused" in PAGE
+    assert f"up to {patience.MOST_CLIENTS} look on" in PAGE
+    assert f"nothing for {patience.READ_TIMEOUT_S:.0f} s is hung up on" in PAGE
+    assert f"above {snapshot.LARGEST_FILE // 1_000_000} MB is refused" in PAGE
