@@ -11,8 +11,7 @@ from ...text import count
 from ..calibration_fields import CalibrationData
 from ..verdict import OPENING, Verdict
 from . import evidence, parameters
-from .noise import noise_words, range_error_words
-from .tables import Facts, Table, sentence
+from .tables import sentence
 
 MARKS = {"usable": "good", "usable-with-care": "care"}
 """Colour of a verdict; all others are bad."""
@@ -90,46 +89,6 @@ class Description:
         )
 
     @property
-    def range_errors(self) -> str:
-        """Which range errors differ from zero, and their learned scales."""
-        return range_error_words(self.calibration)
-
-    @property
-    def noise(self) -> str:
-        """The standard deviations behind the result."""
-        return noise_words(self.calibration)
-
-    @cached_property
-    def beams(self) -> Table | None:
-        """A row a beam: where it sits and points, and how well that is known."""
-        return parameters.beams_table(self)
-
-    @cached_property
-    def mounts(self) -> Table | None:
-        """Value, standard deviation and 95 % interval of every parameter of the beams."""
-        return parameters.mounts_table(self)
-
-    @cached_property
-    def spots(self) -> Table | None:
-        """How well the laser spot of every beam is known at the working distance."""
-        return parameters.spots_table(self)
-
-    @cached_property
-    def planes(self) -> Table | None:
-        """Where every plane was found."""
-        return parameters.planes_table(self)
-
-    @cached_property
-    def limits(self) -> Table | None:
-        """Every value beside its limit, the nearest first."""
-        return parameters.limits_table(self)
-
-    @property
-    def fit(self) -> Facts:
-        """How well the readings fit."""
-        return evidence.fit_facts(self)
-
-    @property
     def observability(self) -> tuple[str, ...]:
         """What the recording determines, in sentences."""
         return tuple(evidence.observability_sentences(self))
@@ -139,22 +98,14 @@ class Description:
         """What would improve the calibration, in sentences, the best first."""
         return tuple(evidence.advice_sentences(self))
 
-    @cached_property
-    def correlations(self) -> Table | None:
-        """Unknowns of the beams that the recording hardly tells apart."""
-        return evidence.correlations_table(self)
-
-    @cached_property
-    def systematic(self) -> Table | None:
-        """Every systematic error that was tested for."""
-        return evidence.systematic_table(self)
-
-    @property
-    def systematic_facts(self) -> Facts:
-        """Systematic errors that were found or are confounded, with their remedies."""
-        return evidence.systematic_facts(self)
-
-    @cached_property
-    def rejected(self) -> Table | None:
-        """The readings that were rejected, each with its reason."""
-        return evidence.rejected_table(self)
+    # Tables and facts, made when a view first asks for them.
+    beams = cached_property(parameters.beams_table)
+    mounts = cached_property(parameters.mounts_table)
+    spots = cached_property(parameters.spots_table)
+    planes = cached_property(parameters.planes_table)
+    limits = cached_property(parameters.limits_table)
+    fit = cached_property(evidence.fit_facts)
+    correlations = cached_property(evidence.correlations_table)
+    systematic = cached_property(evidence.systematic_table)
+    systematic_facts = cached_property(evidence.systematic_facts)
+    rejected = cached_property(evidence.rejected_table)

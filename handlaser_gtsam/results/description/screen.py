@@ -33,10 +33,11 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
     lines += wrapped(_head(described), as_many(1, width), width)
     if described.beams is not None:
         lines += text_table(described.beams, width, ROWS_ON_SCREEN)
-    if any(beam.sigma is not None for beam in calibration.beams.values()):
-        add("range errors", described.range_errors)
-        add("noise", described.noise)
     fit = dict(described.fit)
+    if any(beam.sigma is not None for beam in calibration.beams.values()):
+        for name in ("range errors", "noise"):
+            if name in fit:
+                add(name, fit[name])
     add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))
     add("observability", " ".join(described.observability[:3]), 3)
     if verdict.exceeded:
