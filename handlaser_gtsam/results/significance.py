@@ -8,8 +8,8 @@ import numpy as np
 from ..arrays import FloatArray
 
 FAMILY_LEVEL = 0.01
-"""The part of good recordings that several tests together may contradict; one test agrees hardly
-below."""
+"""Several tests together contradict at most this part of good recordings; a single test with a smaller
+p-value hardly agrees."""
 SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
 CONFIDENCE = 0.95
