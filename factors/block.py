@@ -151,7 +151,7 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             evaluated, columns = self.evaluate(values)
-            share = Share(evaluated.white, evaluated.rows(self.whitening), columns)
+            share = Share(evaluated.white, evaluated.rows(self.whitening, self.beam_of), columns)
         if jacobians is not None:
             for slot, of_key in enumerate(share.columns):
                 jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]

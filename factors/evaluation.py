@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handlaser_gtsam.arrays import FloatArray
+from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.model.weighting import Whitening
 
 LOCATION_COLUMNS = slice(0, 3)
@@ -44,17 +44,20 @@ class Evaluation:
     jacobian: FloatArray
     white: FloatArray
 
-    def rows(self, how: Whitening | None) -> FloatArray:
+    def rows(self, how: Whitening | None, beam: IntArray) -> FloatArray:
         """Return whitened derivatives (N, 7 K + 3 or 9): by each of K beams, then plane and pose.
 
-        They are the Jacobian itself, with K = 1, where all readings weigh the same.
+        `beam` (N,) is which of its factor's K beams each reading is of. They are the Jacobian itself,
+        with K = 1, where all readings weigh the same.
         """
         if how is None:
             return self.jacobian
-        take, near = how.coefficients(), how.gathered(self.jacobian)
-        beams = take[:, :, None] * near[:, :, :BEAM_WIDTH]
-        others = np.einsum("nk,nkd->nd", take, near[:, :, BEAM_WIDTH:])
-        return np.hstack((beams.reshape(len(take), -1), others))
+        rows, K = self.jacobian, int(beam.max()) + 1
+        if K > 1:
+            of_beams = np.zeros((len(rows), K, BEAM_WIDTH))
+            of_beams[np.arange(len(rows)), beam] = rows[:, :BEAM_WIDTH]
+            rows = np.hstack((of_beams.reshape(len(rows), -1), rows[:, BEAM_WIDTH:]))
+        return how.apply_rows(rows)
 
 
 @dataclass(slots=True)

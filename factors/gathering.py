@@ -40,7 +40,7 @@ class Gathering:
         whitenings = []
         for block in self.blocks:
             rows = np.arange(len(block.distance))
-            plain = Whitening(np.ones((len(rows), 1, 1)), rows, np.zeros_like(rows), 1.0)
+            plain = Whitening(np.ones(len(rows)), 1.0, rows)
             whitenings.append(plain if block.whitening is None else block.whitening)
         shared = SharedEvaluation(self.blocks, joined(whitenings))
         shared.hand_out(shared.evaluate(values))

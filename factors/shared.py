@@ -93,6 +93,7 @@ class SharedEvaluation:
         self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
+        self.slot = np.concatenate([block.beam_of for block in blocks])
         self._terms: dict[int, int] = {none: 0}
         self._columns: list[tuple[slice, ...]] = []
 
@@ -174,11 +175,8 @@ class SharedEvaluation:
     def hand_out(self, evaluation: Evaluation) -> None:
         """Let every block hand out its rows of `at` until somebody takes them back."""
         if not self._columns:
-            self._columns = [
-                self._columns_of(block, rows)
-                for block, rows in zip(self.blocks, self.slices, strict=True)
-            ]
-        white, derivatives = evaluation.white, evaluation.rows(self.whitening)
+            self._columns = [self._columns_of(block) for block in self.blocks]
+        white, derivatives = evaluation.white, evaluation.rows(self.whitening, self.slot)
         for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
             block.prepared = Share(white[rows], derivatives[rows], columns)
 
@@ -200,17 +198,12 @@ class SharedEvaluation:
             }
         return total
 
-    def _columns_of(self, block: RangeBlock, rows: slice) -> tuple[slice, ...]:
+    def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:
         """Return the columns of each key of `block` in the evaluation."""
-        count, place = 1, {0: 0}
-        if self.whitening is not None:
-            count = self.whitening.root.shape[1]
-            slots = self.whitening.beam[rows].tolist()
-            place = dict(zip(block.beam_of.tolist(), slots, strict=True))
-        columns = []
+        count, columns = int(self.slot.max()) + 1, []
         for i, beam in enumerate(block.beams):
             key = beam.range_error
-            columns += beam_columns(place[i], 0 if key is None else self._terms[key])
+            columns += beam_columns(i, 0 if key is None else self._terms[key])
         return (*columns, *other_columns(count, with_pose=block.pose is not None))
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:

@@ -74,8 +74,8 @@ def test_whitening_is_the_root_of_the_covariance_of_a_station(beams):
     rows = np.random.default_rng(2).standard_normal((len(C), 3))
     assert np.allclose(how.weighed(rows), W.T @ W @ rows)
     assert np.allclose(how.squares(), np.diagonal(W.T @ W))
-    assert np.allclose(how.inverse().apply_rows(how.apply_rows(rows)), rows)
-    assert np.allclose(how.transposed().apply_rows(how.apply_rows(rows)), how.weighed(rows))
+    assert np.allclose(how.coloured(how.apply_rows(rows)), rows)
+    assert np.allclose(how.apply_transposed(how.apply_rows(rows)), how.weighed(rows))
 
 
 @pytest.mark.parametrize("posed", [False, True])

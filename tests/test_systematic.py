@@ -222,10 +222,11 @@ def dense(problem):
         b, term = divmod(int(index), 2)
         pull[row, 7 * b + 5 + term] = how.sigma / prior[b, term]
         k[row] = at.range_errors[b, term] * how.sigma / prior[b, term]
-    W = np.zeros((N, N))
-    for i in range(N):
-        for j in np.flatnonzero(how.station == how.station[i]):
-            W[i, j] = how.root[how.station[i], how.beam[i], how.beam[j]]
+    W = np.diag(how.root)
+    if how.common is not None:
+        for i in range(N):
+            for j in np.flatnonzero(how.station == how.station[i]):
+                W[i, j] -= how.common[i] @ how.common[j] * how.root[j]
 
     def white(a):
         return np.concatenate((W @ a, np.zeros(len(finite))))

@@ -7,24 +7,34 @@ The residuals of the readings d of one station have, to first order, the covaria
 with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, m the number of independent readings that d is
 the mean of (else one), sigma the range sigma of the beam, tau the
 incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand pose and J the derivative
-of the residuals by it. J S J' couples the beams of a station. Stations are independent.
+of the residuals by it. J S J' couples the readings of a station. Stations are independent.
 
-With D the diagonal part and U U' = inv(sqrt(D)) J S J' inv(sqrt(D)), C is sqrt(D) (I + U U') sqrt(D),
-and R = inv(sqrt(I + U U')) inv(sqrt(D)) has R C R' = I. The root of I + U U' follows from the
-eigenvectors of the smaller of U U' and U' U, so that it costs six columns, however many the beams.
+With D the diagonal part and U U' = inv(sqrt(D)) J S J' inv(sqrt(D)), C is sqrt(D) (I + U U') sqrt(D).
+U has six columns, however many readings a station has. With the eigenvectors A and eigenvalues l of
+U'U, and r = sqrt(1 + l), the symmetric inverse root of I + U U' is
+
+    I - E E',    E = U A / sqrt(r (r + 1)),
+
+so that R = (I - E E') inv(sqrt(D)) has R C R' = I.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
-from ..quantities import SINGULAR
 from . import equation
+
+POSE = 6
+"""Coordinates of a hand pose: three of its rotation, three of its translation."""
+LEAST_OWN = 1e-8
+"""Least part of a reading's variance that is its own: readings of a station that the hand alone moves
+would be known relative to each other without any noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -61,117 +71,101 @@ class Variances(Value):
 class Whitening(Value):
     """Makes the residuals of readings independent and equally precise.
 
+    R = (I - E E') diag(root) has R C R' = sigma^2 I.
+
     Attributes
     ----------
-    root : (S, K, K)
-        Inverse roots R of C / sigma^2, R C R' = sigma^2 I, a station, over K beams; beams without a
-        reading there stand by themselves. Where poses do not err, every reading counts as a station.
-    station, beam : (N,)
-        Indices of each row of the readings in them.
+    root : (N,)
+        sigma over the standard deviation of each reading's own noise.
     sigma : float
         Standard deviation of a whitened residual [m]: the typical one of a reading.
+    station : (N,)
+        Number of each reading's station.
+    common : (N, 6) or None
+        E, which couples the readings of a station; its columns are orthogonal within each station.
+        None where hand poses do not err.
     """
 
     root: FloatArray
-    station: IntArray
-    beam: IntArray
     sigma: float
+    station: IntArray
+    common: FloatArray | None = None
 
     @property
     def is_coupled(self) -> bool:
         """Whether readings are correlated with others of their station."""
-        return bool(self.root.shape[1] > 1)
+        return self.common is not None
 
     def of_rows(self, rows: IntArray) -> "Whitening":
-        """Return the whitening of whole stations, given by their rows, over the beams read there."""
-        stations, station = np.unique(self.station[rows], return_inverse=True)
-        beams, beam = np.unique(self.beam[rows], return_inverse=True)
-        root = self.root[np.ix_(stations, beams, beams)]
-        return Whitening(root, station.astype(np.intp), beam.astype(np.intp), self.sigma)
-
-    def by_station(self, station: IntArray, beam: IntArray, beams: int) -> "Whitening":
-        """Return the same over all beams of a station, given those (N,) of every row."""
-        if self.is_coupled:
-            return self
-        root = np.tile(np.eye(beams), (int(station.max()) + 1, 1, 1))
-        root[station, beam, beam] = self.coefficients()[:, 0]
-        return Whitening(root, station, beam, self.sigma)
-
-    def reordered(self, rows: IntArray) -> "Whitening":
-        """Return the whitening of the same readings in another order."""
-        return replace(self, station=self.station[rows], beam=self.beam[rows])
-
-    def coefficients(self) -> FloatArray:
-        """Return what each row (N,) takes of the K readings of its station, (N, K)."""
-        rows: FloatArray = self.root[self.station, self.beam]
-        return rows
-
-    def gathered(self, rows: FloatArray) -> FloatArray:
-        """Return, for every row of (N, ...), the rows of the K readings of its station, (N, K, ...)."""
-        near: FloatArray = self._grid(rows)[self.station]
-        return near
-
-    def squares(self) -> FloatArray:
-        """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 / C."""
-        squares: FloatArray = (self.root**2).sum(axis=1)[self.station, self.beam]
-        return squares
-
-    def matrix(self) -> FloatArray:
-        """Return sigma^2 / C of every station, (S, K, K)."""
-        matrix: FloatArray = np.swapaxes(self.root, 1, 2) @ self.root
-        return matrix
-
-    def inverse(self) -> "Whitening":
-        """Return what gives back the rows that are whitened."""
-        return replace(self, root=np.asarray(np.linalg.inv(self.root), dtype=np.float64))
-
-    def transposed(self) -> "Whitening":
-        """Return the whitening with transposed roots: applied to whitened rows it gives `weighed`."""
-        return replace(self, root=np.swapaxes(self.root, 1, 2))
+        """Return the whitening of some readings: of whole stations, in any order."""
+        station = np.unique(self.station[rows], return_inverse=True)[1].astype(np.intp)
+        common = None if self.common is None else self.common[rows]
+        return Whitening(self.root[rows], self.sigma, station, common)
 
     def apply_rows(self, rows: FloatArray) -> FloatArray:
         """Return whitened rows (N, D)."""
-        if not self.is_coupled:
-            return self.coefficients() * rows
-        white: FloatArray = (self.root @ self._grid(rows))[self.station, self.beam]
-        return white
+        return self._uncoupled(self.root[:, None] * rows)
 
     def apply(self, residual: FloatArray) -> FloatArray:
         """Return whitened residuals (N,) [m]."""
         return self.apply_rows(residual[:, None])[:, 0]
 
-    def weighed(self, rows: FloatArray) -> FloatArray:
-        """Return sigma^2 inv(C) times rows (N, D)."""
-        if not self.is_coupled:
-            return self.coefficients() ** 2 * rows
-        white = self.root @ self._grid(rows)
-        heavy: FloatArray = (np.swapaxes(self.root, 1, 2) @ white)[self.station, self.beam]
-        return heavy
+    def apply_transposed(self, rows: FloatArray) -> FloatArray:
+        """Return R' times rows (N, D)."""
+        return self.root[:, None] * self._uncoupled(rows)
 
-    def _grid(self, rows: FloatArray) -> FloatArray:
-        """Return rows (N, ...) by station and beam, (S, K, ...); zero where there is none."""
-        grid = np.zeros((*self.root.shape[:2], *rows.shape[1:]))
-        grid[self.station, self.beam] = rows
-        return grid
+    def weighed(self, rows: FloatArray) -> FloatArray:
+        """Return sigma^2 inv(C) = R' R times rows (N, D)."""
+        return self.apply_transposed(self.apply_rows(rows))
+
+    def squares(self) -> FloatArray:
+        """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 inv(C)."""
+        squares: FloatArray = self.root**2
+        if self.common is None:
+            return squares
+        E = self._sparse(self.common)
+        along = (E @ (E.T @ E)).multiply(E).sum(axis=1)
+        return np.asarray(squares * (1.0 - 2.0 * (self.common**2).sum(axis=1) + along))
+
+    def coloured(self, white: FloatArray) -> FloatArray:
+        """Return rows (N, D) that `apply_rows` makes `white`."""
+        if self.common is None:
+            return white / self.root[:, None]
+        E = self._sparse(self.common)
+        # Orthogonal columns: inv(I - E E') = I + E inv(I - E'E) E', with E'E diagonal in a station.
+        length = np.asarray(E.multiply(E).sum(axis=0)).ravel()[:, None]
+        free = white + E @ ((E.T @ white) / (1.0 - length))
+        return np.asarray(free / self.root[:, None])
+
+    def _uncoupled(self, rows: FloatArray) -> FloatArray:
+        """Return (I - E E') times rows (N, D)."""
+        if self.common is None:
+            return rows
+        E = self._sparse(self.common)
+        return np.asarray(rows - E @ (E.T @ rows))
+
+    def _sparse(self, common: FloatArray) -> csr_array:
+        """Return E (N, 6 S) with the columns of each station beside those of the others."""
+        count, width = common.shape
+        columns = (width * self.station[:, None] + np.arange(width)).ravel()
+        shape = count, width * (int(self.station.max()) + 1)
+        return csr_array((common.ravel(), columns, width * np.arange(count + 1)), shape=shape)
 
 
 def joined(whitenings: Sequence[Whitening]) -> Whitening:
-    """Return one whitening of the rows of several, one after the other; sigma of the first.
-
-    Every row keeps its slot among the beams of its station.
-    """
-    stations = [len(part.root) for part in whitenings]
-    slots = max(part.root.shape[1] for part in whitenings)
-    first = np.cumsum([0, *stations[:-1]])
-    root = np.zeros((sum(stations), slots, slots))
-    for a, part in zip(first, whitenings, strict=True):
-        count = part.root.shape[1]
-        root[a : a + len(part.root), :count, :count] = part.root
+    """Return one whitening of the rows of several, one after the other; sigma of the first."""
+    first, common = 0, []
+    station = []
+    for part in whitenings:
+        station.append(first + part.station)
+        first += int(part.station.max()) + 1
+        common.append(np.zeros((len(part.root), POSE)) if part.common is None else part.common)
+    coupled = any(part.is_coupled for part in whitenings)
     return Whitening(
-        root,
-        np.concatenate([a + part.station for a, part in zip(first, whitenings, strict=True)]),
-        np.concatenate([part.beam for part in whitenings]),
+        np.concatenate([part.root for part in whitenings]),
         whitenings[0].sigma,
+        np.concatenate(station),
+        np.concatenate(common) if coupled else None,
     )
 
 
@@ -183,47 +177,34 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    sensor = own_variances(parameters, readings, variances)
+    sensor, station = own_variances(parameters, readings, variances), stations_from_zero(readings)
     if variances.pose is None:
-        typical, alone = float(np.median(sensor)), np.arange(len(sensor))
-        root = np.sqrt(typical / sensor)[:, None, None]
-        return Whitening(root, alone, np.zeros_like(alone), float(np.sqrt(typical)))
-    station = stations_from_zero(readings)
-    where = (station, readings.beam)
+        typical = float(np.median(sensor))
+        return Whitening(np.sqrt(typical / sensor), float(np.sqrt(typical)), station)
     linear = equation.linearize(
         equation.scene(parameters, readings), readings.distance, with_pose=True
     )
-    J = np.zeros((int(station.max()) + 1, readings.beams, 6))
-    J[where] = linear.pose
-    place = np.empty(len(J), dtype=np.intp)
-    place[station] = readings.station
-    S = variances.pose[place]
-    variance = sensor + np.einsum("ni,ni->n", linear.pose, (J @ S)[where])
+    moved = linear.pose[:, None] @ covariance_roots(variances.pose)[readings.station]
+    variance = sensor + (moved**2).sum(axis=(1, 2))
     typical = float(np.median(variance))
-    scale = np.ones(J.shape[:2])
-    scale[where] = np.sqrt(typical / np.maximum(sensor, SINGULAR * variance))
-    root = _inverse_roots(J * (scale / np.sqrt(typical))[:, :, None], S) * scale[:, None, :]
-    return Whitening(root, station, readings.beam, float(np.sqrt(typical)))
+    if int(station.max()) + 1 == len(
+        station
+    ):  # errors of the pose are then noise of the only reading
+        return Whitening(np.sqrt(typical / variance), float(np.sqrt(typical)), station)
+    root = np.sqrt(typical / np.maximum(sensor, LEAST_OWN * variance))
+    common = _common_columns(moved[:, 0] * (root / np.sqrt(typical))[:, None], station)
+    return Whitening(root, float(np.sqrt(typical)), station, common)
 
 
-def _inverse_roots(J: FloatArray, S: FloatArray) -> FloatArray:
-    """Return the symmetric inverse roots (M, K, K) of I + J S J', J (M, K, 6) and S (M, 6, 6)."""
-    if J.shape[1] <= J.shape[2]:
-        values, axes = np.linalg.eigh(J @ S @ np.swapaxes(J, 1, 2))
-        part = 1.0 / _stretch(values)
-        return np.asarray((axes * part) @ np.swapaxes(axes, 1, 2))
-    U = J @ covariance_roots(S)
-    values, axes = np.linalg.eigh(np.swapaxes(U, 1, 2) @ U)
-    r, axes = _stretch(values), U @ axes  # axes of U U', each as long as the root of its value
-    root = (axes / (-r * (1.0 + r))) @ np.swapaxes(axes, 1, 2)
-    each = np.arange(J.shape[1])
-    root[:, each, each] += 1.0
-    return np.asarray(root)
-
-
-def _stretch(values: FloatArray) -> FloatArray:
-    """Return the roots (M, 1, d) of 1 + values (M, d) in ascending order, free of rounding."""
-    return np.sqrt(1.0 + np.maximum(values, SINGULAR * values[:, -1:]))[:, None, :]
+def _common_columns(U: FloatArray, station: IntArray) -> FloatArray:
+    """Return E (N, 6) of the module's docstring for U (N, 6), by station."""
+    order = np.argsort(station, kind="stable")
+    first = np.flatnonzero(np.diff(station[order], prepend=-1))
+    outer = U[order, :, None] * U[order, None, :]
+    values, axes = np.linalg.eigh(np.add.reduceat(outer, first))
+    r = np.sqrt(1.0 + np.maximum(values, 0.0))
+    turned: FloatArray = U[:, None] @ (axes / np.sqrt(r * (r + 1.0))[:, None])[station]
+    return turned[:, 0]
 
 
 def covariance_roots(covariance: FloatArray) -> FloatArray:

@@ -83,21 +83,22 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     count, beams = len(stations), belief.beams
     readings, x = _predicted(belief, stations)
     J = _derivatives(belief, readings, x).reshape(count, beams, BEAM_SIZE + PLANE_SIZE)
-    how = whitening(belief.mean, readings, belief.variances.for_stations(count))
-    root = how.by_station(readings.station, readings.beam, beams).root / how.sigma
     rows = np.zeros((count, beams, len(belief.covariance)))
-    by_beams = root[..., None] * J[:, None, :, :BEAM_SIZE]
-    rows[..., : belief.first_error] = by_beams.reshape(count, beams, -1)
+    each = np.arange(beams)
+    by_beam = rows[..., : belief.first_error].reshape(count, beams, beams, BEAM_SIZE)
+    by_beam[:, each, each] = J[..., :BEAM_SIZE]
+    rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
         errors = errors_of_readings(belief.mean, readings, x, np.arange(beams))
         wanted = [OF_READINGS.index(code) for code in belief.errors]
         by_errors = errors[:, wanted].reshape(count, beams, -1)
-        rows[..., belief.first_error : belief.first_plane] = root @ by_errors
-    by_plane = root @ J[..., BEAM_SIZE:]
+        rows[..., belief.first_error : belief.first_plane] = by_errors
     for plane in range(len(belief.plane_names)):
         first, here = belief.first_plane + PLANE_SIZE * plane, stations.plane == plane
-        rows[here, :, first : first + PLANE_SIZE] = by_plane[here]
-    return rows
+        rows[here, :, first : first + PLANE_SIZE] = J[here, :, BEAM_SIZE:]
+    how = whitening(belief.mean, readings, belief.variances.for_stations(count))
+    white = how.apply_rows(rows.reshape(count * beams, -1)) / how.sigma
+    return white.reshape(rows.shape)
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:

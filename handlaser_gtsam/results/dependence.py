@@ -144,19 +144,19 @@ class _Residuals:
     """Whitened residuals, less what the unknowns and the systematic errors that were found explain."""
 
     def __init__(self, rows: LinearRows, found: FloatArray | None) -> None:
-        self.projection, self.back = Projection(rows), rows.how.inverse()
+        self.projection, self.how = Projection(rows), rows.how
         self.found = np.empty((len(rows.readings), 0))
         if found is not None and found.size:
             self.found = np.linalg.qr(self.whitened(found))[0]
 
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Return what is left of columns (N, q) of residuals."""
-        w = self.back.transposed().apply_rows(self.projection.perpendicular(columns).heavy)
+        w = self.how.apply_rows(self.projection.perpendicular(columns).rest)
         return np.asarray(w - self.found @ (self.found.T @ w))
 
     def of_noise(self, noise: FloatArray) -> FloatArray:
         """Return what is left of whitened noise (N, q)."""
-        return self.whitened(self.back.apply_rows(noise))
+        return self.whitened(self.how.coloured(noise))
 
 
 def _growths(

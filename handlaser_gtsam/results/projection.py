@@ -91,6 +91,8 @@ class Adjusted:
 
     Attributes
     ----------
+    rest : (N, q)
+        What is left of the columns.
     heavy : (N, q)
         Times sigma^2 inv(C).
     squares : (q,)
@@ -99,6 +101,7 @@ class Adjusted:
         The beams' part of the unknowns that explain the rest.
     """
 
+    rest: FloatArray
     heavy: FloatArray
     squares: FloatArray
     moved: FloatArray
@@ -153,7 +156,7 @@ class Projection:
             moved += x
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return Adjusted(heavy, squares, moved)
+        return Adjusted(rest, heavy, squares, moved)
 
     def members(
         self, products: FloatArray, squares: FloatArray, plane: IntArray

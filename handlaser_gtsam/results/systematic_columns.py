@@ -159,32 +159,21 @@ class PlaneErrors:
         """Fill in the products and the squares."""
         if not rows.how.is_coupled and (self.beam >= 0).all():  # only the own beam has any
             of_beam = np.arange(len(self.beam)), self.beam
-            values = self._weighed(rows, -1, np.empty(0))
+            values = self._weighed(rows, self.column)
             sums = _range_sums(values, self.first[of_beam], self.last[of_beam])
             self.products[of_beam], self.squares[:] = sums[:, :-1], sums[:, -1]
             return
-        matrix = rows.how.matrix() if (self.beam >= 0).any() else np.empty(0)
         for beam in np.unique(self.beam).tolist():
             members = np.flatnonzero(self.beam == beam)
-            values = self._weighed(rows, beam, matrix)
+            mine = (rows.readings.beam == beam) | (beam < 0)
+            values = self._weighed(rows, np.where(mine, self.column, 0.0))
             sums = _range_sums(values, self.first[members], self.last[members])
             self.products[members] = sums[:, :, :-1]
             self.squares[members] = sums[:, :, -1].sum(axis=1)
 
-    def _weighed(self, rows: LinearRows, beam: int, matrix: FloatArray) -> FloatArray:
-        """Return the column times sigma^2 inv(C), with J and with itself, in the order (N, 11).
-
-        Where a beam is given, the column holds its readings alone, and `matrix` is sigma^2
-        inv(C) of every station.
-        """
-        how, column = rows.how, self.column
-        if beam >= 0:
-            mine = rows.readings.beam == beam
-            column, alone = np.where(mine, column, 0.0), np.zeros(len(matrix))
-            alone[how.station[mine]] = column[mine]
-            heavy = matrix[how.station, how.beam, how.beam[mine][0]] * alone[how.station]
-        else:
-            heavy = how.weighed(column[:, None])[:, 0]
+    def _weighed(self, rows: LinearRows, column: FloatArray) -> FloatArray:
+        """Return a column times sigma^2 inv(C), with J and with itself, in the order (N, 11)."""
+        heavy = rows.how.weighed(column[:, None])[:, 0]
         return np.column_stack((rows.J * heavy[:, None], column * heavy))[self.order]
 
 

@@ -108,10 +108,10 @@ class FittedPlane:
         Baarda's w-test: plane free, beams known with their covariance, readings with theirs. Zero for a
         reading that decides something by itself, of which the others say nothing.
         """
-        how, back = self.whitening, self.whitening.transposed()
+        how = self.whitening
         G, e, K = self._normal(state)
-        left = back.apply(e - G @ (K @ (G.T @ e)))
-        squares, across = how.squares(), back.apply_rows(G)
+        left = how.apply_transposed((e - G @ (K @ (G.T @ e)))[:, None])[:, 0]
+        squares, across = how.squares(), how.apply_transposed(G)
         free = squares - ((across @ K) * across).sum(axis=1)
         tested = free > DECIDES_ITSELF * squares
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)

@@ -14,7 +14,7 @@ from ..data.recording import Readings
 from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
-from ..model.weighting import Whitening, stations_from_zero
+from ..model.weighting import Whitening
 from .poses import PosePriors
 from .steps import UNKNOWNS_RATIO
 
@@ -105,7 +105,7 @@ def build_graph(
         priors.join(graph, values, poses)
         prior_rows += 6 * len(poses)
     coupled = whitening is not None and whitening.is_coupled
-    whitening = None if whitening is None else whitening.reordered(rows)
+    whitening = None if whitening is None else whitening.of_rows(rows)
     of_beams = [key for beam in beams for key in beam.variables]
     # Uncoupled beams are independent given the planes: they go first where there are far more.
     order = [*poses, *planes, *of_beams]
@@ -160,8 +160,8 @@ def _blocks(
         )
     group = readings.plane if priors is None else readings.station
     rows = np.lexsort((readings.beam, readings.station, group))
-    coupled = whitening.by_station(stations_from_zero(readings), readings.beam, readings.beams)
-    return station_blocks(readings, coupled, rows, group, (beams, planes, priors)), rows, coupled
+    blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
+    return blocks, rows, whitening
 
 
 def range_error_priors(
@@ -255,14 +255,6 @@ def _blocks_by_beam(
 ) -> tuple[RangeBlock, ...]:
     starts = readings.block_starts()
     ends = np.append(starts[1:], len(readings))
-    weights = None if whitening is None else whitening.coefficients()[:, :, None]
-
-    def whitening_of(a: int, e: int) -> Whitening | None:
-        if whitening is None or weights is None:
-            return None
-        alone = np.arange(e - a)
-        return Whitening(weights[a:e], alone, np.zeros_like(alone), whitening.sigma)
-
     d, R, t = readings.distance, readings.world_R_hand, readings.world_t_hand
     require_rows(d, R, t)
     first, blocks = frozen_indices(np.zeros(len(d))), []
@@ -270,9 +262,10 @@ def _blocks_by_beam(
     of = (readings.beam[starts].tolist(), readings.plane[starts].tolist())
     for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
         rows = d[a:e], R[a:e], t[a:e], first[a:e]
-        blocks.append(
-            RangeBlock.of_checked(beams[beam], planes[plane], rows, whitening_of(a, e), taken[a:e])
-        )
+        how = None
+        if whitening is not None:
+            how = Whitening(whitening.root[a:e], whitening.sigma, whitening.station[a:e])
+        blocks.append(RangeBlock.of_checked(beams[beam], planes[plane], rows, how, taken[a:e]))
     return tuple(blocks)
 
 
@@ -285,7 +278,6 @@ def station_blocks(
 ) -> tuple[RangeBlock, ...]:
     """Return a block for each run of `rows` of one `group`: a plane, or a station with its pose."""
     beams, planes, priors = names
-    whitening = whitening.by_station(stations_from_zero(readings), readings.beam, readings.beams)
     runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
     blocks = []
     for run in runs:

@@ -282,12 +282,11 @@ def weighing_of(grid: Grid, whitenings: Sequence[Whitening]) -> Weighing:
     if not whitenings[0].is_coupled:
         weights = np.array([how.squares() for how in whitenings])
         return Weighing(np.sqrt(grid.spread(weights)))
-    matrix = np.zeros((len(whitenings), grid.cells, grid.beams, grid.beams))
-    for k, how in enumerate(whitenings):
-        cell = np.empty(len(how.root), dtype=np.intp)
-        cell[how.station] = grid.place
-        matrix[k, cell] = how.matrix()
-    return Weighing(matrix=matrix)
+    root = grid.spread(np.array([how.root for how in whitenings])).swapaxes(1, 2)[..., None]
+    E = np.stack([grid.spread(how.common.T) for how in whitenings if how.common is not None])
+    E = E.transpose(0, 3, 2, 1)
+    W = np.eye(grid.beams) - E @ E.swapaxes(2, 3)
+    return Weighing(matrix=root * (W @ W) * root.swapaxes(2, 3))
 
 
 def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:

@@ -134,7 +134,7 @@ class Unknowns:
             if len(tied) != 1 or -1 in tied:
                 return None
         if coupled and how is not None:
-            how = how.reordered(np.argsort(problem.rows))
+            how = how.of_rows(np.argsort(problem.rows))
         active = np.arange(5 + max(problem.terms)) < 5 + np.array(problem.terms)[:, None]
         grid = Grid([problem.readings])
         weighing = Weighing() if how is None else weighing_of(grid, [how])
