@@ -19,9 +19,8 @@ from benchmarks.solve import SIGMA, TERMS, closed_form, problem
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.readings import Readings
+from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized, moved
 from handlaser_gtsam.solvers.many_problems import solve_together
-from handlaser_gtsam.solvers.normal_equations import jacobian_columns
-from handlaser_gtsam.solvers.steps import apply_step
 from handlaser_gtsam.validation.scenes import ERRORS, SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate
 
@@ -55,12 +54,13 @@ def dense_solution(readings: Readings, start: Parameters, steps: int) -> float:
     plane = of_beams + 3 * readings.plane[:, None] + np.arange(3)
     J = np.zeros((len(readings), readings.unknowns(TERMS)))
     for _ in range(steps):
-        columns, centres = jacobian_columns(at, readings, TERMS)
+        centres = linearized(at, readings, TERMS).centres
+        columns = jacobian_columns(at, readings, TERMS, centres)
         J[rows, beam], J[rows, plane] = columns[:width].T, columns[width:-1].T
         step = -np.linalg.solve(J.T @ J, J.T @ columns[-1])
         own = step[:of_beams].reshape(-1, width), step[of_beams:].reshape(-1, 3)
-        at = apply_step(at, *own, centres, TERMS)
-    e = jacobian_columns(at, readings, TERMS)[0][-1]
+        at = moved(at, *own, centres)
+    e = jacobian_columns(at, readings, TERMS)[-1]
     return 0.5 * float(e @ e) / SIGMA**2
 
 

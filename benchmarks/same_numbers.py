@@ -1,11 +1,12 @@
 """The same recordings, the same numbers: what a change that is to change none is measured by.
 
-    python -m benchmarks.same_numbers --write before.npz
-    python -m benchmarks.same_numbers --against before.npz
+    python -m benchmarks.same_numbers --write before.pickle
+    python -m benchmarks.same_numbers --against before.pickle
 
 Recordings: the shipped one, a real one where HANDLASER_SHARED has it, random problems, and one of
 every mistake of a cell, through `hl.calibrate` and through the JSON of the command. Values are compared
 in their standard deviations, standard deviations as ratios, status and codes of warnings exactly.
+The recordings are kept with the numbers, so that what makes them up may change, too.
 Exit code 1 where something differs by more than `--tolerance`.
 """
 
@@ -13,6 +14,7 @@ import argparse
 import contextlib
 import json
 import os
+import pickle
 import runpy
 import subprocess
 import sys
@@ -124,20 +126,23 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=40)
     parser.add_argument("--tolerance", type=float, default=1e-9, help="in standard deviations")
     options = parser.parse_args()
+    before: Numbers = {}
+    given = dict(recordings(options.problems)) if options.against is None else {}
+    if options.against is not None:
+        given, before = pickle.loads(options.against.read_bytes())
     found = {
         f"{name}: {key}": values
-        for name, recording in recordings(options.problems)
+        for name, recording in given.items()
         for key, values in numbers_of(recording).items()
     }
     found |= {f"command: {key}": values for key, values in of_the_command().items()}
     if options.write is not None:
-        np.savez(options.write, **found)  # type: ignore[arg-type]  # names of arrays, not options
+        options.write.write_bytes(pickle.dumps((given, found)))
         print(f"{len(found)} entries written")
         return
-    before = np.load(options.against)
-    faults = sorted(set(before.files) ^ set(found))
+    faults = sorted(set(before) ^ set(found))
     most = (0.0, 0.0)
-    for key in sorted(set(before.files) & set(found)):
+    for key in sorted(set(before) & set(found)):
         if key.endswith(": said"):
             if before[key].tolist() != found[key].tolist():
                 faults.append(f"{key}: {before[key].tolist()} became {found[key].tolist()}")

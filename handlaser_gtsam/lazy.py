@@ -19,7 +19,8 @@ def lazy_names(
     package : str
         Its full name.
     homes : mapping of str to str
-        The names that every module defines, separated by blanks; modules are relative to the package.
+        The names that every module defines, separated by blanks; modules are relative to the package,
+        with a dot in front to the one above it.
     modules : mapping of str to str, optional
         Modules that are offered themselves: name to relative home. A name that is not offered, but by
         one of these, is answered by an AttributeError that says where it is.

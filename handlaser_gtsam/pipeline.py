@@ -13,10 +13,10 @@ from .data.screen import screened
 from .errors import CalibrationWarning
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
+from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .solvers.progress import LOGGER, Listener, told_to
 
 
 def calibrate(

@@ -28,7 +28,7 @@ FLOORS = [
     "cli",
 ]
 """From the ground up, one folder a floor. A module may import from its own floor or below."""
-BASE = ("arrays", "checks", "errors", "lazy", "quantities", "text")
+BASE = ("arrays", "checks", "errors", "lazy", "progress", "quantities", "text")
 """The files that lie flat below all folders."""
 WITHOUT_GTSAM = ("data", "model", "starts", "observability", "outliers")
 """Floors that work on NumPy alone, with all that they import."""
@@ -166,7 +166,7 @@ def test_every_room_says_its_job():
         says = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
         assert says, folder
         assert len(says.splitlines()) == 1, folder
-    assert len(list(PACKAGE.glob("*.py"))) <= 8
+    assert len(list(PACKAGE.glob("*.py"))) <= len(BASE) + 2  # pipeline.py and __init__.py
 
 
 def test_the_reference_shares_no_equation():

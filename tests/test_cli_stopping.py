@@ -13,7 +13,7 @@ from helpers import simulated
 from handlaser_gtsam.cli.progress_line import QUIET_S, Working
 from handlaser_gtsam.cli.stopping import CtrlC
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.solvers.progress import tell
+from handlaser_gtsam.progress import tell
 from handlaser_gtsam.validation.scenes import Layout
 
 BEGUN = """

@@ -9,6 +9,7 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
+from handlaser_gtsam.model.stopping import LEVEL_STEPS, StoppingRule
 from handlaser_gtsam.observability.open_axes import open_axes
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
 from handlaser_gtsam.observability.rank import observability
@@ -19,9 +20,7 @@ from handlaser_gtsam.observability.wording import (
     weakest,
 )
 from handlaser_gtsam.results.limits import Limits, checked
-from handlaser_gtsam.solvers.normal_equations import normal_equations
-from handlaser_gtsam.solvers.steps import apply_step
-from handlaser_gtsam.solvers.stopping import LEVEL_STEPS, StoppingRule
+from handlaser_gtsam.solvers.beam_problem import linearized, moved
 from handlaser_gtsam.validation.scenes import Layout
 
 TRUTH = {"pure translations": 1, "one plane, one axis": 1, "two planes, no rotation": 2}
@@ -40,14 +39,14 @@ def test_moving_along_the_null_space_changes_no_reading(case):
     truth = bench(TRUTH[case])
     found = observability(truth, readings, 0, 1e-4)
     assert found.rank < found.unknowns
-    centres = normal_equations(truth, readings, 0).centres[0]
+    centres = linearized(truth, readings, 0).centres
     units = np.array([found.length] * 3 + [1.0] * 2), np.array([1.0, 1.0, found.length])
     step = 1e-6
     for column in range(found.null_space.beams.shape[-1]):
         beam = step * units[0] * found.null_space.beams[..., column]
         plane = step * units[1] * found.null_space.planes[..., column]
-        moved = apply_step(truth, beam, plane, centres, 0)
-        e = model.residuals(model.scene(moved, readings), readings.distance)
+        there = moved(truth, beam, plane, centres)
+        e = model.residuals(model.scene(there, readings), readings.distance)
         # Second order in a step of 1e-6; a determined direction would change 1e-7 m.
         assert np.abs(e).max() < 1e-11
 

@@ -9,8 +9,9 @@ from benchmarks.gross_errors import Case, made, run_once
 from benchmarks.right_angles import Scene, coded, plates, relabelled
 from handlaser_gtsam import model
 from handlaser_gtsam.model.losses import Loss
+from handlaser_gtsam.model.search import LossScale
 from handlaser_gtsam.outliers.snooping import beyond_chance
-from handlaser_gtsam.solvers.refine import LossScale, refine_many
+from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended

@@ -6,9 +6,9 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.losses import Loss
+from handlaser_gtsam.model.search import LevenbergOptions
 from handlaser_gtsam.observability.rank import ObservabilityOptions
 from handlaser_gtsam.results.limits import Limits
-from handlaser_gtsam.solvers.levenberg import LevenbergOptions
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.simulate import Errors
 

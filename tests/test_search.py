@@ -9,12 +9,12 @@ from helpers import GRIPPER, bench, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
+from handlaser_gtsam.model import search as damped
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
 from handlaser_gtsam.outliers.leverage import leverages
 from handlaser_gtsam.outliers.snooping import price
 from handlaser_gtsam.results import rereading
-from handlaser_gtsam.solvers import refine
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
 from handlaser_gtsam.starts.excerpt import excerpt_of
@@ -38,10 +38,10 @@ def counts(monkeypatch):
 
     def stepped(*arguments):
         found["steps"] += 1
-        return damped_step(*arguments)
+        return step(*arguments)
 
-    damped_step = refine.damped_step
-    monkeypatch.setattr(refine, "damped_step", stepped)
+    step = damped.damped_step
+    monkeypatch.setattr(damped, "damped_step", stepped)
     for kind, loss in (("plain", choice._LeastSquares), ("robust", robust._RobustLoss)):
         monkeypatch.setattr(loss, "refined", counted(kind, loss.refined))
     return found

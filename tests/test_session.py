@@ -12,8 +12,8 @@ from handlaser_gtsam.factors import RangeBlock, gathered
 from handlaser_gtsam.model import tangent_basis
 from handlaser_gtsam.model.joint import beams_lift
 from handlaser_gtsam.session.fitted import fit_plane
+from handlaser_gtsam.solvers.beam_problem import jacobian_columns
 from handlaser_gtsam.solvers.incremental import IncrementalOptions
-from handlaser_gtsam.solvers.normal_equations import jacobian_columns
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -494,7 +494,7 @@ def test_new_readings_are_judged_as_by_dense_matrices(incidence):
     for plane in state.contents.numbers:
         own = state.contents.planes[plane]
         fitted = fit_plane(state.config, own.used(), state.state.beams, own.origin)
-        columns, _ = jacobian_columns(fitted.parameters, fitted.readings, 2)
+        columns = jacobian_columns(fitted.parameters, fitted.readings, 2)
         J = np.zeros((len(fitted.residual), 3, 7))
         J[np.arange(len(J)), fitted.readings.beam] = columns[:7].T
         rows = np.hstack((J.reshape(len(J), -1), columns[7:10].T))

@@ -9,14 +9,14 @@ from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import Parameters, RangeErrorPrior
 from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.model.losses import GAUSSIAN, Loss
 from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.solvers.beam_problem import linearized
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt, linearize
-from handlaser_gtsam.solvers.linear import Unknowns
-from handlaser_gtsam.solvers.normal_equations import normal_equations
-from handlaser_gtsam.solvers.objectives import objective_of
+from handlaser_gtsam.solvers.objectives import SharedObjective
 from handlaser_gtsam.solvers.reference import solve_reference
 from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start
@@ -85,14 +85,20 @@ def test_reduction_and_graph_agree(problem):
     assert np.abs(mine.range_errors - other.parameters.range_errors).max() < 1e-5
 
 
+def test_tangents_are_those_of_gtsam():
+    rng = np.random.default_rng(0)
+    units = model.normalized(np.concatenate((rng.normal(size=(200, 3)), np.eye(3), -np.eye(3))))
+    theirs = np.array([gtsam.Unit3(unit).basis() for unit in units])
+    assert np.abs(model.tangent_basis(units) - theirs).max() < 1e-15
+
+
 def test_normal_equations_are_those_of_the_graph(problem):
     """The reduced information of the beams does not depend on how planes are parametrised."""
     _, readings, start, graph = problem
-    normal = normal_equations(start, readings, 2)
-    beam, border, plane = normal.beam[0], normal.border[0], normal.plane[0]
-    E = np.swapaxes(border, 0, 1).reshape(len(beam), -1)
-    W = np.linalg.solve(plane, np.swapaxes(border, 1, 2)).reshape(-1, len(E))
-    reduced = beam - E @ W
+    normal = linearized(start, readings, 2).normal
+    beam, border = normal.matrix[0], normal.border[0]
+    W = np.linalg.solve(normal.local[0], border)
+    reduced = beam - border.reshape(-1, len(beam)).T @ W.reshape(-1, len(beam))
     values = start_values(start, graph.beams, graph.planes, 2)
     ordering = gtsam.Ordering()
     for keys in graph.beams:
@@ -103,14 +109,8 @@ def test_normal_equations_are_those_of_the_graph(problem):
     H = linearize(graph, values).hessian(ordering)[0] * SIGMA**2
     size = len(beam)
     schur = H[:size, :size] - H[:size, size:] @ np.linalg.solve(H[size:, size:], H[size:, :size])
-    # The two use different tangent bases of the directions: rotate one into the other.
-    turn = np.eye(size)
-    mine = model.tangent_basis(start.directions)
-    for i, beam in enumerate(graph.beams):
-        at = 7 * i + 3
-        turn[at : at + 2, at : at + 2] = mine[i].T @ values.atUnit3(beam.direction).basis()
     scale = np.sqrt(np.diagonal(reduced))
-    difference = (turn @ schur @ turn.T - reduced) / np.outer(scale, scale)
+    difference = (schur - reduced) / np.outer(scale, scale)
     # H is formed a metre from the origin, with planes centimetres away: 1e-16 * (1 / 0.01)^2.
     assert np.abs(difference).max() < 1e-9
 
@@ -145,7 +145,7 @@ def test_every_trial_is_told_and_kept(problem):
     assert [trial.number for trial in told] == list(range(1, len(told) + 1))
     assert sum(trial.accepted for trial in told) == result.iterations
     costs = [trial.cost for trial in told if trial.accepted]
-    assert costs[-1] <= costs[0]
+    assert costs[-1] <= costs[0] * (1.0 + 1e-9)
 
 
 def test_ctrl_c_keeps_the_best_values(problem):
@@ -181,15 +181,15 @@ def test_a_trial_that_grazes_is_a_rejected_step(monkeypatch):
     readings = recording_of(truth, *motion("free", 15), [0] * 15, 1e-4).readings()
     graph = build_graph(readings, far_start(truth, 0.05), 0, 1e-4)
     calls = []
-    rows = Unknowns.rows
+    evaluate = SharedEvaluation.evaluate
 
     def grazing(*args):
         calls.append(1)
         if len(calls) == 2:
             raise GrazingBeamError(0.0, model.GRAZING_LIMIT)
-        return rows(*args)
+        return evaluate(*args)
 
-    monkeypatch.setattr(Unknowns, "rows", grazing)
+    monkeypatch.setattr(SharedEvaluation, "evaluate", grazing)
     result = levenberg_marquardt(graph)
     assert result.status == "converged"
     assert not result.history[0].accepted
@@ -231,7 +231,7 @@ def test_the_step_is_that_of_gtsams_elimination_of_all_factors(case):
     problem = build_graph(
         readings, start, how.get("terms", 2), noise, how.get("loss", GAUSSIAN), range_errors=prior
     )
-    point = objective_of(problem).evaluate(problem.values)
+    point = SharedObjective(problem).evaluate(problem.values)
     assert problem.graph.error(problem.values) == pytest.approx(point.cost, rel=1e-12)
     step = point.linearized().solved(0.0)
     linear = problem.graph.linearize(problem.values)

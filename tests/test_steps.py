@@ -7,12 +7,14 @@ import pytest
 from helpers import bench, motion, recording_of
 
 from handlaser_gtsam import model
+from handlaser_gtsam.model.beams_on_planes import CENTRE, values_of
+from handlaser_gtsam.model.elimination import inverse_stack, solve_definite
+from handlaser_gtsam.model.families import BEAM, PLANE
+from handlaser_gtsam.model.reduction import damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.solvers.elimination import inverse_stack, solve_definite
-from handlaser_gtsam.solvers.normal_equations import jacobian_columns, normal_equations
-from handlaser_gtsam.solvers.steps import apply_step, damped_step
+from handlaser_gtsam.solvers.beam_problem import beam_problem, jacobian_columns, moved
 
-DAMPED = {"planes first": (3, 3, False), "beams first": (1, 9, False), "coupled": (1, 9, True)}
+DAMPED = {"planes first": (3, 3, False), "beams first": (1, 9, False), "coupled": (2, 9, True)}
 
 
 @pytest.mark.parametrize("case", DAMPED)
@@ -26,8 +28,9 @@ def test_a_damped_step_solves_the_dense_equations(case, damping):
     pose = np.tile(np.diag([1e-3] * 3 + [1e-4] * 3) ** 2, (count, 1, 1)) if coupled else None
     how = whitening(truth, readings, Variances(np.full(beams, 1e-4), 1e-5, pose))
     at = replace(truth, locations=truth.locations + 1e-3, offsets=truth.offsets + 1e-3)
-    normal = normal_equations(at, readings, 1, whitening=how)
-    columns, _ = jacobian_columns(at, readings, 1, normal.centres[0])
+    problem, block = beam_problem([readings], 1, [how])
+    values = block.centred(values_of([at]))
+    columns = jacobian_columns(at, readings, 1, values[PLANE.name][0, :, CENTRE])
     J = np.zeros((len(readings), 6 * beams + 3 * planes))
     for row, (i, p) in enumerate(zip(readings.beam, readings.plane, strict=True)):
         J[row, 6 * i : 6 * i + 6] = columns[:6, row]
@@ -35,18 +38,20 @@ def test_a_damped_step_solves_the_dense_equations(case, damping):
     white, e = how.apply_rows(J), how.apply(columns[-1])
     H = white.T @ white
     dense = np.linalg.solve(H + damping * np.diag(np.diagonal(H)), -white.T @ e)
-    beam, plane = damped_step(normal, np.array([damping]))
-    off = np.concatenate((beam[0], plane[0].ravel())) - dense
+    parts = [part.ravel() for part in damped_step(problem.normal(values), np.array([damping]))]
+    beams_first = problem.reduction.structure.local == BEAM.name
+    assert beams_first == (case == "beams first")
+    off = np.concatenate(parts[::-1] if beams_first else parts) - dense
     assert np.sqrt(off @ H @ off) < 1e-6 * np.sqrt(dense @ H @ dense)
 
 
 def test_a_step_turns_a_plane_about_its_centre():
-    """Along tangents that are given: at the centre, the height of the plane changes by its own step."""
+    """At the centre, the height of the plane changes by its own step."""
     rng = np.random.default_rng(0)
     at = bench(3, 2)
     centres, beam, plane = rng.normal(size=(3, 3)), rng.normal(size=(2, 6)), rng.normal(size=(3, 3))
-    bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))[..., ::-1]
-    new = apply_step(at, beam, plane, centres, 1, bases)
+    bases = model.tangent_basis(np.concatenate((at.directions, at.normals)))
+    new = moved(at, beam, plane, centres)
     heights = [(one.normals * centres).sum(axis=1) + one.offsets for one in (at, new)]
     assert np.allclose(heights[1] - heights[0], plane[:, 2])
     turned = np.concatenate((new.directions, new.normals))

@@ -10,14 +10,15 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.model import search as searching
+from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
+from handlaser_gtsam.model.reduction import damped_step
+from handlaser_gtsam.model.search import LevenbergOptions
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.solvers import many_problems
+from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
-from handlaser_gtsam.solvers.grid import Grid
-from handlaser_gtsam.solvers.levenberg import LevenbergOptions, levenberg_marquardt
+from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
-from handlaser_gtsam.solvers.normal_equations import jacobian_columns
-from handlaser_gtsam.solvers.steps import damped_step
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -60,7 +61,7 @@ def test_the_minimum_is_that_of_the_graph(kind, gaps):
     assert found.converged.all()
     assert found.cost[0] == pytest.approx(result.cost, rel=1e-12)
     mine, theirs = found.parameters[0], read_parameters(graph, result.values)
-    residual = jacobian_columns(theirs, readings, 2)[0][-1]
+    residual = jacobian_columns(theirs, readings, 2)[-1]
     assert np.allclose(result.residual, residual, rtol=0.0, atol=1e-13)
     white = residual if isinstance(how, float) else how.apply(residual)
     assert np.allclose(result.white, white, rtol=0.0, atol=1e-12)
@@ -155,16 +156,15 @@ def test_rows_on_the_grid_are_those_of_the_model():
     """The grid writes the measurement equation in another way; order and gaps do not matter."""
     recording, truth = scene(2, True)
     readings, at = local(recording, truth)
-    columns, centres = jacobian_columns(at, readings, 2)
-    grid = Grid([readings])
-    rows = grid.rows(at, 2)
-    assert np.abs(rows.centres[0] - centres).max() < 1e-12
-    mine = np.array([grid.gathered(column)[0] for column in rows.columns])
+    columns = jacobian_columns(at, readings, 2)
+    block = BeamsOnPlanes([readings])
+    rows = block.evaluate(block.centred(values_of([at])))
+    mine = np.array([block.gathered(column)[0] for column in rows.columns])
     assert np.abs(mine - columns).max() < 1e-13
-    residual, cosine = grid.residuals(at)
-    assert np.array_equal(grid.gathered(residual)[0], mine[-1])
-    x = model.scene(at, readings)
-    assert np.abs(grid.gathered(cosine)[0] - model.cosines(x)).max() < 1e-15
+    assert rows.impossible is None
+    lin = model.linearize(model.scene(at, readings), readings.distance)
+    spots = lin.normal / lin.offset[:, None]
+    assert np.abs(linearized(at, readings, 2).centres - readings.plane_means(spots)).max() < 1e-12
 
 
 @pytest.mark.parametrize("sizes", [(15, 15, 1), (15, 15, 1, 1), (15, 15, 2)])
@@ -185,10 +185,11 @@ def test_a_plane_with_fewer_readings_than_unknowns_changes_nothing(sizes, terms)
     assert alone.converged.all()
     assert found.converged.all()
     assert found.cost[0] == pytest.approx(alone.cost[0], rel=1e-9)
-    result = levenberg_marquardt(build_graph(readings, moved(start), terms, SIGMA))
+    assert found.iterations[0] <= alone.iterations[0] + 2
+    # GTSAM eliminates such a plane only with a little damping.
+    graph = build_graph(readings, found.parameters[0], terms, SIGMA)
+    result = levenberg_marquardt(graph, LevenbergOptions(least_damping=1e-6))
     assert result.cost == pytest.approx(alone.cost[0], rel=1e-9)
-    assert all(trial.accepted for trial in result.history)
-    assert result.iterations <= alone.iterations[0] + 2
 
 
 def moved(at):
@@ -208,7 +209,7 @@ def test_a_step_uphill_is_no_arrival(monkeypatch, wrong):
 
     readings, truth = local(*scene(0))
     expected = solve_together([readings], [moved(truth)], 2, SIGMA)
-    monkeypatch.setattr(many_problems, "damped_step", stepped)
+    monkeypatch.setattr(searching, "damped_step", stepped)
     options = LevenbergOptions(first_damping=10.0)
     found = solve_together([readings], [moved(truth)], 2, SIGMA, None, options)
     assert found.converged.all()
@@ -247,7 +248,7 @@ def test_a_short_step_that_damping_made_is_no_arrival(monkeypatch):
         beam, plane = damped_step(normal, damping)
         return (-beam, -plane) if len(calls) == 1 else (beam, plane)
 
-    monkeypatch.setattr(many_problems, "damped_step", stepped)
+    monkeypatch.setattr(searching, "damped_step", stepped)
     readings, truth = local(*scene(0))
     options = LevenbergOptions(first_damping=1e6, step_tolerance=0.1)
     found = solve_together([readings], [moved(truth)], 2, SIGMA, None, options)

@@ -10,13 +10,13 @@ from ..data.recording import Recording
 from ..errors import CalibrationWarning
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
+from ..progress import tell
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
 from ..session.drift import Moved
 from ..session.reports import Comparison, Update
 from ..session.session import Session
-from ..solvers.progress import tell
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from ..solvers.progress import LOGGER
+from ..progress import LOGGER
 from .stopping import CLEAR
 
 LogLevel = StrEnum("LogLevel", "debug info warning error")

@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 
-from ..solvers.progress import Progress, told_to
+from ..progress import Progress, told_to
 from .stopping import CLEAR, CtrlC
 
 QUIET_S = 1.0

@@ -13,9 +13,9 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
+from ..model.elimination import inverse_of
 from ..model.joint import JointCovariance
 from ..observability.rank import Observability
-from ..solvers.elimination import inverse_of
 from ..solvers.graph import CalibrationGraph
 from ..solvers.levenberg import linearize
 

@@ -18,11 +18,14 @@ from ..data.readings import Readings
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
+from ..model.beams_on_planes import values_of
+from ..model.elimination import eliminated
 from ..model.errors_in_variables import weighed
+from ..model.families import PLANE
 from ..model.joint import beam_lifts
-from ..model.weighting import Variances, unequal
-from ..solvers.elimination import eliminated
-from ..solvers.levenberg import LevenbergOptions
+from ..model.search import LevenbergOptions
+from ..model.weighting import Variances, Whitening, unequal
+from ..solvers.beam_problem import beam_problem
 from ..solvers.many_problems import SolvedTogether, solve_together
 from ..starts import find_start
 
@@ -93,14 +96,14 @@ def solve_many(
     variances, local_starts = _variances(noise, recordings[0], terms), None
     if starts is not None:
         local_starts = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
-    solved = _solved(local, local_starts, terms, variances, prior, options)
+    solved, covariances = _solved(local, local_starts, terms, variances, prior, options)
     return SolvedMany(
         *(recordings[0].beam_names, recordings[0].plane_names),
         tuple(at.seen_from(-there) for at, there in zip(solved.parameters, origins, strict=True)),
         solved.cost,
         solved.converged,
         solved.iterations,
-        beam_covariances(solved),
+        covariances,
     )
 
 
@@ -111,37 +114,49 @@ def _solved(
     variances: Variances,
     prior: RangeErrorPrior | None,
     options: LevenbergOptions | None,
-) -> SolvedTogether:
-    """Solve with equal weights, then with the weights at the solution where they differ."""
+) -> tuple[SolvedTogether, FloatArray]:
+    """Solve with equal weights, then with the weights at the solution where they differ.
+
+    Returns the covariances of the beams, too.
+    """
     sigma = float(variances.range_sigma[0])
+    noise: float | list[Whitening] = sigma
     if starts is None:
         starts = [find_start(readings, sigma).parameters for readings in local]
-    solved = solve_together(local, starts, terms, sigma, prior, options)
-    if any(unequal(variances, terms, readings) for readings in local):
+    solved = solve_together(local, starts, terms, noise, prior, options)
+    plain = local
+    if any(unequal(variances, terms, readings) for readings in plain):
         for _ in range(WEIGHT_UPDATES):
             both = [
                 weighed(readings, parameters, variances, terms)
-                for parameters, readings in zip(solved.parameters, local, strict=True)
+                for parameters, readings in zip(solved.parameters, plain, strict=True)
             ]
-            taken, weights = (list(part) for part in zip(*both, strict=True))
-            solved = solve_together(taken, solved.parameters, terms, weights, prior, options)
-    return solved
+            local, noise = (list(part) for part in zip(*both, strict=True))
+            solved = solve_together(local, solved.parameters, terms, noise, prior, options)
+    return solved, _beam_covariances(local, solved, terms, noise, prior)
 
 
-def beam_covariances(solved: SolvedTogether) -> FloatArray:
+def _beam_covariances(
+    readings: Sequence[Readings],
+    solved: SolvedTogether,
+    terms: int,
+    noise: float | Sequence[Whitening],
+    prior: RangeErrorPrior | None,
+) -> FloatArray:
     """Return the covariances (K, B, 8, 8) of the beams, NaN where they are not determined."""
-    normal = solved.normal
-    copies, beams, width = normal.blocks.shape[:3]
+    problem, block = beam_problem(readings, terms, noise, prior=prior, local=PLANE.name)
+    normal = problem.normal(block.centred(values_of(solved.parameters)))
     S = eliminated(
-        normal.beam, normal.border, normal.plane, normal.beam_gradient, normal.plane_gradient
+        normal.matrix, normal.border, normal.local, normal.gradient, normal.local_gradient
     ).matrix
     unit = 1.0 / np.sqrt(np.einsum("kii->ki", S))
     try:
         inverse = np.linalg.inv(S * unit[:, :, None] * unit[:, None, :])
     except np.linalg.LinAlgError:
         inverse = np.full_like(S, np.nan)
-    inverse *= unit[:, :, None] * unit[:, None, :] * (solved.sigma**2)[:, None, None]
-    each = np.arange(beams)
+    inverse *= unit[:, :, None] * unit[:, None, :] * (problem.unit**2)[:, None, None]
+    copies, beams = len(S), block.beams
+    width, each = S.shape[1] // beams, np.arange(beams)
     blocks = inverse.reshape(copies, beams, width, beams, width)[:, each, :, each]
     bases = model.tangent_basis(np.concatenate([p.directions for p in solved.parameters]))
     lifts = beam_lifts(bases)[:, :, :width]

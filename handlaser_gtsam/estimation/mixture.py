@@ -25,8 +25,8 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray
+from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
 from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, TINY
-from ..solvers.elimination import LARGE_MATRIX, inverse_and_log_det
 from .contrasts import Contrasts, worst_known
 from .information import Information
 from .range_error_grid import RangeErrorGrid

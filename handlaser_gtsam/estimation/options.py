@@ -8,9 +8,9 @@ from ..checks import require_bool, require_kind, require_word
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.losses import TUNING, LossName
+from ..model.search import LevenbergOptions
 from ..model.sensor import Sensor
 from ..observability.rank import ObservabilityOptions
-from ..solvers.levenberg import LevenbergOptions
 
 Poses = Literal["auto", "exact", "marginalised", "estimated"]
 RangeError = Literal["auto", "none", "k1", "k1k2"]

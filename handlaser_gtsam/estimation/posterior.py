@@ -12,7 +12,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..model.joint import JointCovariance, beams_lift
-from ..solvers.steps import apply_step
+from ..solvers.beam_problem import moved
 from .information import PlaneResponse
 from .learned import LearnedScales, ScaleProblem
 from .mixture import Mixture
@@ -114,7 +114,7 @@ def _moved(
     mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
     plane = mean * np.array([1.0, 1.0, problem.length])
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
-    return apply_step(problem.parameters, beam, plane, problem.rows.centres, problem.terms)
+    return moved(problem.parameters, beam, plane, problem.rows.centres)
 
 
 def _joint(

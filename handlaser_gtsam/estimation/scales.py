@@ -20,8 +20,8 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.weighting import Variances
+from ..progress import tell
 from ..quantities import MOST_ROUNDS, TINY
-from ..solvers.progress import tell
 from .information import NoiseSet
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"

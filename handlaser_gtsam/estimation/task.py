@@ -9,18 +9,21 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
+from ..model.beams_on_planes import parameters_of, values_of
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
 from ..model.losses import GAUSSIAN, Loss
+from ..model.search import LevenbergOptions, search
 from ..model.weighting import Variances, Whitening, whitening
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
+from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
+from ..solvers.beam_problem import beam_problem, newton_step
 from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
-from ..solvers.levenberg import LevenbergResult, levenberg_marquardt
+from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
-from ..solvers.progress import tell_trial
-from ..solvers.steps import newton_step
+from ..text import count
 from .options import CalibrationOptions
 from .solution import Solution
 
@@ -173,7 +176,6 @@ class SolutionTask:
         """
         solver = self.options.solver
         readings = self.readings if readings is None else readings
-        problem = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
         if not self.determined:
             before = self.observed(start, 0.0)
             self.rank, self.determined = before.rank, before.full
@@ -181,7 +183,41 @@ class SolutionTask:
             solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
         elif coarse:
             solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE_TOLERANCE))
-        return problem, levenberg_marquardt(problem, solver, tell_trial)
+        steps: list[Trial] = []
+        coupled, interrupted = isinstance(noise, Whitening) and noise.is_coupled, False
+        if priors is None and not (coupled and self.loss != GAUSSIAN):
+            start, interrupted = self._searched(readings, start, noise, solver, steps)
+        problem = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
+        if interrupted:
+            words = f"stopped by Ctrl-C after {count(len(steps), 'step')}"
+            return problem, replace(evaluated(problem, words), status="interrupted")
+        return problem, levenberg_marquardt(problem, solver, tell_trial, steps)
+
+    def _searched(
+        self,
+        readings: Readings,
+        start: Parameters,
+        noise: float | Whitening,
+        solver: LevenbergOptions,
+        history: list[Trial],
+    ) -> tuple[Parameters, bool]:
+        """Return where a search on the reduction ends, and whether Ctrl-C ended it.
+
+        Its trial steps go into `history`.
+        """
+
+        def told(trial: Trial) -> None:
+            history.append(trial)
+            tell_trial(trial)
+
+        how = noise if isinstance(noise, float) else [noise]
+        problem, block = beam_problem([readings], self.terms, how, prior=self.prior, loss=self.loss)
+        used = np.arange(2) < self.terms
+        begun = replace(start, range_errors=start.range_errors * used)
+        ended = search(problem, block.centred(values_of([begun])), solver, told)
+        if not np.isfinite(ended.cost[0]):
+            return start, False
+        return parameters_of(ended.values)[0], ended.interrupted
 
     def observed(
         self,

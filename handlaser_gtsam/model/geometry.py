@@ -11,16 +11,26 @@ ROTATION_CELL = 2e-3
 def tangent_basis(unit: FloatArray) -> FloatArray:
     """Return an orthonormal basis (N, 3, 2) of the tangent planes at unit vectors (N, 3).
 
-    Smooth everywhere but at -z (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017).
+    It is that of `gtsam.Unit3`: its first vector is at right angles to the axis that is farthest from
+    the unit vector. A test compares the two.
     """
-    x, y, z = unit[:, 0], unit[:, 1], unit[:, 2]
-    sign = np.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    xy = x * y * a
+    size = np.abs(unit)
+    axis = np.where(
+        (size[:, 0] <= size[:, 1]) & (size[:, 0] <= size[:, 2]),
+        0,
+        np.where((size[:, 1] <= size[:, 0]) & (size[:, 1] <= size[:, 2]), 1, 2),
+    )
+    x, y, z = unit.T
+    first = np.zeros((3, 3, len(unit)))  # for each axis, the cross product of the vector with it
+    first[0, 1], first[0, 2] = z, -y
+    first[1, 0], first[1, 2] = -z, x
+    first[2, 0], first[2, 1] = y, -x
+    a, b, c = first[axis, :, np.arange(len(unit))].T
+    length = np.sqrt(a * a + b * b + c * c)
+    a, b, c = a / length, b / length, c / length
     basis = np.empty((len(unit), 3, 2))
-    basis[:, 0, 0], basis[:, 0, 1] = 1.0 + sign * x * x * a, xy
-    basis[:, 1, 0], basis[:, 1, 1] = sign * xy, sign + y * y * a
-    basis[:, 2, 0], basis[:, 2, 1] = -sign * x, -y
+    basis[:, 0, 0], basis[:, 1, 0], basis[:, 2, 0] = a, b, c
+    basis[:, 0, 1], basis[:, 1, 1], basis[:, 2, 1] = y * c - z * b, z * a - x * c, x * b - y * a
     return basis
 
 

@@ -137,6 +137,14 @@ class Whitening(Value):
         free = white + E @ ((E.T @ white) / (1.0 - length))
         return np.asarray(free / self.root[:, None])
 
+    def one_pass(self) -> FloatArray:
+        """Return U (N, 6) with I - U U' = (I - E E')^2: what a weight matrix takes out at once."""
+        if self.common is None:
+            return np.zeros((len(self.root), POSE))
+        E = self._sparse(self.common)
+        length = np.asarray(E.multiply(E).sum(axis=0)).reshape(-1, POSE)
+        return np.asarray(self.common * np.sqrt(2.0 - length)[self.station])
+
     def _uncoupled(self, rows: FloatArray) -> FloatArray:
         """Return (I - E E') times rows (N, D)."""
         if self.common is None:

@@ -22,7 +22,7 @@ import numpy as np
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
-from ..solvers.normal_equations import normal_equations
+from ..solvers.beam_problem import linearized
 from ..solvers.refine import refine, refine_many
 from ..starts import excerpt
 from ..starts.directions import direction_starts, random_starts
@@ -71,7 +71,7 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     last = readings.plane[min(len(readings), IMAGE_READINGS) - 1]
     some = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
-        normal = normal_equations(image, some, 0)
+        normal = linearized(image, some, 0).normal
     except GrazingBeamError:
         return False
     length = readings.typical_range()

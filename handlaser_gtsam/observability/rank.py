@@ -3,7 +3,7 @@ r"""Which unknowns the readings determine, and which are undetermined.
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
 normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
 prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
-planes are eliminated (`solvers.normal_equations`), and a direction of the remaining information matrix
+planes are eliminated (`model.reduction`), and a direction of the remaining information matrix
 is undetermined when along it the standard deviation of any beam exceeds `most_sigma`, or when its
 information is lost in rounding. Both follow from the noise: better sensors determine more.
 """
@@ -16,10 +16,10 @@ from ..arrays import BoolArray, FloatArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
+from ..model.elimination import ReducedInformation, spectrum
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
-from ..solvers.elimination import ReducedInformation, spectrum
-from ..solvers.normal_equations import NormalEquations, normal_equations
+from ..solvers.beam_problem import Linearized, linearized
 from .open_axes import open_axes
 
 WITHIN_PRIOR = 2.0
@@ -201,8 +201,8 @@ def observability(
     """
     options = options or ObservabilityOptions()
     counts, planes = per_beam(terms, readings.beams), readings.planes
-    normal = normal_equations(parameters, readings, max(counts), whitening=whitening)
-    reduced, plane_null = _reduced(normal, readings, counts, range_sigma, options, prior)
+    at = linearized(parameters, readings, max(counts), whitening)
+    reduced, plane_null = _reduced(at, readings, counts, range_sigma, options, prior)
     size, lost = len(reduced.beam_unit), reduced.open.shape[1] + plane_null.shape[2]
     follow = -reduced.information.plane_response @ reduced.open
     beams = reduced.padded(np.hstack((reduced.open, np.zeros((size, plane_null.shape[2])))))
@@ -222,7 +222,7 @@ def observability(
 
 
 def _reduced(
-    normal: NormalEquations,
+    at: Linearized,
     readings: Readings,
     counts: tuple[int, ...],
     range_sigma: float,
@@ -230,12 +230,12 @@ def _reduced(
     prior: RangeErrorPrior | None,
 ) -> tuple[ReducedSystem, FloatArray]:
     """Return the reduced information, and what is open of planes (P, 3, L)."""
-    most = max(counts)
+    most, normal = max(counts), at.normal
     unit, plane_unit = _units(readings, most, options, prior)
     active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
-    diagonal = normal.diagonal[0] * unit**2
+    diagonal = np.diagonal(normal.matrix[0]) * unit**2
     known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
-    of_planes = float((np.einsum("pii->pi", normal.plane[0]) * plane_unit**2).max())
+    of_planes = float((np.einsum("pii->pi", normal.local[0]) * plane_unit**2).max())
     least_of_planes = max(_least_information(of_planes, range_sigma, options))
     information = normal.reduced(unit, plane_unit, active, known, least_of_planes)
     floors = _least_information(float((diagonal + known).max()), range_sigma, options)
@@ -251,7 +251,7 @@ def _reduced(
         unit[active],
         plane_unit,
         active,
-        normal.centres[0],
+        at.centres,
         float(values[0]),
         top,
         mean_log,

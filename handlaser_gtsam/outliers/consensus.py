@@ -14,8 +14,9 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.losses import Loss
+from ..model.search import LossScale
 from ..quantities import MAJORITY
-from ..solvers.refine import LossScale, Refined, refine_many
+from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms

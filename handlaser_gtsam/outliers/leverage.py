@@ -17,7 +17,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..observability.rank import Observability
 from ..quantities import NEGLIGIBLE
-from ..solvers.normal_equations import jacobian_columns
+from ..solvers.beam_problem import jacobian_columns
 
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
@@ -36,7 +36,7 @@ def leverages(
     reduced = observability.reduced
     active = reduced.active.reshape(readings.beams, -1)
     width = active.shape[1]
-    columns, _ = jacobian_columns(parameters, readings, width - 5, reduced.centres)
+    columns = jacobian_columns(parameters, readings, width - 5, reduced.centres)
     unit = reduced.padded(reduced.beam_unit[:, None]).reshape(active.shape)
     rows_of_beams = columns[:width].T * unit[readings.beam]
     plane = columns[width : width + 3].T * reduced.plane_unit

@@ -27,8 +27,8 @@ from ..observability.wording import (
     weakest,
 )
 from ..outliers.reasons import Reasons
+from ..progress import tell
 from ..quantities import IN_MM, NEGLIGIBLE
-from ..solvers.progress import tell
 from .calibration import Calibration
 from .calibration_fields import Status
 from .correlations import strong_correlations

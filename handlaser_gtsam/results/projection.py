@@ -11,8 +11,9 @@ from scipy.sparse import csr_array
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.reduction import Normal
 from ..model.weighting import Whitening
-from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
+from ..solvers.beam_problem import jacobian_columns, linearized
 
 BEAM_UNKNOWNS = 7
 """Unknowns of a beam: location (3), direction (2), k1 and k2."""
@@ -41,7 +42,7 @@ class LinearRows:
     J : (N, 10)
         Derivatives of the residuals by the unknowns of the own beam (7) and plane (3).
     residual : (N,)
-    normal : NormalEquations
+    normal : Normal
         Of all unknowns.
     """
 
@@ -53,7 +54,7 @@ class LinearRows:
     channel: IntArray
     J: FloatArray
     residual: FloatArray
-    normal: NormalEquations
+    normal: Normal
 
     def sparse(self) -> csr_array:
         """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
@@ -79,8 +80,8 @@ def linear_rows(
     Where no channels are given, the beams are the columns of the recording in their order.
     """
     channel = np.arange(readings.beams) if channel is None else channel
-    columns, _ = jacobian_columns(at, readings, 2)
-    normal = normal_equations(at, readings, 2, whitening=how)
+    columns = jacobian_columns(at, readings, 2)
+    normal = linearized(at, readings, 2, how).normal
     J = np.ascontiguousarray(columns[: BEAM_UNKNOWNS + 3].T)
     return LinearRows(at, readings, how, prior, position, channel, J, columns[-1], normal)
 
@@ -122,10 +123,10 @@ class Projection:
         self.pull[:, 5:][finite] = self.how.sigma / prior[finite]
         active = np.ones_like(self.pull, dtype=bool)
         active[:, 5:] = prior > 0.0
-        diagonal = normal.diagonal[0] + self.pull.ravel() ** 2
+        diagonal = np.diagonal(normal.matrix[0]) + self.pull.ravel() ** 2
         used = active.ravel() & (diagonal > 0.0)
         unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
-        plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.plane[0]) / readings.planes)
+        plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.local[0]) / readings.planes)
         known = (self.pull.ravel() * unit) ** 2
         reduced = normal.reduced(unit, plane_unit, used, known)
         inverse = reduced.covariance(SQUARE_ROUNDING * float(used.sum()))

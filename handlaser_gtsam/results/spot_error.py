@@ -42,7 +42,7 @@ from ..model.distributions import chi2_quantile, f_quantile
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
-from ..solvers.normal_equations import normal_equations
+from ..solvers.beam_problem import linearized
 from .calibration_fields import CalibrationData
 from .reports import Beam
 from .significance import CONFIDENCE
@@ -196,10 +196,10 @@ def _spot_variance(
     """Return the trace of the covariance of a spot, for these variances of the readings."""
     at = calibration.parameters()
     how = whitening(at, readings, variances)
-    normal = normal_equations(at, readings, 2, whitening=how)
-    inverse = np.linalg.pinv(normal.plane[0], rcond=SINGULAR, hermitian=True)
-    W = inverse @ np.swapaxes(normal.border[0], 1, 2)
-    S = normal.beam[0] - np.einsum("pbi,pic->bc", normal.border[0], W)
+    normal = linearized(at, readings, 2, how).normal
+    inverse = np.linalg.pinv(normal.local[0], rcond=SINGULAR, hermitian=True)
+    W = inverse @ normal.border[0]
+    S = normal.matrix[0] - np.einsum("pib,pic->bc", normal.border[0], W)
     prior, learned = np.zeros((len(calibration.beams), 7)), calibration.range_error_scales
     if learned is not None:
         prior[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0

@@ -15,12 +15,14 @@ from ..estimation.information import Information
 from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.errors_in_variables import weighed
+from ..model.families import BEAM
 from ..model.joint import beams_lift
+from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
+from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
-from ..solvers.normal_equations import NormalEquations, jacobian_columns, normal_equations
 from ..solvers.poses import pose_priors
 from .config import SessionConfig
 from .reference import Reference, plane_information
@@ -49,7 +51,7 @@ class FittedPlane:
         [m]
     whitening : Whitening
         Poses eliminated.
-    normal : NormalEquations
+    normal : Normal
         With two range-error terms; to first order about the plane through the laser spots.
     origin : (3,)
         Origin of the frame in the world [m].
@@ -60,13 +62,13 @@ class FittedPlane:
     parameters: Parameters
     residual: FloatArray
     whitening: Whitening
-    normal: NormalEquations
+    normal: Normal
     origin: FloatArray
 
     def determined(self) -> bool:
         """Tell whether the readings alone determine the plane, for known beams."""
         unit = np.array([1.0, 1.0, self.readings.typical_range()])
-        information = self.normal.plane[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
+        information = self.normal.local[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
         return bool(np.linalg.eigvalsh(information)[0] > KNOWN**-2)
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
@@ -146,7 +148,7 @@ class FittedPlane:
     def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
         config, parameters, readings = self.config, self.parameters, self.readings
-        columns, _ = jacobian_columns(parameters, readings, 2)
+        columns = jacobian_columns(parameters, readings, 2)
         active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
         J = np.zeros((len(readings), len(config.names), 7))
         J[np.arange(len(J)), readings.beam] = columns[:7].T
@@ -218,8 +220,8 @@ def fit_plane(
     try:
         for _ in range(WEIGHT_PASSES if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
-            normal = normal_equations(parameters, corrected, 2, whitening=how)
-            parameters, normal = _stepped(parameters, normal, corrected)
+            at = linearized(parameters, corrected, 2, how)
+            parameters, normal = _stepped(parameters, at, corrected)
         e = model.residuals(model.scene(parameters, corrected), corrected.distance)
     except GrazingBeamError:
         return None
@@ -238,20 +240,15 @@ def _through_spots(beams: Beams, readings: Readings) -> Parameters:
 
 
 def _stepped(
-    parameters: Parameters, normal: NormalEquations, readings: Readings
-) -> tuple[Parameters, NormalEquations]:
+    parameters: Parameters, at: Linearized, readings: Readings
+) -> tuple[Parameters, Normal]:
     """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
+    normal, beams = at.normal, len(parameters.locations)
     unit = np.array([1.0, 1.0, readings.typical_range()])
-    reduced = normal.reduced(np.ones(normal.beam_gradient.shape[1]), unit)
-    step = unit * reduced.plane_step[0]
-    n, centre = parameters.normals, normal.centres[0, 0]
-    moved = model.normalized(n + model.tangent_basis(n)[0] @ step[:2])
-    offset = parameters.offsets + n @ centre + step[2] - moved @ centre
-    none = np.zeros_like(normal.plane_gradient)
-    return (
-        replace(parameters, normals=moved, offsets=offset),
-        replace(normal, beam_gradient=reduced.gradient[None], plane_gradient=none),
-    )
+    reduced = normal.reduced(np.ones(normal.gradient.shape[1]), unit)
+    there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.plane_step, at.centres)
+    none = np.zeros_like(normal.local_gradient)
+    return there, replace(normal, gradient=reduced.gradient[None], local_gradient=none)
 
 
 def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:

@@ -8,7 +8,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..estimation.information import Information
-from ..solvers.normal_equations import NormalEquations
+from ..model.reduction import Normal
 
 MOUNT_UNKNOWNS = 5
 """The first unknowns of a beam are its mount, which may move; its range error belongs to the sensor."""
@@ -68,13 +68,13 @@ class Reference:
 
 
 def plane_information(
-    normal: NormalEquations, sigma: float, beams: Beams, reference: Reference
+    normal: Normal, sigma: float, beams: Beams, reference: Reference
 ) -> Information:
     """Return the information of one plane on the beams, (n, n) and (n,), in natural units.
 
     Parameters
     ----------
-    normal : NormalEquations
+    normal : Normal
         Normal equations of that plane alone, fitted, with 2 range-error terms.
     sigma : float
         Standard deviation of a whitened residual [m].

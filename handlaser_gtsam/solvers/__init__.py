@@ -3,15 +3,15 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..model.search import LevenbergOptions as LevenbergOptions
+    from ..progress import Progress as Progress
+    from ..progress import Trial as Trial
     from .graph import CalibrationGraph as CalibrationGraph
     from .graph import build_graph as build_graph
     from .graph import read_parameters as read_parameters
-    from .levenberg import LevenbergOptions as LevenbergOptions
     from .levenberg import LevenbergResult as LevenbergResult
     from .poses import PosePriors as PosePriors
     from .poses import pose_priors as pose_priors
-    from .progress import Progress as Progress
-    from .progress import Trial as Trial
 else:
     from ..lazy import lazy_names
 
@@ -19,8 +19,9 @@ else:
         __name__,
         {
             "graph": "CalibrationGraph build_graph read_parameters",
-            "levenberg": "LevenbergOptions LevenbergResult",
+            "levenberg": "LevenbergResult",
             "poses": "PosePriors pose_priors",
-            "progress": "Progress Trial",
+            ".progress": "Progress Trial",
+            ".model.search": "LevenbergOptions",
         },
     )

@@ -15,8 +15,8 @@ from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening
+from .beam_problem import UNKNOWNS_RATIO
 from .poses import PosePriors
-from .steps import UNKNOWNS_RATIO
 
 
 @dataclass(frozen=True, slots=True)

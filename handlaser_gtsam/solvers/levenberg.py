@@ -1,17 +1,11 @@
 r"""Levenberg-Marquardt on a factor graph whose Values belong to Python.
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
-the square of the problem. Here each step evaluates all readings at once, sums their rows up to normal
-equations (`linear`), eliminates planes first, and solves
-
-    (H + lambda diag(H)) delta = -g.
-
-lambda starts at zero (a Gauss-Newton step). It is raised when a step is rejected (the cost did not
-fall, a beam grazes its plane there, the system is singular) or saves less than a quarter of what the
-linear model promised, and lowered when it saves more than three quarters.
+the square of the problem. Here each step evaluates all readings at once, the factors hand out their
+rows of it, and GTSAM eliminates. Damping and its rules are those of `model.search`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,56 +13,17 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_count, require_number
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
-from ..quantities import LARGEST_NUMBER
+from ..model.search import GOOD_GAIN, POOR_GAIN, LevenbergOptions
+from ..progress import Trial
 from ..text import count
 from .graph import CalibrationGraph
 from .linear import Step
-from .objectives import GraphObjective, Objective, Point, objective_of
-from .progress import Trial
+from .objectives import GraphObjective, Objective, Point, SharedObjective
 from .values import require_values
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
-POOR_GAIN = 0.25
-"""A step that saves less than this part of what the linear model promised raises lambda."""
-GOOD_GAIN = 0.75
-"""A step that saves more than this part of what the linear model promised lowers lambda."""
-
-
-@dataclass(frozen=True, slots=True)
-class LevenbergOptions:
-    """Controls of the solver.
-
-    Attributes
-    ----------
-    max_iterations : int
-        At most this many trial steps.
-    step_tolerance : float
-        Converged when at most this many standard deviations are left to go. A step of length
-        l = sqrt(-g' delta / (chi2/dof)) that is q times the one before leaves about l q / (1 - q);
-        the first undamped step leaves at most l.
-    least_damping : float
-        lambda is never below it. Raise it where H is singular, so that what is not determined
-        stays where it started.
-    first_damping, damping_factor, most_damping : float
-        lambda of the first rejected step, its factor up and down, and where the solver gives up.
-    """
-
-    max_iterations: int = 1000
-    step_tolerance: float = 2e-7
-    least_damping: float = 0.0
-    first_damping: float = 1e-4
-    damping_factor: float = 10.0
-    most_damping: float = 1e10
-
-    def __post_init__(self) -> None:
-        require_count("max_iterations", self.max_iterations, 0, 10**9)
-        for name in ("step_tolerance", "least_damping", "first_damping"):
-            require_number(name, getattr(self, name), 0.0, LARGEST_NUMBER)
-        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
-        require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +62,7 @@ def levenberg_marquardt(
     problem: CalibrationGraph,
     options: LevenbergOptions | None = None,
     progress: Callable[[Trial], None] | None = None,
+    before: Sequence[Trial] = (),
 ) -> LevenbergResult:
     """Minimise the cost of `problem`; Ctrl-C ends it with the best values so far.
 
@@ -117,13 +73,16 @@ def levenberg_marquardt(
     options : LevenbergOptions, optional
     progress : callable, optional
         Called with every trial step.
+    before : sequence of Trial
+        Steps that a search on the reduction took to the start: they count.
 
     Raises
     ------
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    return _LevenbergSearch(objective_of(problem), options or LevenbergOptions(), progress).result()
+    options = options or LevenbergOptions()
+    return _LevenbergSearch(SharedObjective(problem), options, progress, before).result()
 
 
 def optimize(
@@ -181,7 +140,7 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem`, which somebody else has solved, as a result."""
-    point = objective_of(problem).evaluate(problem.values)
+    point = SharedObjective(problem).evaluate(problem.values)
     return LevenbergResult(
         point.values, "converged", message, point.cost, 0, (), point.residual, point.white
     )
@@ -202,10 +161,11 @@ class _LevenbergSearch:
         objective: Objective,
         options: LevenbergOptions,
         progress: Callable[[Trial], None] | None,
+        before: Sequence[Trial] = (),
     ) -> None:
         self.objective, self.options, self.progress = objective, options, progress
-        self.history: list[Trial] = []
-        self.accepted = 0
+        self.history = list(before)
+        self.accepted = sum(trial.accepted for trial in before)
         self.damping = options.least_damping
         self.point = objective.evaluate(gtsam.Values(objective.start))
         self.stopping = objective.stopping(options.step_tolerance, options.least_damping)

@@ -8,12 +8,11 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import SolverError
 from ..factors import SharedEvaluation
+from ..model.stopping import StoppingRule
 from ..quantities import ROUNDING
 from .graph import CalibrationGraph
-from .linear import CalibrationSystem, LinearGraph, LinearSystem, Unknowns, squared_columns
-from .stopping import StoppingRule
+from .linear import LinearSystem, squared_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,48 +50,14 @@ class Objective(ABC):
         """Return what tells when to stop."""
 
 
-def objective_of(problem: CalibrationGraph) -> Objective:
-    """Return what is minimised for a calibration: on a grid, unless something ties poses or planes."""
-    others = gtsam.NonlinearFactorGraph()
-    for index in range(len(problem.blocks), problem.graph.size()):
-        others.push_back(problem.graph.at(index))
-    unknowns = Unknowns.of(problem, others)
-    return SharedObjective(problem, others) if unknowns is None else GridObjective(unknowns)
-
-
-class GridObjective(Objective):
-    """A calibration whose readings are summed up to normal equations on a grid."""
-
-    def __init__(self, unknowns: Unknowns) -> None:
-        self.unknowns, self.start = unknowns, unknowns.problem.values
-
-    def evaluate(self, values: gtsam.Values) -> Point:
-        """Evaluate all readings at once."""
-        unknowns, problem, how = self.unknowns, self.unknowns.problem, self.unknowns.whitening
-        rows = unknowns.rows(values)
-        residual = unknowns.grid.gathered(rows.columns[-1])[0]
-        if not np.isfinite(residual).all():
-            raise SolverError("residual of a range factor is not finite; expected finite values")
-        white = residual if how is None else how.apply(residual)
-        cost = float(problem.loss.cost(white / problem.range_sigma).sum())
-
-        def linearized() -> LinearSystem:
-            others = unknowns.others.linearize(values)
-            return CalibrationSystem(unknowns, rows, unknowns.equations(rows, white, others))
-
-        return Point(values, cost + unknowns.others.error(values), residual, white, linearized)
-
-    def stopping(self, tolerance: float, least_damping: float) -> StoppingRule:
-        """Take the rounding of positions and readings into account."""
-        reach = float(self.unknowns.grid.reach()[0])
-        return _stopping(self.unknowns.problem, reach, tolerance, least_damping)
-
-
 class SharedObjective(Objective):
-    """A calibration with poses or ties as variables: its factors share one evaluation of readings."""
+    """A calibration: its factors share one evaluation of the readings."""
 
-    def __init__(self, problem: CalibrationGraph, others: gtsam.NonlinearFactorGraph) -> None:
-        self.problem, self.start, self.others = problem, problem.values, others
+    def __init__(self, problem: CalibrationGraph) -> None:
+        self.problem, self.start = problem, problem.values
+        self.others = gtsam.NonlinearFactorGraph()
+        for index in range(len(problem.blocks), problem.graph.size()):
+            self.others.push_back(problem.graph.at(index))
         self.shared = SharedEvaluation(problem.blocks, problem.whitening)
 
     def evaluate(self, values: gtsam.Values) -> Point:
@@ -108,7 +73,7 @@ class SharedObjective(Objective):
 
         def linearized() -> LinearSystem:
             with self.shared.handed_out(point):
-                return LinearGraph(problem.graph.linearize(values), problem.ordering, squares)
+                return LinearSystem(problem.graph.linearize(values), problem.ordering, squares)
 
         return Point(values, cost + self.others.error(values), residual, white, linearized)
 
@@ -129,7 +94,7 @@ class GraphObjective(Objective):
 
         def linearized() -> LinearSystem:
             linear = self.graph.linearize(values)
-            return LinearGraph(linear, self.ordering, lambda: squared_columns(linear))
+            return LinearSystem(linear, self.ordering, lambda: squared_columns(linear))
 
         return Point(values, self.graph.error(values), np.empty(0), np.empty(0), linearized)
 

@@ -23,8 +23,9 @@ from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import Loss, LossName
+from ..model.search import LossScale
 from ..quantities import ROUNDING
-from ..solvers.refine import LossScale, Refined, refine_many
+from ..solvers.refine import Refined, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
 from .growing import PartialStart, grow
 from .search import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Judge, Round, search

@@ -1,7 +1,7 @@
 r"""Whether a calibration holds for another recording.
 
 The planes of that recording are unknown, the beams b known with covariance P. Near them, with the
-planes fitted, the whitened residuals cost (`solvers.normal_equations`)
+planes fitted, the whitened residuals cost (`model.reduction`)
 
     chi2(b + x) = c + 2 g' x + x' S x,
 
@@ -26,12 +26,11 @@ from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
+from ..progress import tell
 from ..quantities import KNOWN, SINGULAR
 from ..results.mounts import Mounts
 from ..results.significance import FEW_DEGREES
-from ..solvers.normal_equations import normal_equations
-from ..solvers.progress import tell
-from ..solvers.steps import apply_step
+from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 
 MOST_PLANE_STEPS = 20
@@ -155,9 +154,9 @@ def fit_planes(
     still = np.zeros((readings.beams, 7))
     for _ in range(MOST_PLANE_STEPS):
         how = whitening(at, readings, variances)
-        normal = normal_equations(at, readings, 2, whitening=how)
-        step = normal.reduced(np.ones(7 * readings.beams), unit).plane_step * unit
-        at = apply_step(at, still, step, normal.centres[0], 2)
+        here = linearized(at, readings, 2, how)
+        step = here.normal.reduced(np.ones(still.size), unit).plane_step * unit
+        at = moved(at, still, step, here.centres)
         if np.abs(step).max() < EXACT_STEP:
             break
     return at, whitening(at, readings, variances)
@@ -201,7 +200,7 @@ class _Quadratic:
         cls, at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, *, known: bool
     ) -> "_Quadratic":
         """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
-        normal = normal_equations(at, readings, 2, whitening=how)
+        normal = linearized(at, readings, 2, how).normal
         length = readings.typical_range()
         active = np.concatenate([np.arange(7) < 5 + terms for terms in mounts.terms])
         every = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)

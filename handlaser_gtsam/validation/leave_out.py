@@ -15,9 +15,9 @@ from ..data.value import Value
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate, calibrate_from
+from ..progress import Listener, tell, told_to
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..solvers.progress import Listener, tell, told_to
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 

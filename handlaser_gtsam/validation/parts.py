@@ -21,7 +21,7 @@ from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
 from ..observability.rank import Observability, observability
 from ..results.calibration import Calibration
-from ..solvers.steps import newton_step
+from ..solvers.beam_problem import newton_step
 
 MOST_NEWTON_STEPS = 30
 """Steps to the solution of a part at most; it takes about five."""

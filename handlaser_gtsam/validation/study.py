@@ -20,7 +20,7 @@ from ..checks import require_count
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import HandlaserError, InputError
-from ..solvers.progress import Listener, tell, told_to
+from ..progress import Listener, tell, told_to
 from .runs_table import RUN_SCHEMA, run_row
 from .treatments import Estimated
 from .workers import run_blocks

@@ -21,8 +21,8 @@ import polars as pl
 from ...arrays import FloatArray
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
+from ...progress import tell
 from ...quantities import LARGEST_LENGTH
-from ...solvers.progress import tell
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
 from .format import LogFormat

@@ -29,7 +29,7 @@ from ...data.readings import Readings
 from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
-from ...solvers.levenberg import LevenbergOptions
+from ...model.search import LevenbergOptions
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
 from .motion import Between

@@ -29,9 +29,10 @@ from ...model.conventions import (
 )
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...model.losses import Loss
+from ...model.search import LossScale
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
-from ...solvers.refine import LossScale, refine_many
+from ...solvers.refine import refine_many
 from ...starts import Effort, find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow

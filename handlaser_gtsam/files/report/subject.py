@@ -13,11 +13,11 @@ from ...model.weighting import Variances, reading_sigmas
 from ...planning.advice import next_stations
 from ...planning.history import History, history
 from ...planning.route import Plan
+from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
 from ...results.significance import contradicted
 from ...results.verdict import verdict
-from ...solvers.progress import tell
 from ...validation.held_out import HeldOut, held_out
 from .options import ReportOptions
 

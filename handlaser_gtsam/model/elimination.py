@@ -1,4 +1,4 @@
-"""What readings say of the beams once planes are eliminated; linear algebra, whatever the model."""
+"""What rows say of the unknowns that stay once local members are eliminated; linear algebra alone."""
 
 from dataclasses import dataclass
 
@@ -84,35 +84,36 @@ class ReducedInformation:
 
 
 def eliminated(
-    beam: FloatArray,
+    matrix: FloatArray,
     border: FloatArray,
-    plane: FloatArray,
-    beam_gradient: FloatArray,
-    plane_gradient: FloatArray,
+    local: FloatArray,
+    gradient: FloatArray,
+    local_gradient: FloatArray,
     floor: float | None = None,
 ) -> ReducedInformation:
-    """Eliminate planes; the blocks are defined in `NormalEquations` and have any leading axes.
+    """Eliminate local members; the arrays are defined in `reduction.Normal`, with any leading axes.
 
-    Information of a plane below `floor` counts as zero; the default is `SINGULAR` times its largest.
+    Information of a member below `floor` counts as zero; the default is `SINGULAR` times its largest.
     """
-    values, axes = np.linalg.eigh(plane)
+    values, axes = np.linalg.eigh(local)
     least = SINGULAR * np.maximum(values[..., -1:], 0.0) if floor is None else floor
     known = (values >= least) & (values > 0.0)
     weight = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
     inverse = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    response = inverse @ np.swapaxes(border, -1, -2)
-    step = -np.einsum("...pij,...pj->...pi", inverse, plane_gradient)
-    flat = np.swapaxes(border, -3, -2).reshape(*beam.shape[:-1], -1)
-    matrix = beam - flat @ response.reshape(*beam.shape[:-2], -1, beam.shape[-1])
+    response = inverse @ border
+    step = -np.einsum("...mij,...mj->...mi", inverse, local_gradient)
+    n = matrix.shape[-1]
+    flat = border.reshape(*matrix.shape[:-2], -1, n)
+    S = matrix - np.swapaxes(flat, -1, -2) @ response.reshape(flat.shape)
     return ReducedInformation(
-        0.5 * (matrix + np.swapaxes(matrix, -1, -2)),
-        beam_gradient + np.einsum("...pnj,...pj->...n", border, step),
+        0.5 * (S + np.swapaxes(S, -1, -2)),
+        gradient + np.einsum("...mjn,...mj->...n", border, step),
         values,
         axes,
         inverse,
         response,
         step,
-        -(plane_gradient * step).sum(axis=(-2, -1)),
+        -(local_gradient * step).sum(axis=(-2, -1)),
     )
 
 

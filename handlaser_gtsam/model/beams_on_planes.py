@@ -1,0 +1,266 @@
+r"""Beams that read planes from known hand poses: the common triple of sensor, target and robot, fused.
+
+Beams of a station share its hand pose R, t, and stations of a plane its normal n with the tangent basis
+u_1, u_2 and its centre c. All that a reading needs of its station are (R'a, (t - c) . a) for
+a = n, u_1, u_2: the axes in homogeneous coordinates of the hand. All that it needs of its beam are
+products of these with (r, 1), (v, 0) and the tangent basis of v likewise. With the range s the spot
+lies at (R'u_i, (t - c) . u_i) . (r + s v, 1) along u_i.
+
+Groups are the readings of a beam in a chunk of stations of one plane, all chunks of one size, so that
+sums over readings are stacked products. A test holds that the rows are those of the general block
+(`ranges`) and of `equation`.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Parameters
+from ..data.readings import Readings, Regressors
+from .block import Rows, Slot, Values, Weights
+from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
+from .families import BEAM, PLANE, bases
+from .weighting import Whitening
+
+CHUNK_SLOTS = 32
+"""Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
+LOCATION, UNIT, ERRORS = slice(0, 3), slice(3, 6), slice(6, 8)
+"""Parts of a beam's numbers."""
+NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
+"""Parts of a plane's numbers."""
+
+
+class BeamsOnPlanes:
+    """Readings of problems of one shape: the same beams, planes and stations, row by row.
+
+    Parameters
+    ----------
+    problems : sequence of Readings
+        A single element where all problems share their readings: the values then say how many
+        problems there are.
+    whitenings : sequence of Whitening, optional
+        One a problem, or one for all; all readings weigh 1 where there is none.
+
+    Attributes
+    ----------
+    weights : Weights
+    place : (stations,)
+        The cell of each station of the readings.
+    plane : (cells,)
+    read : (B, cells) of bool, or None
+        Where there are readings; None where everywhere.
+    """
+
+    def __init__(
+        self, problems: Sequence[Readings], whitenings: Sequence[Whitening] | None = None
+    ) -> None:
+        shape = problems[0]
+        self.beams, self.planes = shape.beams, shape.planes
+        rows, station, planes = _stations(shape)
+        sizes = np.bincount(planes, minlength=self.planes)
+        self.slots_of_chunk = int(min(sizes.max(), CHUNK_SLOTS))
+        chunks = np.maximum(-(-sizes // self.slots_of_chunk), 1)
+        self.first: IntArray = (np.cumsum(chunks) - chunks) * self.slots_of_chunk
+        self.plane: IntArray = np.repeat(np.arange(self.planes), chunks * self.slots_of_chunk)
+        self.cells = len(self.plane)
+        place = np.arange(len(planes)) + (self.first - np.cumsum(sizes) + sizes)[planes]
+        self._index = shape.beam * self.cells + place[station]
+        self.read: BoolArray | None = None
+        if len(shape) < self.beams * self.cells:
+            self.read = self.spread(np.ones((1, len(shape))))[0] > 0.0
+        self.distance = self.spread(np.array([p.distance for p in problems]))
+        self.measured: FloatArray | Regressors = self.distance
+        if shape.regressors is not None:
+            regressors = [p.regressors for p in problems if p.regressors is not None]
+            self.measured = Regressors(
+                self.spread(np.array([p.constant for p in regressors])),
+                self.spread(np.array([p.level for p in regressors])),
+            )
+        self._by_k = np.array(range_error_derivatives(self.measured))
+        self.poses = np.zeros((len(problems), 3, 4, self.cells))
+        for k, problem in enumerate(problems):
+            self.poses[k, :, :3, place] = problem.world_R_hand[rows]
+            self.poses[k, :, 3, place] = problem.world_t_hand[rows]
+        self.weights = Weights() if whitenings is None else self._weights(whitenings)
+
+    @property
+    def size(self) -> int:
+        """Readings of one problem."""
+        return len(self._index)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Members of each family."""
+        return {BEAM.name: self.beams, PLANE.name: self.planes}
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return beam and plane of every group."""
+        planes = self.plane[:: self.slots_of_chunk]
+        return (
+            Slot(BEAM.name, np.repeat(np.arange(self.beams), len(planes)), slice(0, BEAM.dim)),
+            Slot(PLANE.name, np.tile(planes, self.beams), slice(BEAM.dim, BEAM.dim + PLANE.dim)),
+        )
+
+    def picked(self, problems: IntArray) -> "BeamsOnPlanes":
+        """Return the readings of some of the problems."""
+        new = copy(self)
+        new.weights = self.weights.picked(problems)
+        if len(self.poses) > 1:
+            new.distance, new.poses = self.distance[problems], self.poses[problems]
+            new.measured, new._by_k = self.measured[problems], self._by_k[:, problems]
+        return new
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """Return values (K, N) of readings by beam and cell (K, B, cells), zero where there is none."""
+        grid = np.zeros((len(values), self.beams * self.cells))
+        grid[:, self._index] = values
+        return grid.reshape(len(values), self.beams, -1)
+
+    def gathered(self, by_cell: FloatArray) -> FloatArray:
+        """Return the values (K, N) of the readings from values by beam and cell, in any shape."""
+        values: FloatArray = by_cell.reshape(len(by_cell), -1)[:, self._index]
+        return values
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return the rows of all readings [m]."""
+        beams, planes = values[BEAM.name], values[PLANE.name]
+        K = max(len(beams), len(self.poses))
+        v_basis, n_basis = bases(beams[..., UNIT]), bases(planes[..., NORMAL])
+        axes = np.concatenate((planes[..., NORMAL, None], n_basis), axis=3)
+        turned = self._turned(planes, axes)
+        arms = np.zeros((len(beams), 4, self.beams, 4))
+        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., LOCATION], 1.0
+        arms[:, 1, :, :3] = beams[..., UNIT]
+        arms[:, 2:, :, :3] = v_basis.transpose(0, 3, 1, 2)
+        along = arms.reshape(len(beams), 1, -1, 4) @ turned
+        along = along.reshape(K, 3, 4, self.beams, self.cells)
+        c, grazing = self._stretch(along[:, 0, 1])
+        s = (along[:, 0, 0] + self._heights(planes)) * c
+        columns = np.empty((BEAM.dim + PLANE.dim + 1, K, self.beams, self.cells))
+        np.multiply(c, turned[:, 0, :3].transpose(1, 0, 2)[:, :, None], out=columns[:3])
+        np.multiply(s * c, along[:, 0, 2:].transpose(1, 0, 2, 3), out=columns[3:5])
+        columns[5 : BEAM.dim] = self._by_k
+        spot = s[:, None] * along[:, 1:, 1]
+        spot += along[:, 1:, 0]
+        np.multiply(c, spot.transpose(1, 0, 2, 3), out=columns[BEAM.dim : BEAM.dim + 2])
+        columns[-2], columns[-1] = c, s - corrected(self.measured, beams[:, :, None, ERRORS])
+        if self.read is not None:
+            columns *= self.read
+        shape = K, -1, self.slots_of_chunk
+        impossible = None if grazing is None else grazing.reshape(shape)
+        return Rows(columns.reshape(len(columns), *shape), impossible)
+
+    def centred(self, values: Values) -> Values:
+        """Return the same planes about centres amid their laser spots, where offsets are well known."""
+        beams, planes = values[BEAM.name], values[PLANE.name]
+        basis = bases(planes[..., NORMAL])
+        axes = np.concatenate((planes[..., NORMAL, None], basis), axis=3)
+        turned = self._turned(planes, axes)
+        arms = np.zeros((len(beams), 2, self.beams, 4))
+        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., LOCATION], 1.0
+        arms[:, 1, :, :3] = beams[..., UNIT]
+        along = arms.reshape(len(beams), 1, -1, 4) @ turned
+        along = along.reshape(len(turned), 3, 2, self.beams, self.cells)
+        c, grazing = self._stretch(along[:, 0, 1])
+        s = (along[:, 0, 0] + self._heights(planes)) * c
+        spot = (along[:, 1:, 0] + s[:, None] * along[:, 1:, 1]).transpose(1, 0, 2, 3)
+        counted = np.ones(s.shape, dtype=bool) if self.read is None else self.read
+        if grazing is not None:
+            counted = counted & ~grazing
+        sums = np.add.reduceat((spot * counted).sum(axis=2), self.first, axis=2)
+        size = np.add.reduceat(np.broadcast_to(counted, s.shape).sum(axis=1), self.first, axis=1)
+        middle = (sums / np.maximum(size, 1)).transpose(1, 2, 0)[..., None]
+        moved = planes.copy()
+        moved[..., CENTRE] += (basis @ middle)[..., 0] - planes[..., [HEIGHT]] * planes[..., NORMAL]
+        moved[..., HEIGHT] = 0.0
+        return {**values, PLANE.name: moved}
+
+    def facing(self, values: Values) -> Values:
+        """Return values with the normals of all planes away from the sensors."""
+        beams, planes = values[BEAM.name], values[PLANE.name]
+        turned = np.einsum(
+            "kjic,kjc->kic", self.poses[:, :, :3], self._by_cell(planes[..., NORMAL])
+        )
+        cosine = np.einsum("kic,kbi->kbc", turned, beams[..., UNIT])
+        cosine = cosine if self.read is None else cosine * self.read
+        ahead = np.add.reduceat(cosine.sum(axis=1), self.first, axis=1)
+        sign = np.where(ahead < 0.0, -1.0, 1.0)[..., None]
+        turned_back = planes.copy()
+        turned_back[..., : HEIGHT + 1] *= sign
+        return {**values, PLANE.name: turned_back}
+
+    def reach(self) -> FloatArray:
+        """Return the largest coordinate of a hand plus the largest reading [m] of each problem (K,)."""
+        positions = np.abs(self.poses[:, :, 3]).max(axis=(1, 2))
+        reach: FloatArray = positions + np.abs(self.distance).max(axis=(1, 2))
+        return reach
+
+    def _turned(self, planes: FloatArray, axes: FloatArray) -> FloatArray:
+        """Return (R'a, (t - c) . a) (K, q, 4, cells) for axes a (K, P, 3, q) of the planes."""
+        by_axis = axes.transpose(0, 2, 3, 1)
+        turned = np.einsum("kjic,kjac->kaic", self.poses, by_axis.take(self.plane, axis=-1))
+        centre = np.einsum("kpj,kpja->kap", planes[..., CENTRE], axes)
+        turned[:, :, 3] -= centre.take(self.plane, axis=-1)
+        return np.asarray(turned)
+
+    def _heights(self, planes: FloatArray) -> FloatArray:
+        heights: FloatArray = planes[..., HEIGHT].take(self.plane, axis=1)[:, None]
+        return heights
+
+    def _by_cell(self, of_planes: FloatArray) -> FloatArray:
+        """Return what planes (K, P, i) have by cell (K, i, cells)."""
+        return np.asarray(of_planes.transpose(0, 2, 1).take(self.plane, axis=-1))
+
+    def _stretch(self, cosine: FloatArray) -> tuple[FloatArray, BoolArray | None]:
+        """Return -1 / cosine (K, B, cells), and which readings graze their planes, if any do."""
+        if self.read is not None:
+            cosine = np.where(self.read, cosine, 1.0)
+        steep = np.abs(cosine)
+        if steep.min() >= GRAZING_LIMIT:
+            return -1.0 / cosine, None
+        grazing = ~(steep >= GRAZING_LIMIT)
+        return -1.0 / np.where(grazing, GRAZING_LIMIT, cosine), grazing
+
+    def _weights(self, whitenings: Sequence[Whitening]) -> Weights:
+        shape = self.beams * self.cells // self.slots_of_chunk, self.slots_of_chunk
+        root = self.spread(np.array([how.root for how in whitenings])).reshape(-1, *shape)
+        if all(how.common is None for how in whitenings):
+            return Weights(root)
+        common = [self.spread(how.one_pass().T).reshape(-1, *shape) for how in whitenings]
+        station = np.tile(np.arange(self.cells), self.beams).reshape(shape)
+        return Weights(root, np.stack(common, axis=1), station)
+
+
+def values_of(problems: Sequence[Parameters]) -> dict[str, FloatArray]:
+    """Return the beams and planes of K problems of one shape as values, planes about the origin."""
+    beams = np.stack([np.hstack(p.beams) for p in problems])
+    planes = np.zeros((len(problems), len(problems[0].offsets), PLANE.size))
+    planes[..., NORMAL] = [p.normals for p in problems]
+    planes[..., HEIGHT] = [p.offsets for p in problems]
+    return {BEAM.name: beams, PLANE.name: planes}
+
+
+def parameters_of(values: Values) -> list[Parameters]:
+    """Return the beams and planes of every problem."""
+    beams, planes = values[BEAM.name], values[PLANE.name]
+    offsets = planes[..., HEIGHT] - np.einsum(
+        "kpi,kpi->kp", planes[..., NORMAL], planes[..., CENTRE]
+    )
+    r, v, k = (np.ascontiguousarray(beams[..., part]) for part in (LOCATION, UNIT, ERRORS))
+    n = np.ascontiguousarray(planes[..., NORMAL])
+    return [Parameters.unchecked(*arrays) for arrays in zip(r, v, k, n, offsets, strict=True)]
+
+
+def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:
+    """Return a row of each pair of plane and station, its number for each row (N,), and its plane."""
+    count = int(readings.station.max()) + 1
+    pairs = readings.plane * count + readings.station
+    order = np.argsort(pairs, kind="stable")
+    ordered = pairs[order]
+    new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
+    number = np.empty_like(pairs)
+    number[order] = np.cumsum(new) - 1
+    first = np.flatnonzero(new)
+    return order[first], number, ordered[first] // count

@@ -1,0 +1,115 @@
+"""Blocks of rows: what a least-squares problem is put together from.
+
+A block has groups of rows that see the same variables: the readings of one beam at a chunk of stations
+of one plane, the rays of one shot of a profiler, the coordinates of one prior. Which variables each
+group sees is static (`slots`); numbers are computed at a point (`evaluate`), for K problems or
+candidates at once. Short groups are filled up with rows of weight zero.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+
+Values = Mapping[str, FloatArray]
+"""Members (K, n, size) of each family, K problems or candidates first; 1 where all share them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One variable that each group of a block sees.
+
+    Attributes
+    ----------
+    family : str
+    member : (G,)
+        Which member each group sees.
+    columns : slice
+        Where the derivatives by its tangent coordinates stand among the columns.
+    """
+
+    family: str
+    member: IntArray
+    columns: slice
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of a block at one point, not yet weighed.
+
+    Attributes
+    ----------
+    columns : (q + 1, K, G, S)
+        Derivatives by q tangent coordinates, then residuals; zero where there is no row.
+    impossible : (K, G, S) of bool, or None
+        Rows that mean nothing here, as of a beam that grazes its plane.
+    """
+
+    columns: FloatArray
+    impossible: BoolArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """How the rows of a block weigh.
+
+    With the columns U of a station, the weight matrix of its rows is root (I - U U') root.
+
+    Attributes
+    ----------
+    root : (K, G, S), or None where all rows weigh 1
+        Of the weight of each row.
+    common : (c, K, G, S), or None
+        U: what the rows of a station have in common, six columns for errors of the hand.
+    station : (G, S), or None
+        Number of each row's station, where there are common columns. Blocks of one problem number
+        their stations alike.
+    """
+
+    root: FloatArray | None = None
+    common: FloatArray | None = None
+    station: IntArray | None = None
+
+    def picked(self, problems: IntArray) -> "Weights":
+        """Return the weights of some problems."""
+        root, common = self.root, self.common
+        return Weights(
+            root if root is None or len(root) == 1 else root[problems],
+            common if common is None or common.shape[1] == 1 else common[:, problems],
+            self.station,
+        )
+
+
+class Block(Protocol):
+    """Rows of a least-squares problem."""
+
+    @property
+    def weights(self) -> Weights:
+        """How the rows weigh."""
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the variables that the groups see."""
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return the rows at values of K problems."""
+
+    def picked(self, problems: IntArray) -> "Block":
+        """Return the block of some problems."""
+
+
+def structure_of(block: Block) -> tuple[object, ...]:
+    """Return what tells two blocks apart whose rows are added up in different ways."""
+    slots = tuple((s.family, s.member.tobytes(), s.columns.start) for s in block.slots())
+    station = block.weights.station
+    return slots if station is None else (*slots, station.shape, station.tobytes())
+
+
+def whitened(rows: Rows, weights: Weights, more: FloatArray | None = None) -> FloatArray:
+    """Return the columns times the roots of their weights, `more` (K, G, S) being further roots."""
+    columns = rows.columns
+    if weights.root is not None:
+        columns = columns * weights.root
+    return columns if more is None else np.asarray(columns * more)

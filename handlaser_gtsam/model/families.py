@@ -1,0 +1,192 @@
+r"""Families of variables: what a variable is, how it moves, and what its coordinates are called.
+
+A family is a product of parts (vectors, unit vectors, rigid motions, constants). Its members are rows
+of plain numbers, (..., size); a step is along its tangent coordinates, (..., dim). All that depends on
+the kind of a variable (how many coordinates, their names, their natural units) is asked of its family,
+so that a new sensor or target adds a family and nothing else has to know it.
+
+The natural unit of a tangent coordinate is a power of the typical range L: L for a length, 1 for an
+angle, 1 / L for a curvature of the range error.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from .geometry import tangent_basis
+
+
+class Part(Protocol):
+    """A manifold: `size` numbers a point, `dim` coordinates a step."""
+
+    @property
+    def size(self) -> int:
+        """Numbers of a point."""
+
+    @property
+    def dim(self) -> int:
+        """Coordinates of a step."""
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Return points (..., size) moved by steps (..., dim)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """Numbers that a step is added to."""
+
+    dim: int
+
+    @property
+    def size(self) -> int:
+        """As many as a step has."""
+        return self.dim
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Add."""
+        return x + step
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """A unit vector, which moves along `tangent_basis` and is normalised again."""
+
+    size: int = 3
+    dim: int = 2
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Move along the tangents."""
+        moved = x + (bases(x) @ step[..., None])[..., 0]
+        moved /= np.sqrt(np.einsum("...i,...i->...", moved, moved))[..., None]
+        return moved
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A rigid motion: its rotation matrix row by row, then its translation.
+
+    A step (omega, u) multiplies it on the right, in the order of `gtsam.Pose3`.
+    """
+
+    size: int = 12
+    dim: int = 6
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Turn and shift in the own frame."""
+        R = x[..., :9].reshape(*x.shape[:-1], 3, 3)
+        turn = Rotation.from_rotvec(step[..., :3].reshape(-1, 3)).as_matrix().reshape(R.shape)
+        shift = (R @ step[..., 3:, None])[..., 0]
+        return np.concatenate(((R @ turn).reshape(*x.shape[:-1], 9), x[..., 9:] + shift), axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """Numbers that travel with a member and never move."""
+
+    size: int
+    dim: int = 0
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:  # noqa: ARG002  (it is empty)
+        """Stay."""
+        return x
+
+
+@dataclass(frozen=True)
+class Family:
+    """A kind of variable.
+
+    Attributes
+    ----------
+    name : str
+    parts : tuple of Part
+    coordinates : tuple of str
+        Names of the tangent coordinates.
+    powers : tuple of int
+        Of the typical range in the natural unit of each tangent coordinate.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    coordinates: tuple[str, ...]
+    powers: tuple[int, ...]
+
+    @cached_property
+    def size(self) -> int:
+        """Numbers of a member."""
+        return sum(part.size for part in self.parts)
+
+    @cached_property
+    def dim(self) -> int:
+        """Tangent coordinates of a member."""
+        return sum(part.dim for part in self.parts)
+
+    @cached_property
+    def _slices(self) -> list[tuple[Part, slice, slice]]:
+        ends = np.cumsum([(0, 0), *((part.size, part.dim) for part in self.parts)], axis=0).tolist()
+        cuts = [(slice(a, c), slice(b, d)) for (a, b), (c, d) in pairwise(ends)]
+        return [(part, *cut) for part, cut in zip(self.parts, cuts, strict=True)]
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Return members (..., size) moved by steps (..., dim)."""
+        moved = [part.retract(x[..., a], step[..., b]) for part, a, b in self._slices]
+        return moved[0] if len(moved) == 1 else np.concatenate(moved, axis=-1)
+
+    def natural_units(self, length: float) -> FloatArray:
+        """Return the natural units (dim,) of the tangent coordinates for a typical range [m]."""
+        return float(length) ** np.array(self.powers, dtype=float)
+
+
+FAMILIES: dict[str, Family] = {}
+"""All families by name."""
+
+
+def register(family: Family) -> Family:
+    """Make a family known under its name.
+
+    Raises
+    ------
+    InputError
+        Another family has this name, or coordinates and units are not one a tangent coordinate.
+    """
+    if FAMILIES.get(family.name, family) != family:
+        raise InputError(f"two families named {family.name}", "a name of its own for each")
+    if not len(family.coordinates) == len(family.powers) == family.dim:
+        given = f"{len(family.coordinates)} names and {len(family.powers)} units"
+        raise InputError(given, f"one for each of the {family.dim} coordinates of {family.name}")
+    FAMILIES[family.name] = family
+    return family
+
+
+def bases(unit: FloatArray) -> FloatArray:
+    """Return `tangent_basis` (..., 3, 2) of unit vectors (..., 3) in any shape."""
+    return tangent_basis(unit.reshape(-1, 3)).reshape(*unit.shape, 2)
+
+
+BEAM = register(
+    Family(
+        "beam",
+        (Vector(3), Direction(), Vector(2)),
+        ("x", "y", "z", "v1", "v2", "k1", "k2"),
+        (1, 1, 1, 0, 0, 0, -1),
+    )
+)
+"""Location and direction in the hand, then the range error (k1, k2)."""
+PLANE = register(
+    Family("plane", (Direction(), Vector(1), Constant(3)), ("n1", "n2", "offset"), (0, 0, 1))
+)
+"""Normal n and height h about a fixed centre c: n . (x - c) + h = 0, world frame."""
+POSE = register(
+    Family(
+        "pose",
+        (Motion(),),
+        ("rx", "ry", "rz", "x", "y", "z"),
+        (0, 0, 0, 1, 1, 1),
+    )
+)
+"""A hand pose, world_T_hand."""

@@ -1,0 +1,514 @@
+r"""The elimination of local variables, batched: Brown's reduction, whatever the rows are.
+
+Rows come from blocks in groups that see the same variables. Where no row ties two members of a family,
+given all other variables they are independent, and the normal equations
+
+    | H   E' | | x |     | g |
+    | E   L  | | y | = - | h |,    L block-diagonal, one block a member,
+
+are solved by eliminating these local members y: S = H - E' inv(L) E of what stays costs time linear in
+their number. Members that a row or a station ties to others stay.
+
+All arrays have a leading axis of K problems of one shape, or candidates for one problem. What depends
+on the structure alone (which group sees which members) is planned once.
+"""
+
+from collections.abc import Hashable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..quantities import SINGULAR, TINY
+from .block import Block, Slot, Values, structure_of
+from .elimination import ReducedInformation, eliminated, inverse_stack, solve_definite
+from .families import FAMILIES
+from .sums import SumsByKey
+
+Index = slice | IntArray
+MOST_PLANS = 64
+"""Plans that are kept: a calibration meets a dozen structures, again and again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """H delta = -g with local members apart; K problems.
+
+    Attributes
+    ----------
+    matrix : (K, n, n)
+        H, of what stays.
+    gradient : (K, n)
+    local : (K, m, d, d)
+        L, of m local members.
+    border : (K, m, d, n)
+        E.
+    local_gradient : (K, m, d)
+    squares : (K,)
+        The sum of squares of the rows.
+    """
+
+    matrix: FloatArray
+    gradient: FloatArray
+    local: FloatArray
+    border: FloatArray
+    local_gradient: FloatArray
+    squares: FloatArray
+
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """Return all arrays; each has the problems first."""
+        return tuple(getattr(self, name) for name in self.__dataclass_fields__)
+
+    def picked(self, problems: IntArray) -> "Normal":
+        """Return some of the problems."""
+        return Normal(*(array[problems] for array in self.arrays()))
+
+    def replaced(self, which: BoolArray, new: "Normal") -> "Normal":
+        """Return the equations in `new` of some problems (K,), and those here of the others."""
+        pairs = zip(new.arrays(), self.arrays(), strict=True)
+        return Normal(*(np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
+
+    def reduced(
+        self,
+        unit: FloatArray,
+        local_unit: FloatArray,
+        active: BoolArray | None = None,
+        known: FloatArray | None = None,
+        floor: float | None = None,
+    ) -> ReducedInformation:
+        """Return what the only problem says of what stays, in the given units.
+
+        Parameters
+        ----------
+        unit : (n,)
+        local_unit : (d,)
+        active : (n,) of bool, optional
+            Unknowns; the others stay as they are.
+        known : (n,), optional
+            Information of every unknown beside the rows, in these units.
+        floor : float, optional
+            Information of a local member below this is none; `SINGULAR` of its largest where not given.
+        """
+        rows = np.arange(len(unit)) if active is None else np.flatnonzero(active)
+        unit = unit[rows]
+        H = self.matrix[0][np.ix_(rows, rows)] * unit[:, None] * unit
+        if known is not None:
+            H[np.diag_indices(len(rows))] += known[rows]
+        return eliminated(
+            H,
+            self.border[0][..., rows] * unit * local_unit[:, None],
+            self.local[0] * np.outer(local_unit, local_unit),
+            self.gradient[0][rows] * unit,
+            self.local_gradient[0] * local_unit,
+            floor,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _StationSums:
+    """Sums over the rows of each station, for some groups of a block."""
+
+    groups: IntArray
+    sums: SumsByKey
+    by_group: bool
+    """Whether all rows of a group are of one station."""
+
+    @classmethod
+    def of(cls, groups: IntArray, station: IntArray) -> "_StationSums":
+        """Return the sums for groups, given the station (G, S) of every row of the block."""
+        here = station[groups]
+        by_group = here.shape[1] > 1 and bool((here == here[:, :1]).all())
+        return cls(groups, SumsByKey(here[:, 0] if by_group else here.ravel()), by_group)
+
+    def __call__(self, common: FloatArray, columns: FloatArray) -> FloatArray:
+        """Return U'A (K, stations, c, q) of common columns (c, K, G, S) and columns (q, K, G, S)."""
+        U, A = common[:, :, self.groups], columns[:, :, self.groups]
+        if self.by_group:
+            return self.sums(U.transpose(1, 2, 0, 3) @ A.transpose(1, 2, 3, 0))
+        products = np.einsum("ckgs,qkgs->kgscq", U, A)
+        return self.sums(products.reshape(len(products), -1, len(U), len(A)))
+
+
+@dataclass(frozen=True, slots=True)
+class _GroupPlan:
+    """How the rows of some groups of one block are added to the normal equations.
+
+    Attributes
+    ----------
+    block : int
+    groups : Index
+    columns : Index
+        Columns of the rows by what stays.
+    by_pattern : SumsByKey
+        Groups that see the same of what stays.
+    places : list of Index
+        Rows of H of each such pattern.
+    own : slice or None
+        Columns by the local member.
+    by_member : SumsByKey, optional
+        Groups of one local member.
+    by_both : SumsByKey, optional
+        Groups of one pattern and local member.
+    pairs : list of (slice, Index)
+        For each pattern: where its sums by both stand, and the local members they are of.
+    by_station : list of _StationSums
+        For each pattern, then for all groups; empty where stations do not matter.
+    member_of_station : (stations,)
+        The local member that each station sees, -1 for none.
+    """
+
+    block: int
+    groups: Index
+    columns: Index
+    by_pattern: SumsByKey
+    places: list[Index]
+    own: slice | None
+    by_member: SumsByKey | None
+    by_both: SumsByKey | None
+    pairs: list[tuple[slice, Index]]
+    by_station: list[_StationSums]
+    member_of_station: IntArray
+
+
+class Structure:
+    """Which variables stay, which are eliminated, and how rows are added up: without any number.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    counts : mapping
+        Members of each family.
+    free : mapping
+        Tangent coordinates of each unknown family that are unknown.
+    local : str or None
+        The family that is eliminated; where not given, the one that leaves the fewest unknowns.
+
+    Attributes
+    ----------
+    place : dict
+        For each family: where each member begins among what stays (-1: it is local).
+    number : dict
+        For each family: the number of each member among the local ones (-1: it stays).
+    size, members, width : int
+        Unknowns that stay, local members, and unknowns of one.
+    """
+
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        counts: Mapping[str, int],
+        free: Mapping[str, IntArray],
+        local: str | None,
+    ) -> None:
+        self.counts, self.free = dict(counts), dict(free)
+        tied = {name: _tied(blocks, name, counts[name]) for name in free}
+        if local is None:
+            sizes = {f: len(free[f]) * int((~tied[f]).sum()) for f in free}
+            local = max(sizes, key=lambda name: sizes[name])
+        self.local = local
+        self.place: dict[str, IntArray] = {}
+        self.number: dict[str, IntArray] = {}
+        self.size, self.members = 0, 0
+        for name, columns in free.items():
+            apart = np.zeros(counts[name], dtype=bool) if name != local else ~tied[name]
+            self.place[name] = np.where(apart, -1, self.size + len(columns) * _before(~apart))
+            self.number[name] = np.where(apart, _before(apart), -1)
+            self.size += len(columns) * int((~apart).sum())
+            self.members += int(apart.sum())
+        self.width = len(free[local])
+        self.plans = [plan for i, block in enumerate(blocks) for plan in self._plans(i, block)]
+
+    def _plans(self, index: int, block: Block) -> list[_GroupPlan]:
+        """Return the plans of the groups whose local member is eliminated, and of all others."""
+        slots = [slot for slot in block.slots() if slot.family in self.free]
+        if not slots:
+            return []
+        apart = np.zeros(len(slots[0].member), dtype=bool)
+        for slot in slots:
+            apart |= self.number[slot.family][slot.member] >= 0
+        station = block.weights.station
+        return [
+            self._plan(index, slots, which, station) for which in (apart, ~apart) if which.any()
+        ]
+
+    def _plan(
+        self, index: int, slots: Sequence[Slot], which: BoolArray, station: IntArray | None
+    ) -> _GroupPlan:
+        """Return the plan of some groups, all with a local member of their own or all without."""
+        own, member = None, None
+        columns: list[IntArray] = []
+        places: list[IntArray] = []
+        key = np.zeros(int(which.sum()), dtype=np.intp)
+        for slot in slots:
+            seen = slot.member[which]
+            mine = slot.columns.start + self.free[slot.family]
+            if slot.family == self.local and (self.number[slot.family][seen] >= 0).all():
+                own, member = _sliced(mine), self.number[slot.family][seen]
+                continue
+            columns.append(mine)
+            places.append(self.place[slot.family][seen][:, None] + np.arange(len(mine)))
+            key = key * self.counts[slot.family] + seen
+        _, first, pattern = np.unique(key, return_index=True, return_inverse=True)
+        pattern = pattern.ravel()
+        of_pattern = np.hstack(places)[first] if places else np.zeros((1, 0), dtype=np.intp)
+        by_member = by_both = None
+        pairs: list[tuple[slice, Index]] = []
+        if member is not None:
+            by_member, by_both = SumsByKey(member), SumsByKey(pattern * self.members + member)
+            edges = np.searchsorted(by_both.keys, self.members * np.arange(len(first) + 1)).tolist()
+            pairs = [
+                (slice(a, b), _sliced(by_both.keys[a:b] - u * self.members))
+                for u, (a, b) in enumerate(pairwise(edges))
+            ]
+        groups, by_station = np.flatnonzero(which), []
+        seen_by_station = np.zeros(0, dtype=np.intp)
+        if station is not None:
+            some = [groups[pattern == u] for u in range(len(first))]
+            by_station = [_StationSums.of(g, station) for g in (*some, groups)]
+            seen_by_station = np.full(int(station.max()) + 1, -1)
+            if member is not None:
+                seen_by_station[station[groups]] = member[:, None]
+        assert own is None or isinstance(own, slice)
+        return _GroupPlan(
+            index,
+            slice(None) if which.all() else groups,
+            _sliced(np.concatenate(columns)) if columns else slice(0, 0),
+            SumsByKey(pattern),
+            [_sliced(place) for place in of_pattern],
+            own,
+            by_member,
+            by_both,
+            pairs,
+            by_station,
+            seen_by_station,
+        )
+
+
+class Reduction:
+    """Adds up the rows of blocks, eliminates local members, and moves values by the steps.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    counts : mapping
+        Members of each family.
+    unknown : mapping
+        For each unknown family, which of its tangent coordinates are unknown (dim,), or True for all.
+    local : str, optional
+        The family that is eliminated; where not given, the one that leaves the fewest unknowns.
+    """
+
+    _structures: ClassVar[dict[Hashable, Structure]] = {}
+
+    def __init__(
+        self,
+        blocks: Sequence[Block],
+        counts: Mapping[str, int],
+        unknown: Mapping[str, BoolArray | bool],
+        local: str | None = None,
+    ) -> None:
+        self.blocks = tuple(blocks)
+        free = {
+            name: np.flatnonzero(np.broadcast_to(mask, FAMILIES[name].dim))
+            for name, mask in unknown.items()
+        }
+        key = (
+            tuple(structure_of(block) for block in blocks),
+            tuple(counts.items()),
+            tuple((name, columns.tobytes()) for name, columns in free.items()),
+            local,
+        )
+        if key not in self._structures:
+            while len(self._structures) >= MOST_PLANS:
+                self._structures.pop(next(iter(self._structures)))
+            self._structures[key] = Structure(blocks, counts, free, local)
+        self.structure = self._structures[key]
+
+    def with_blocks(self, blocks: Sequence[Block]) -> "Reduction":
+        """Return the reduction of blocks of the same structure, as of some of the problems."""
+        new = copy(self)
+        new.blocks = tuple(blocks)
+        return new
+
+    def normal(self, rows: Sequence[FloatArray]) -> Normal:
+        """Return the normal equations of the whitened rows (q + 1, K, G, S) of all blocks."""
+        of, K = self.structure, rows[0].shape[1]
+        n, m, d = of.size, of.members, of.width
+        squares = np.zeros(K)
+        for columns in rows:
+            squares += np.einsum("kgs,kgs->k", columns[-1], columns[-1])
+        total = Normal(
+            np.zeros((K, n, n)),
+            np.zeros((K, n)),
+            np.zeros((K, m, d, d)),
+            np.zeros((K, m, d, n)),
+            np.zeros((K, m, d)),
+            squares,
+        )
+        for plan in of.plans:
+            _add(total, plan, rows[plan.block])
+        _take_common(total, of, self.blocks, rows)
+        return total
+
+    def moved(self, values: Values, step: FloatArray, local_step: FloatArray) -> Values:
+        """Return values moved by the steps."""
+        of, new = self.structure, dict(values)
+        for name, columns in of.free.items():
+            family, count = FAMILIES[name], of.counts[name]
+            place, number = of.place[name], of.number[name]
+            delta = np.zeros((len(step), count, family.dim))
+            stays = np.flatnonzero(place >= 0)
+            if stays.size:
+                each = place[stays][:, None] + np.arange(len(columns))
+                delta[:, stays[:, None], columns] = step[:, each]
+            apart = np.flatnonzero(number >= 0)
+            if apart.size:
+                delta[:, apart[:, None], columns] = local_step[:, number[apart]]
+            new[name] = family.retract(values[name], delta)
+        return new
+
+
+def damped_step(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return steps (K, n) of what stays and (K, m, d) of local members for Marquardt's damping (K,)."""
+    damped, L, n = bool(damping.any()), normal.local, normal.gradient.shape[1]
+    diagonal = np.einsum("kii->ki", normal.matrix)
+    if damped:
+        lift = _lift(damping, np.einsum("kmii->kmi", L))
+        L = L + lift[..., None] * np.eye(L.shape[-1])
+    # All that the local members answer to: a unit of every unknown that stays, and the gradients.
+    right = np.concatenate((normal.border, normal.local_gradient[..., None]), axis=3)
+    answer = (inverse_stack(L) @ right).reshape(len(L), -1, n + 1)
+    taken = right.reshape(answer.shape)[..., :n].swapaxes(1, 2) @ answer
+    S = normal.matrix - taken[..., :n]
+    if damped:
+        np.einsum("kii->ki", S)[:] += _lift(damping, diagonal)
+    step = solve_definite(S, taken[..., n] - normal.gradient)
+    moved = answer[..., n] + (answer[..., :n] @ step[..., None])[..., 0]
+    return step, -moved.reshape(normal.local_gradient.shape)
+
+
+def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
+    """Add the products of the columns of some groups."""
+    x = columns[:, :, plan.groups].transpose(1, 2, 0, 3)
+    P = x @ x.swapaxes(2, 3)
+    kept = plan.by_pattern(P[:, :, plan.columns])
+    gradient, kept = kept[..., -1], kept[..., plan.columns]
+    for u, place in enumerate(plan.places):
+        rows = place if isinstance(place, slice) else place[:, None]
+        total.matrix[:, rows, place] += kept[:, u]
+        total.gradient[:, place] += gradient[:, u]
+    if plan.own is None or plan.by_member is None or plan.by_both is None:
+        return
+    member = plan.by_member.keys
+    rest = plan.by_member(P[:, :, plan.own])
+    total.local[:, member] += rest[..., plan.own]
+    total.local_gradient[:, member] += rest[..., -1]
+    border = plan.by_both(P[:, :, plan.own][..., plan.columns])
+    for (sums, members), place in zip(plan.pairs, plan.places, strict=True):
+        if isinstance(members, slice) or isinstance(place, slice):
+            total.border[:, members, :, place] += border[:, sums]
+        else:
+            total.border[:, members[:, None], :, place] += border[:, sums].transpose(1, 3, 0, 2)
+
+
+def _take_common(
+    total: Normal, of: Structure, blocks: Sequence[Block], rows: Sequence[FloatArray]
+) -> None:
+    """Take out the weight that rows of a station lose by what they have in common.
+
+    With the common columns U of a station (`Weights`) and Y = U'A of all its rows A, the normal
+    equations lose Y'Y.
+    """
+    plans = [plan for plan in of.plans if blocks[plan.block].weights.common is not None]
+    if not plans:
+        return
+    K, n = total.gradient.shape
+    stations = max(len(plan.member_of_station) for plan in plans)
+    first = blocks[plans[0].block].weights.common
+    assert first is not None
+    Y = np.zeros((K, stations, len(first), n + 1))
+    Z = np.zeros((K, stations, len(first), of.width))
+    member = np.full(stations, -1)
+    for plan in plans:
+        U, columns = blocks[plan.block].weights.common, rows[plan.block]
+        assert U is not None
+        for by_station, place in zip(plan.by_station, plan.places, strict=False):
+            here = _sliced(by_station.sums.keys)
+            sums = by_station(U, columns[plan.columns])
+            if isinstance(here, slice) or isinstance(place, slice):
+                Y[:, here, :, place] += sums
+            else:
+                Y[:, here[:, None], :, place] += sums.transpose(1, 3, 0, 2)
+        whole = plan.by_station[-1]
+        last = (
+            columns[-1:] if plan.own is None else np.concatenate((columns[plan.own], columns[-1:]))
+        )
+        sums = whole(U, last)
+        Y[:, whole.sums.keys, :, n:] += sums[..., -1:]
+        if plan.own is not None:
+            Z[:, whole.sums.keys] += sums[..., :-1]
+            np.maximum(
+                member[: len(plan.member_of_station)],
+                plan.member_of_station,
+                out=member[: len(plan.member_of_station)],
+            )
+    flat = Y.reshape(K, -1, n + 1)
+    product = flat.swapaxes(1, 2) @ flat
+    total.matrix[:] -= product[:, :n, :n]
+    total.gradient[:] -= product[:, :n, n]
+    total.squares[:] -= product[:, n, n]
+    seen = np.flatnonzero(member >= 0)
+    if seen.size:
+        by_member = SumsByKey(member[seen])
+        here, Zt = by_member.keys, Z[:, seen].swapaxes(2, 3)
+        total.local[:, here] -= by_member(Zt @ Z[:, seen])
+        both = by_member(Zt @ Y[:, seen])
+        total.border[:, here] -= both[..., :n]
+        total.local_gradient[:, here] -= both[..., n]
+
+
+def _tied(blocks: Sequence[Block], family: str, count: int) -> BoolArray:
+    """Tell which members (count,) of a family a row, or a station whose pose errs, ties to others."""
+    tied = np.zeros(count, dtype=bool)
+    stations, seen = [], []
+    for block in blocks:
+        slots = [slot for slot in block.slots() if slot.family == family]
+        for slot in slots if len(slots) > 1 else ():
+            tied[slot.member] = True
+        station = block.weights.station
+        if station is not None:
+            for slot in slots:
+                stations.append(station.ravel())
+                seen.append(np.broadcast_to(slot.member[:, None], station.shape).ravel())
+    if stations:
+        pairs = np.unique(np.concatenate(stations) * count + np.concatenate(seen))
+        station, member = pairs // count, pairs % count
+        several = np.bincount(station)[station] > 1
+        tied[member[several]] = True
+    return tied
+
+
+def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
+    """Return what Marquardt's damping adds, at least a trace of it where a column is empty."""
+    K = len(diagonal)
+    largest = np.maximum(diagonal.reshape(K, -1).max(axis=1, initial=0.0), TINY)
+    shape = (K,) + (1,) * (diagonal.ndim - 1)
+    least = (SINGULAR * largest).reshape(shape)
+    lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
+    return lift
+
+
+def _before(which: BoolArray) -> IntArray:
+    """Return how many of `which` come before each."""
+    count: IntArray = np.cumsum(which) - which
+    return count
+
+
+def _sliced(index: IntArray) -> Index:
+    """Return a run of indices as a slice: reading and writing along it copies nothing."""
+    if len(index) and int(index[-1] - index[0]) == len(index) - 1 and (np.diff(index) > 0).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index

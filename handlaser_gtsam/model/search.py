@@ -1,0 +1,483 @@
+"""The damped search for a minimum of a sum of squares, for many problems at once.
+
+Each step solves (H + lambda diag(H)) delta = -g. lambda starts at its least value, most often zero (a
+Gauss-Newton step). It is raised when a step is rejected, because the cost did not fall or rows became
+impossible, or saves less than a quarter of what the linear model promised, and lowered when it saves
+more than three quarters. Every problem has a damping of its own; those that have arrived drop out.
+
+Problems are K recordings of one shape, or K candidates for one recording.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..checks import require_count, require_number
+from ..progress import Trial
+from ..quantities import LARGEST_NUMBER, TINY
+from .block import Block, Rows, Values, whitened
+from .losses import Loss
+from .reduction import Normal, Reduction, damped_step
+from .stopping import COST_RESOLUTION, LEVEL_STEPS
+
+POOR_GAIN = 0.25
+"""A step that saves less than this part of what the linear model promised raises lambda."""
+GOOD_GAIN = 0.75
+"""A step that saves more than this part of what the linear model promised lowers lambda."""
+GOOD_QUANTILE = 1.2
+"""Quantile of good residuals [sigmas] that bounds half to two thirds of all, a third being outliers."""
+TIGHTER = 0.999
+"""The scale of a loss that falls by less than this factor in a step has settled."""
+
+
+@dataclass(frozen=True, slots=True)
+class LevenbergOptions:
+    """Controls of the solver.
+
+    Attributes
+    ----------
+    max_iterations : int
+        At most this many trial steps.
+    step_tolerance : float
+        Converged when at most this many standard deviations are left to go. A step of length
+        l = sqrt(-g' delta / (chi2/dof)) that is q times the one before leaves about l q / (1 - q);
+        the first undamped step leaves at most l.
+    least_damping : float
+        lambda is never below it. Raise it where H is singular, so that what is not determined
+        stays where it started.
+    first_damping, damping_factor, most_damping : float
+        lambda of the first rejected step, its factor up and down, and where the solver gives up.
+    """
+
+    max_iterations: int = 1000
+    step_tolerance: float = 2e-7
+    least_damping: float = 0.0
+    first_damping: float = 1e-4
+    damping_factor: float = 10.0
+    most_damping: float = 1e10
+
+    def __post_init__(self) -> None:
+        require_count("max_iterations", self.max_iterations, 0, 10**9)
+        for name in ("step_tolerance", "least_damping", "first_damping"):
+            require_number(name, getattr(self, name), 0.0, LARGEST_NUMBER)
+        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
+        require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
+
+
+@dataclass(frozen=True, slots=True)
+class LossScale:
+    """The unit of residuals in a loss.
+
+    Attributes
+    ----------
+    least : float
+        The unit [m], or its lower bound where it follows the residuals.
+    good : float, optional
+        Part of the readings that count as good. The unit then follows the quantile of the absolute
+        residuals of each candidate at that part over `GOOD_QUANTILE`, and never grows.
+    """
+
+    least: float = 1.0
+    good: float | None = None
+
+    def of(self, residual: FloatArray) -> FloatArray:
+        """Return the unit (K,) for residuals (K, N)."""
+        if self.good is None:
+            return np.full(len(residual), self.least)
+        rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
+        quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
+        return np.asarray(np.maximum(quantile / GOOD_QUANTILE, self.least))
+
+
+@dataclass(frozen=True, slots=True)
+class RobustLoss:
+    """A loss of the residuals of the first block.
+
+    Residuals end at a limit: a row that is impossible, as of a beam that grazes its plane, counts as
+    one at the limit and has no weight, which is no reason to drop a candidate.
+
+    Attributes
+    ----------
+    loss : Loss
+        Of residuals in units of the scale.
+    scale : LossScale
+    limit : float
+        Largest residual [m].
+    real : (G, S) of bool
+        Rows that are readings and no padding.
+    """
+
+    loss: Loss
+    scale: LossScale
+    limit: float
+    real: BoolArray
+
+    def residual(self, white: FloatArray, impossible: BoolArray | None) -> FloatArray:
+        """Return the residuals (K, N) of whitened columns within the limit."""
+        e = white[-1]
+        if impossible is not None:
+            e = np.where(impossible, self.limit, e)
+        return np.asarray(np.clip(e[:, self.real], -self.limit, self.limit))
+
+    def cost(self, residual: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return costs (K,) [m^2]."""
+        rho = self.loss.cost(residual / scale[:, None])
+        cost: FloatArray = scale**2 * rho.sum(axis=1)
+        return np.asarray(np.where(np.isfinite(cost), cost, np.inf))
+
+    def roots(self, residual: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return the roots (K, G, S) of the weights."""
+        weight = self.loss.weight(residual / scale[:, None])
+        root = np.zeros((len(residual), *self.real.shape))
+        root[:, self.real] = np.sqrt(np.where(np.abs(residual) < self.limit, weight, 0.0))
+        return root
+
+
+@dataclass(frozen=True, slots=True)
+class LeastSquares:
+    """What is minimised: the rows of some blocks.
+
+    Attributes
+    ----------
+    blocks : sequence of Block
+    reduction : Reduction
+    unit : (K,)
+        Standard deviation of a whitened row of each problem: the unit of the blocks' residuals.
+    rounding : (K,)
+        What rounding of the residuals adds to each cost [squared standard deviations].
+    dof : int
+        Degrees of freedom of one problem.
+    robust : RobustLoss, optional
+        Of the rows of the first block.
+    """
+
+    blocks: tuple[Block, ...]
+    reduction: Reduction
+    unit: FloatArray
+    rounding: FloatArray
+    dof: int
+    robust: RobustLoss | None = None
+
+    def normal(self, values: Values) -> Normal:
+        """Return the normal equations at values, in the unit of the blocks."""
+        rows = [whitened(block.evaluate(values), block.weights) for block in self.blocks]
+        return self.reduction.normal(rows)
+
+    def picked(self, problems: IntArray) -> "LeastSquares":
+        """Return some of the problems."""
+        blocks = tuple(block.picked(problems) for block in self.blocks)
+        return LeastSquares(
+            blocks,
+            self.reduction.with_blocks(blocks),
+            self.unit[problems],
+            self.rounding[problems],
+            self.dof,
+            self.robust,
+        )
+
+
+@dataclass(slots=True)
+class _Point:
+    """Values with their costs; arrays have the problems first.
+
+    Under a robust loss `white` are the whitened rows of every block and `residual` the residuals, of
+    which follow weights and then `normal`; else the rows are summed up at once.
+    """
+
+    values: dict[str, FloatArray]
+    cost: FloatArray
+    normal: Normal | None
+    white: list[FloatArray]
+    residual: FloatArray
+    scale: FloatArray
+
+    def picked(self, problems: IntArray) -> "_Point":
+        """Return some of the problems."""
+        return _Point(
+            {name: x[problems] for name, x in self.values.items()},
+            self.cost[problems],
+            None if self.normal is None else self.normal.picked(problems),
+            [white[:, problems] for white in self.white],
+            self.residual[problems],
+            self.scale[problems],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """Where K problems ended.
+
+    Attributes
+    ----------
+    values : dict
+    cost : (K,)
+        Half the sum of squares in standard deviations; infinite where rows were impossible at the
+        start.
+    converged : (K,) of bool
+    iterations : (K,)
+        Accepted steps.
+    scale : (K,)
+        Unit of a robust loss at the end.
+    interrupted : bool
+        Whether Ctrl-C ended the search.
+    """
+
+    values: dict[str, FloatArray]
+    cost: FloatArray
+    converged: BoolArray
+    iterations: IntArray
+    scale: FloatArray
+    interrupted: bool = False
+
+
+def search(
+    problem: LeastSquares,
+    start: Values,
+    options: LevenbergOptions,
+    progress: Callable[[Trial], None] | None = None,
+) -> Searched:
+    """Minimise K problems from their starts.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+    start : Values
+    options : LevenbergOptions
+    progress : callable, optional
+        Called with every trial step of a single problem; Ctrl-C then ends it with the best values so
+        far.
+    """
+    with np.errstate(all="ignore"):  # beams may graze their planes
+        return _Search(problem, start, options, progress).run()
+
+
+class _Search:
+    """The problems that are still on their way; arrays have the problems first."""
+
+    def __init__(
+        self,
+        problem: LeastSquares,
+        start: Values,
+        options: LevenbergOptions,
+        progress: Callable[[Trial], None] | None,
+    ) -> None:
+        self.problem, self.options, self.progress = problem, options, progress
+        K = len(problem.unit)
+        values = {name: np.broadcast_to(x, (K, *x.shape[1:])) for name, x in start.items()}
+        self.tightening = np.zeros(K, dtype=bool)
+        self.at = self._evaluated(values, None)
+        self._tighten(np.ones(K, dtype=bool))
+        self.index: IntArray = np.arange(K)
+        self.damping = np.full(K, options.least_damping)
+        self.before, self.damped = np.full(K, np.inf), np.full(K, np.nan)
+        self.iterations, self.trials = np.zeros((2, K), dtype=np.intp)
+        self.level = np.zeros(K, dtype=np.intp)
+        self.ended: list[tuple[IntArray, Searched]] = []
+
+    def run(self) -> Searched:
+        """Take steps until all problems have arrived, or no step helps."""
+        impossible = ~np.isfinite(self.at.cost)
+        self._leave(impossible, impossible)
+        try:
+            while self.index.size:
+                over = self.trials >= self.options.max_iterations
+                self._leave(over, over)
+                if self.index.size:
+                    self._advance()
+        except KeyboardInterrupt:
+            if self.progress is None:
+                raise
+            every = np.ones(len(self.index), dtype=bool)
+            self._leave(every, every)
+            return replace(_in_order(self.ended), interrupted=True)
+        return _in_order(self.ended)
+
+    def _evaluated(self, values: Values, scale: FloatArray | None) -> _Point:
+        """Return the rows and costs at some values; the scale of a robust loss stays, if given."""
+        problem = self.problem
+        rows = [block.evaluate(values) for block in problem.blocks]
+        white = [whitened(r, block.weights) for r, block in zip(rows, problem.blocks, strict=True)]
+        robust, variance = problem.robust, problem.unit**2
+        if robust is None:
+            normal = problem.reduction.normal(white)
+            cost = 0.5 * normal.squares / variance
+            for r, block in zip(rows, problem.blocks, strict=True):
+                cost[_impossible(r, block)] = np.inf
+            cost = np.where(np.isfinite(cost), cost, np.inf)
+            none = np.empty((len(cost), 0))
+            return _Point(dict(values), cost, normal, [], none, problem.unit)
+        residual = robust.residual(white[0], rows[0].impossible)
+        scale = robust.scale.of(residual) if scale is None else scale
+        cost = robust.cost(residual, scale) / variance
+        for columns in white[1:]:
+            cost = cost + 0.5 * np.einsum("kgs,kgs->k", columns[-1], columns[-1]) / variance
+        return _Point(dict(values), cost, None, white, residual, scale)
+
+    def _tighten(self, moved: BoolArray) -> None:
+        """Let the scale of a robust loss follow the residuals of problems that have moved."""
+        robust, at = self.problem.robust, self.at
+        if robust is None:
+            return
+        scale = np.where(moved, np.minimum(at.scale, robust.scale.of(at.residual)), at.scale)
+        self.tightening = np.where(moved, scale < TIGHTER * at.scale, self.tightening)
+        if (scale < at.scale).any():
+            fall = robust.cost(at.residual, at.scale) - robust.cost(at.residual, scale)
+            at.cost = at.cost - fall / self.problem.unit**2
+            at.scale = scale
+        first = at.white[0] * robust.roots(at.residual, scale)
+        at.normal = self.problem.reduction.normal([first, *at.white[1:]])
+
+    def _advance(self) -> None:
+        """Try a step of every problem."""
+        normal = self.at.normal
+        assert normal is not None
+        step, local = damped_step(normal, self.damping)
+        saved = np.einsum("ki,ki->k", normal.gradient, step)
+        saved += np.einsum("kmi,kmi->k", normal.local_gradient, local)
+        decrement = saved / -(self.problem.unit**2)
+        values = self.problem.reduction.moved(self.at.values, step, local)
+        self.trials += 1
+        arrived = self._little_left(decrement)
+        # A step too short to show in the cost is the last, and is not evaluated again.
+        last = arrived & (decrement >= 0.0) & (decrement <= self._resolution())
+        if last.any():
+            self.at.values = _chosen(last, values, self.at.values)
+            self.at.cost = np.where(
+                last, np.maximum(self.at.cost - 0.5 * decrement, 0.0), self.at.cost
+            )
+            self.iterations += last
+            self._tell(decrement, self.at.cost, last)
+            rest = self._leave(last, ~last)
+            if not rest.size:
+                return
+            values = {name: x[rest] for name, x in values.items()}
+            decrement, arrived = decrement[rest], arrived[rest]
+        trial = self._evaluated(values, self.at.scale)
+        gain = self._gain(decrement, trial.cost)
+        better = gain > 0.0
+        level = np.abs(decrement) <= self._resolution()
+        self.level = np.where(level & better, self.level + 1, 0)
+        self.iterations += better
+        self._tell(decrement, trial.cost, better)
+        self._accept(better, trial)
+        arrived = (arrived & ~self.tightening) | (self.level >= LEVEL_STEPS)
+        self._adapt_damping(gain)
+        self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
+
+    def _tell(self, decrement: FloatArray, cost: FloatArray, accepted: BoolArray) -> None:
+        if self.progress is not None:
+            length = float(np.sqrt(decrement[0])) if decrement[0] >= 0.0 else np.inf
+            damping, number = float(self.damping[0]), int(self.trials[0])
+            self.progress(Trial(number, float(cost[0]), damping, length, bool(accepted[0])))
+
+    def _accept(self, better: BoolArray, trial: _Point) -> None:
+        """Take the better points, and form their normal equations."""
+        if not better.any():
+            return
+        if better.all():
+            self.at = trial
+        else:
+            at, each = self.at, better[:, None]
+            at.values = _chosen(better, trial.values, at.values)
+            at.cost = np.where(better, trial.cost, at.cost)
+            at.residual = np.where(each, trial.residual, at.residual)
+            pairs = zip(trial.white, at.white, strict=True)
+            at.white = [np.where(each[..., None], new, old) for new, old in pairs]
+            if at.normal is not None and trial.normal is not None:
+                at.normal = at.normal.replaced(better, trial.normal)
+        self._tighten(better)
+
+    def _resolution(self) -> FloatArray:
+        """Return the smallest change that shows in each cost."""
+        return COST_RESOLUTION * self.at.cost + self.problem.rounding
+
+    def _gain(self, decrement: FloatArray, cost: FloatArray) -> FloatArray:
+        """Return what part of the promised saving each step achieved, -1 of a failed one.
+
+        A change too small to show in the cost counts as half: accept, and leave the damping.
+        """
+        resolution = self._resolution()
+        saved = self.at.cost - cost
+        level = (np.abs(decrement) <= resolution) & (saved > -resolution)
+        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, TINY), -1.0)
+        gain = np.where(np.isfinite(gain), gain, -1.0)
+        return np.where(level, 0.5, gain)
+
+    def _little_left(self, decrement: FloatArray) -> BoolArray:
+        """Tell which steps leave less than the tolerance; see `StoppingRule`."""
+        length = np.sqrt(decrement)
+        same = (self.damping == self.damped) & (length < self.before)
+        left = np.where(same, decrement / (self.before - length), length)
+        deviation = np.sqrt(2.0 / self.problem.dof * self.at.cost)
+        small = left <= self.options.step_tolerance * deviation
+        small &= same | (self.damping <= self.options.least_damping)
+        self.before, self.damped = length, self.damping
+        return np.asarray(small | (np.abs(decrement) <= self.problem.rounding))
+
+    def _adapt_damping(self, gain: FloatArray) -> None:
+        """Change the damping by how well the linear model did."""
+        options = self.options
+        higher = np.maximum(self.damping * options.damping_factor, options.first_damping)
+        lower = self.damping / options.damping_factor
+        lower = np.where(lower >= options.first_damping, lower, 0.0)
+        lower = np.maximum(lower, options.least_damping)
+        self.damping = np.where(
+            gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, self.damping)
+        )
+
+    def _leave(self, which: BoolArray, failed: BoolArray) -> IntArray:
+        """Let problems end; return those that go on."""
+        rest = np.flatnonzero(~which)
+        if len(rest) == len(which):
+            return rest
+        gone, at = np.flatnonzero(which), self.at
+        ended = Searched(
+            {name: x[gone] for name, x in at.values.items()},
+            at.cost[gone],
+            ~failed[gone] & np.isfinite(at.cost[gone]),
+            self.iterations[gone],
+            at.scale[gone],
+        )
+        self.ended.append((self.index[gone], ended))
+        if rest.size:
+            self.at, self.problem = at.picked(rest), self.problem.picked(rest)
+        counted = ("index", "iterations", "trials", "level", "tightening")
+        for name in (*counted, "damping", "before", "damped"):
+            setattr(self, name, getattr(self, name)[rest])
+        return rest
+
+
+def _in_order(ended: Sequence[tuple[IntArray, Searched]]) -> Searched:
+    """Return the ends of all problems in their order."""
+    parts = [part for _, part in ended]
+    if len(parts) == 1:
+        return parts[0]
+    order = np.argsort(np.concatenate([index for index, _ in ended]))
+    names = ("cost", "converged", "iterations", "scale")
+    arrays = (np.concatenate([getattr(part, name) for part in parts])[order] for name in names)
+    cost, converged, iterations, scale = arrays
+    values = {
+        name: np.concatenate([part.values[name] for part in parts])[order]
+        for name in parts[0].values
+    }
+    return Searched(values, cost, converged, iterations, scale)
+
+
+def _chosen(
+    which: BoolArray, new: Mapping[str, FloatArray], old: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return for each problem the values in `new` or in `old`."""
+    if which.all():
+        return dict(new)
+    return {name: np.where(which[:, None, None], x, old[name]) for name, x in new.items()}
+
+
+def _impossible(rows: Rows, block: Block) -> BoolArray | slice:
+    """Tell which problems have an impossible row that weighs anything."""
+    if rows.impossible is None:
+        return slice(0, 0)
+    root = block.weights.root
+    lost = rows.impossible if root is None else rows.impossible & (root > 0.0)
+    return np.asarray(lost.any(axis=(1, 2)))

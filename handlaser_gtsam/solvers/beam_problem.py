@@ -1,0 +1,203 @@
+"""Beams that read planes as a least-squares problem of the reduction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, gathered
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.readings import Readings
+from ..errors import GrazingBeamError
+from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
+from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
+from ..model.block import Block, whitened
+from ..model.families import BEAM, PLANE
+from ..model.losses import GAUSSIAN, Loss
+from ..model.priors import VectorPrior
+from ..model.reduction import Normal, Reduction, damped_step
+from ..model.search import LeastSquares, LossScale, RobustLoss
+from ..model.weighting import Whitening
+
+UNKNOWNS_RATIO = 4
+"""Beams are eliminated first where they have more than this many times the unknowns of the planes."""
+
+
+def beam_problem(
+    readings: Sequence[Readings],
+    terms: int,
+    noise: float | Sequence[Whitening],
+    copies: int = 1,
+    prior: RangeErrorPrior | None = None,
+    loss: Loss = GAUSSIAN,
+    scale: LossScale | None = None,
+    limit: float = np.inf,
+    local: str | None = None,
+) -> tuple[LeastSquares, BeamsOnPlanes]:
+    """Return the problems of several recordings, or candidates for one, and their readings as a block.
+
+    Parameters
+    ----------
+    readings : K Readings of one shape, or one that `copies` candidates share
+    terms : int
+        Range-error terms of every beam.
+    noise : float, or K Whitenings or one
+        Standard deviation of every reading [m], or how to whiten the readings of each problem.
+    copies : int
+        Candidates.
+    prior : RangeErrorPrior, optional
+        Of every problem.
+    loss : Loss
+    scale : LossScale, optional
+        Unit of the residuals in a robust loss: their standard deviation, if not given.
+    limit : float
+        Largest residual under a robust loss [m].
+    local : str, optional
+        The family that is eliminated; beams only where there are far more of them, if not given.
+    """
+    block = BeamsOnPlanes(readings, None if isinstance(noise, float) else noise)
+    K = max(len(readings), copies)
+    unit = np.full(K, noise) if isinstance(noise, float) else np.array([w.sigma for w in noise])
+    unit = np.broadcast_to(unit, K)
+    blocks: list[Block] = [block]
+    if prior is not None and terms:
+        blocks.append(_prior(prior, terms, unit))
+    reach = np.broadcast_to(block.reach(), K)
+    rounding = block.size * (4.0 * np.finfo(float).eps * reach / unit) ** 2
+    robust = None
+    if loss != GAUSSIAN:
+        real = np.zeros((1, *block.slots()[0].member.shape, block.slots_of_chunk), dtype=bool)
+        real[:] = block.spread(np.ones((1, block.size))).reshape(real.shape) > 0.0
+        robust = RobustLoss(loss, scale or LossScale(float(unit[0])), limit, real[0])
+    if local is None:
+        free = int(_free(terms).sum()) * block.beams, PLANE.dim * block.planes
+        apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]
+        local = BEAM.name if apart else PLANE.name
+    reduction = Reduction(
+        blocks,
+        block.counts,
+        {BEAM.name: _free(terms), PLANE.name: True},
+        local,
+    )
+    dof = max(block.size - readings[0].unknowns(terms), 1)
+    return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
+
+
+@dataclass(frozen=True, slots=True)
+class Linearized:
+    """The normal equations of one recording at some parameters.
+
+    Attributes
+    ----------
+    normal : Normal
+        Beams stay; planes are local. In metres.
+    centres : (P, 3)
+        Where the offset of each plane is taken: amid its laser spots [m].
+    """
+
+    normal: Normal
+    centres: FloatArray
+
+
+def linearized(
+    parameters: Parameters, readings: Readings, terms: int, whitening: Whitening | None = None
+) -> Linearized:
+    """Return the normal equations at `parameters`.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    block = BeamsOnPlanes([readings], None if whitening is None else [whitening])
+    values = block.centred(values_of([parameters]))
+    _require_steep(parameters, readings)
+    unknown: dict[str, BoolArray | bool] = {BEAM.name: _free(terms), PLANE.name: True}
+    rows = block.evaluate(values)
+    normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
+        [whitened(rows, block.weights)]
+    )
+    return Linearized(normal, values[PLANE.name][0, :, CENTRE])
+
+
+def jacobian_columns(
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    centres: FloatArray | None = None,
+) -> FloatArray:
+    """Return the rows of (J_beam, J_plane, e), transposed: (5 + terms + 4, N).
+
+    Offsets of planes are taken at `centres` (P, 3): amid the laser spots where not given.
+    """
+    x = scene(parameters, readings)
+    linear = linearize(x, readings.measured)
+    if centres is None:
+        centres = readings.plane_means(linear.normal / linear.offset[:, None])
+    v_basis = gathered(tangent_basis(parameters.directions), readings.beam)
+    n_basis = gathered(tangent_basis(parameters.normals), readings.plane)
+    middle = gathered(centres, readings.plane)
+    return tangent_columns(linear, v_basis, n_basis, middle, terms)
+
+
+def moved(
+    parameters: Parameters, beam: FloatArray, plane: FloatArray, centres: FloatArray
+) -> Parameters:
+    """Return parameters moved by beam (B, 5 + terms) and plane (P, 3) steps about `centres` (P, 3)."""
+    values = values_of([parameters])
+    planes = values[PLANE.name]
+    planes[..., CENTRE] = centres
+    planes[0, :, 3] += (parameters.normals * centres).sum(axis=1)
+    full = np.zeros((1, len(beam), BEAM.dim))
+    full[0, :, : beam.shape[1]] = beam
+    return parameters_of(
+        {
+            BEAM.name: BEAM.retract(values[BEAM.name], full),
+            PLANE.name: PLANE.retract(planes, plane[None]),
+        }
+    )[0]
+
+
+def newton_step(
+    parameters: Parameters,
+    readings: Readings,
+    terms: int,
+    whitening: Whitening,
+    prior: RangeErrorPrior | None = None,
+) -> tuple[Parameters, float]:
+    """Return where an undamped step leads, and its length sqrt(-g' delta) [standard deviations].
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    _require_steep(parameters, readings)
+    problem, block = beam_problem([readings], terms, [whitening], prior=prior)
+    values = block.centred(values_of([parameters]))
+    normal = problem.normal(values)
+    step, local = damped_step(normal, np.zeros(1))
+    saved = -float((normal.gradient * step).sum() + (normal.local_gradient * local).sum())
+    there = problem.reduction.moved(values, step, local)
+    return parameters_of(there)[0], float(np.sqrt(max(saved, 0.0))) / whitening.sigma
+
+
+def _require_steep(parameters: Parameters, readings: Readings) -> None:
+    """Refuse a beam that is parallel to its plane."""
+    cosine = cosines(scene(parameters, readings))
+    worst = float(cosine[np.argmin(np.abs(cosine))])
+    if not abs(worst) >= GRAZING_LIMIT:
+        raise GrazingBeamError(worst, GRAZING_LIMIT)
+
+
+def _free(terms: int) -> BoolArray:
+    """Return which tangent coordinates of a beam are unknown with some range-error terms."""
+    return np.arange(BEAM.dim) < BEAM.dim - 2 + terms
+
+
+def _prior(prior: RangeErrorPrior, terms: int, unit: FloatArray) -> VectorPrior:
+    """Return the prior of the range errors, for rows in `unit` (K,)."""
+    used = np.arange(2) < terms
+    root = unit[:, None, None] * np.where(used, 1.0 / prior.sigma, 0.0)
+    mean = np.zeros_like(prior.sigma) if prior.mean is None else prior.mean
+    return VectorPrior(BEAM.name, root, mean)
