@@ -39,7 +39,7 @@ def main() -> None:
         for mode in MODES:
             options = CalibrationOptions("k1k2", poses=mode)
             begin = time.perf_counter()
-            found = settle(readings, start, Noise(*SIGMAS), options).integrated()
+            found = settle(readings, start, Noise(*SIGMAS), options).finished()
             seconds[mode].append(time.perf_counter() - begin)
             assert found.poses == mode, found.poses
     median = {mode: statistics.median(values) for mode, values in seconds.items()}

@@ -57,7 +57,7 @@ def judge_solvable(seed: int) -> Verdict:
     readings = problem.recording.readings()
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
-    best = settle(readings.seen_from(origins), truth, noise, options).integrated().chi2
+    best = settle(readings.seen_from(origins), truth, noise, options).finished().chi2
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
     if found.fit.chi2 > best + SAME_CHI2:

@@ -162,8 +162,8 @@ def solved(scene, ranges, terms="none"):
     """Return the problem at its solution, planes and beams found anew."""
     truth, readings, position = scene.problem(ranges)
     options = CalibrationOptions(range_error=terms, poses="exact", outliers="keep")
-    found = settle(readings, truth, Noise(SIGMA), options).integrated()
-    assert found.result.status == "converged"
+    found = settle(readings, truth, Noise(SIGMA), options).finished()
+    assert found.at.status == "converged"
     return arguments(found.parameters, readings, position, NONE if terms == "none" else FREE)
 
 

@@ -1,10 +1,11 @@
 """The joint covariance of a solution.
 
-Where everything is determined it comes from GTSAM: poses and planes are eliminated from the linear
-graph, and what is left is the information of the beams. Where rank is short, or where GTSAM's Cholesky
-calls a sound system indeterminate (it compares pivots of different units), it comes from the reduced
-information of `observability.rank`, restricted to what is determined: the covariance of
-a determined coordinate does not depend on how the undetermined ones are fixed.
+Where everything is determined and the loss is least squares it comes from GTSAM: poses and planes are
+eliminated from the linear graph, and what is left is the information of the beams. Integration over
+unknown scales of the noise adds to it (`posterior`). Where rank is short or the loss robust, or where
+GTSAM's Cholesky calls a sound system indeterminate (it compares pivots of different units), it comes
+from the reduced information of `observability.rank`, restricted to what is determined: the covariance
+of a determined coordinate does not depend on how the undetermined ones are fixed.
 """
 
 import gtsam
@@ -20,23 +21,21 @@ from ..solvers.graph import CalibrationGraph
 from ..solvers.levenberg import linearize
 
 
-def covariance(
-    problem: CalibrationGraph, values: gtsam.Values, origins: FloatArray | None = None
-) -> JointCovariance:
+def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance:
     """Return the covariance of beams and planes by elimination in GTSAM, in its tangent bases.
+
+    Offsets are in the frames of the readings.
 
     Parameters
     ----------
     problem : CalibrationGraph
     values : gtsam.Values
         The solution.
-    origins : (P, 3), optional
-        Origin of every plane's frame in the world [m]; offsets are then in the world frame.
 
     Raises
     ------
     RuntimeError, numpy.linalg.LinAlgError
-        The system is indeterminate; the variable that GTSAM names is a bystander.
+        The system is indeterminate; the variable that GTSAM names may have nothing to do with it.
     """
     first = gtsam.Ordering([*problem.poses, *problem.planes])
     net, rest = linearize(problem, values).eliminatePartialSequential(first)
@@ -62,8 +61,16 @@ def covariance(
         known_beams,
         np.array([values.atUnit3(beam.direction).basis() for beam in problem.beams]),
         np.array([normal.basis() for normal in planes]),
-        np.zeros((len(planes), 3)) if origins is None else origins,
+        np.zeros((len(planes), 3)),
     )
+
+
+def covariance_by_gtsam(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance | None:
+    """Return `covariance`, or None where GTSAM calls the system indeterminate."""
+    try:
+        return covariance(problem, values)
+    except (RuntimeError, np.linalg.LinAlgError):
+        return None
 
 
 def covariance_of_determined(
@@ -73,8 +80,8 @@ def covariance_of_determined(
 
     Parameters
     ----------
-    found : Observability
-        At `parameters`.
+    observability : Observability
+        At the parameters.
     parameters : Parameters
     sigma : float
         Standard deviation of a whitened residual [m].

@@ -100,7 +100,7 @@ def select(
         if (used == before).all():
             break
         settled = solved(solution.parameters)
-    return Selection(used, ~inside, flat, first.method, first.tried, settled.integrated())
+    return Selection(used, ~inside, flat, first.method, first.tried, settled.finished())
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _tested(
     """Return which allowed readings agree with the solution of the readings `used`."""
     rows: IntArray = np.flatnonzero(allowed)
     part, kept = readings.subset(rows), used[rows]
-    terms = max(solution.problem.terms)
+    terms = solution.terms
     if not solution.observability.full or not enough(part, kept, terms):
         return used
     if solution.variances is None:

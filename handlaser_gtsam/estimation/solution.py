@@ -1,15 +1,90 @@
-"""One joint solution: what was solved, where it ended, and what is determined there."""
+"""One joint solution: where it ended, how readings weigh there, and what is determined."""
 
 from dataclasses import dataclass
 from typing import Literal
 
+import gtsam
+
+from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
-from ..model.losses import GAUSSIAN
+from ..data.readings import Readings
+from ..model.joint import JointCovariance
+from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening
 from ..observability.rank import Observability
-from ..solvers.graph import CalibrationGraph
-from ..solvers.levenberg import LevenbergResult
+from ..solvers.graph import CalibrationGraph, read_parameters
+from ..solvers.levenberg import LevenbergResult, Status
 from .posterior import Posterior, ScaleEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """Where a solver ended.
+
+    Attributes
+    ----------
+    readings : Readings
+        With the regressors of the range errors, every plane in its frame.
+    terms : tuple of int
+        Range-error terms of each beam.
+    loss : Loss
+    sigma : float
+        Standard deviation of a whitened residual [m].
+    parameters : Parameters
+    status, message : str
+    cost : float
+        Half the sum of squares in standard deviations, or its robust loss.
+    iterations : int
+        Accepted steps.
+    first_step : float
+        Length of the first trial step [standard deviations].
+    residual, white : (N,)
+        Plain and whitened [m].
+    graph : CalibrationGraph, optional
+        Where GTSAM solved.
+    values : gtsam.Values, optional
+        Its values.
+    """
+
+    readings: Readings
+    terms: tuple[int, ...]
+    loss: Loss
+    sigma: float
+    parameters: Parameters
+    status: Status
+    message: str
+    cost: float
+    iterations: int
+    first_step: float
+    residual: FloatArray
+    white: FloatArray
+    graph: CalibrationGraph | None = None
+    values: gtsam.Values | None = None
+
+    @classmethod
+    def of_graph(cls, graph: CalibrationGraph, result: LevenbergResult) -> "Minimum":
+        """Return where a solver of the graph ended."""
+        return cls(
+            graph.readings,
+            graph.terms,
+            graph.loss,
+            graph.range_sigma,
+            read_parameters(graph, result.values),
+            result.status,
+            result.message,
+            result.cost,
+            result.iterations,
+            result.history[0].step if result.history else 0.0,
+            result.residual,
+            result.white,
+            graph,
+            result.values,
+        )
+
+    @property
+    def estimates_poses(self) -> bool:
+        """Whether hand poses are variables."""
+        return self.graph is not None and bool(self.graph.poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,9 +93,7 @@ class Solution:
 
     Attributes
     ----------
-    problem : CalibrationGraph
-    result : LevenbergResult
-    parameters : Parameters
+    at : Minimum
         At the most probable scales.
     observability : Observability
     variances : Variances or None
@@ -31,18 +104,31 @@ class Solution:
         Prior of the range errors, at the most probable scales.
     posterior : Posterior or None
         The estimate with the scales integrated over; None where only a common sigma is unknown.
+    scales : tuple of ScaleEstimate
+        Scales of the noise that were estimated, beside a common one of all readings.
+    joint : JointCovariance or None
+        GTSAM's covariance for `at.sigma`, offsets in the frames of the readings; None where GTSAM has
+        not eliminated, because something is undetermined or the loss is robust.
     """
 
-    problem: CalibrationGraph
-    result: LevenbergResult
-    parameters: Parameters
+    at: Minimum
     observability: Observability
     variances: Variances | None = None
     whitening: Whitening | None = None
     prior: RangeErrorPrior | None = None
     posterior: Posterior | None = None
     scales: tuple[ScaleEstimate, ...] = ()
-    """Scales of the noise that were estimated, beside a common one of all readings."""
+    joint: JointCovariance | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Beams and planes at the most probable scales."""
+        return self.at.parameters
+
+    @property
+    def terms(self) -> int:
+        """Most range-error terms of a beam."""
+        return max(self.at.terms)
 
     @property
     def scales_estimated(self) -> bool:
@@ -54,14 +140,14 @@ class Solution:
         """How errors of the hand poses counted."""
         if self.variances is None or self.variances.pose is None:
             return "exact"
-        return "estimated" if self.problem.poses else "marginalised"
+        return "estimated" if self.at.estimates_poses else "marginalised"
 
     @property
     def chi2(self) -> float:
         """Sum of squared residuals in units of the problem's sigma, with the priors of poses and k."""
-        if self.problem.poses and self.problem.loss == GAUSSIAN:
-            return 2.0 * self.result.cost
-        chi2 = float(self.result.white @ self.result.white) / self.problem.range_sigma**2
+        if self.at.estimates_poses and self.at.loss == GAUSSIAN:
+            return 2.0 * self.at.cost
+        chi2 = float(self.at.white @ self.at.white) / self.at.sigma**2
         if self.prior is not None:
             chi2 += self.prior.chi2(self.parameters.range_errors)
         return chi2
@@ -69,13 +155,13 @@ class Solution:
     @property
     def dof(self) -> int:
         """Readings and priors of range errors, less unknowns that are determined."""
-        priors = 0 if self.prior is None else self.prior.rows(max(self.problem.terms))
-        return len(self.result.residual) + priors - self.observability.rank
+        priors = 0 if self.prior is None else self.prior.rows(self.terms)
+        return len(self.at.residual) + priors - self.observability.rank
 
     @property
     def redundancy(self) -> int:
         """How many readings there are beyond all unknowns that are determined."""
-        return len(self.result.residual) - self.observability.rank
+        return len(self.at.residual) - self.observability.rank
 
     @property
     def best(self) -> Parameters:

@@ -36,12 +36,14 @@ SCALES_SETTLED = 0.05
 class Solved:
     """A solution at the most probable scales, which can be integrated over."""
 
+    task: SolutionTask
     solution: Solution
     learning: "_Learning | None" = None
 
-    def integrated(self) -> Solution:
-        """Return the solution with all scales integrated over."""
-        return self.solution if self.learning is None else self.learning.integrated(self.solution)
+    def finished(self) -> Solution:
+        """Return the solution that GTSAM ends with, all scales integrated over."""
+        solution = self.task.finished(self.solution)
+        return solution if self.learning is None else self.learning.integrated(solution)
 
 
 def settle(
@@ -54,7 +56,7 @@ def settle(
 ) -> Solved:
     """Solve jointly, find unknown scales, and diagnose the solution.
 
-    The integration over the scales is left to `Solved.integrated`: it is not needed before the readings
+    The integration over the scales is left to `Solved.finished`: it is not needed before the readings
     are chosen.
 
     Parameters
@@ -71,18 +73,18 @@ def settle(
     task = SolutionTask(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
-    if first.result.status == "interrupted" or unknown or task.is_exact():
-        return Solved(first)
+    if first.at.status == "interrupted" or unknown or task.is_exact():
+        return Solved(task, first)
     scales, base = unknown_scales(readings, noise, options, task.sigma)
     known = start_of(scales, max(task.sigma, LEAST_SIGMA), task.length)
     alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
     if task.learns or (scales.unknown and not alike):
         learning = _Learning(task, scales, base, known)
-        return Solved(learning.solved(first), learning)
+        return Solved(task, learning.solved(first), learning)
     if alike and not unequal(base, task.terms, readings):
-        return Solved(first)
+        return Solved(task, first)
     # A common sigma is found by sigma0 without any effort.
-    return Solved(task.weighted(first, with_scales(scales, base, known)))
+    return Solved(task, task.weighted(first, with_scales(scales, base, known)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +132,10 @@ class _Learning:
             self.used = self.point
             solution = task.reweighted(parameters, self._use(self.used))
             parameters = solution.parameters
-            if solution.result.status == "interrupted":
+            if solution.at.status == "interrupted":
                 return solution
             # Where the solver does not arrive there is no optimum to expand about.
-            if not solution.observability.full or solution.result.status == "max_iterations":
+            if not solution.observability.full or solution.at.status == "max_iterations":
                 break
             self._learn(solution)
             settled = self.point.near(self.used)
@@ -151,10 +153,10 @@ class _Learning:
     def integrated(self, solution: Solution) -> Solution:
         """Integrate over the scales about the most probable ones, if everything is determined."""
         problem, u, gaussian = self.problem, self.point.u, self.task.loss == GAUSSIAN
-        interrupted = solution.result.status == "interrupted"
+        interrupted = solution.at.status == "interrupted"
         if problem is None or interrupted or not (gaussian and solution.observability.full):
             return solution
-        if solution.problem.poses:
+        if solution.at.estimates_poses:
             problem = self._scale_problem(solution)
             u = problem.mode(u)
         integrated = posterior(problem, problem.learned(u), (self.used.u, self.used.k))
@@ -195,7 +197,7 @@ class _Learning:
         task, here = self.task, solution.parameters if parameters is None else parameters
         readings, _ = task.weighed(here, with_scales(self.scales, self.base, self.point.u))
         if task.loss != GAUSSIAN:
-            weight = task.loss.weight(solution.result.white / solution.problem.range_sigma)
+            weight = task.loss.weight(solution.at.white / solution.at.sigma)
             readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
         linearity = task.options.linearity if task.learns else None
         return ScaleProblem(here, readings, task.terms, self.base, self.scales, linearity)

@@ -1,4 +1,4 @@
-"""The steps of one solution: a graph solved with equal or settled weights, and what it determines."""
+"""The steps of one solution: solved with equal or settled weights, judged, and finished by GTSAM."""
 
 from dataclasses import replace
 
@@ -6,26 +6,27 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.noise import LEAST_SIGMA, Noise
-from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
-from ..model.beams_on_planes import parameters_of, values_of
+from ..model.beams_on_planes import parameters_of
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
 from ..model.losses import GAUSSIAN, Loss
-from ..model.search import LevenbergOptions, search
+from ..model.search import LevenbergOptions, Searched, search
 from ..model.weighting import Variances, Whitening, whitening
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
-from ..solvers.beam_problem import beam_problem, newton_step
-from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
-from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
+from ..solvers.beam_problem import beam_problem, newton_step, require_steep
+from ..solvers.graph import build_graph
+from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
 from ..text import count
+from .covariance import covariance_by_gtsam
 from .options import CalibrationOptions
-from .solution import Solution
+from .solution import Minimum, Solution
 
 WEIGHTS_SETTLED = 1e-5
 """New weights that move the solution by fewer standard deviations than this change nothing."""
@@ -38,7 +39,7 @@ COARSE_TOLERANCE = 1e-2
 
 
 class SolutionTask:
-    """The arguments of one solution."""
+    """Solves a choice of readings, and remembers what was found of their rank and sigma."""
 
     def __init__(
         self,
@@ -71,13 +72,13 @@ class SolutionTask:
         known = self.noise.range_sigma
         weight = known or (self.scale or 0.0) or UNIT_SIGMA
         for _ in range(MOST_ROUNDS):
-            problem, result = self.minimized(start, weight, coarse=self.learns)
-            self.sigma = self._estimated_sigma(problem, result.residual)
+            ended = self.minimized(self.readings, start, weight, coarse=self.learns)
+            self.sigma = self._estimated_sigma(ended)
             settled = self.prior is None or self.sigma > 0.5 * weight or self.redundancy <= 0
             if known or settled or self.loss != GAUSSIAN or self.sigma < LEAST_SIGMA:
                 break
-            weight, start = self.sigma, read_parameters(problem, result.values)
-        return self.diagnosed(problem, result, known or self.sigma)
+            weight, start = self.sigma, ended.parameters
+        return self.diagnosed(ended, known or self.sigma)
 
     @property
     def redundancy(self) -> int:
@@ -101,7 +102,7 @@ class SolutionTask:
             done = solution.whitening is not None and not solution.observability.full
             solution = self.reweighted(parameters, variances)
             parameters = solution.parameters
-            if done or solution.result.status == "interrupted":
+            if done or solution.at.status == "interrupted":
                 break
             if self.away(solution, variances) < WEIGHTS_SETTLED:
                 break
@@ -112,7 +113,7 @@ class SolutionTask:
         return weighed(self.readings, parameters, variances, self.terms)
 
     def step(self, parameters: Parameters, variances: Variances) -> tuple[Parameters, float]:
-        """Return where a linear step with the weights at `at` leads, and its length [sigmas]."""
+        """Return where a linear step with the weights at parameters leads, and its length [sigmas]."""
         readings, how = self.weighed(parameters, variances)
         return newton_step(parameters, readings, self.terms, how, self.prior)
 
@@ -129,7 +130,7 @@ class SolutionTask:
             return None
         if not there.finite():
             return None
-        e, before = residuals_or_infinite(there, self.readings), first.result.residual
+        e, before = residuals_or_infinite(there, self.readings), first.at.residual
         return (there, away) if float(e @ e) <= MOST_INCREASE * float(before @ before) else None
 
     def away(self, solution: Solution, variances: Variances) -> float:
@@ -139,85 +140,123 @@ class SolutionTask:
         """
         if self.loss == GAUSSIAN and solution.observability.full:
             return self.step(solution.parameters, variances)[1]
-        return solution.result.history[0].step if solution.result.history else 0.0
+        return solution.at.first_step
 
     def reweighted(self, parameters: Parameters, variances: Variances) -> Solution:
-        """Solve with the weights at `at`."""
+        """Solve with the weights at some parameters."""
         readings, how = self.weighed(parameters, variances)
-        problem, result = self.minimized(parameters, how, readings=readings)
-        return self.diagnosed(problem, result, how.sigma, how)
+        ended = self.minimized(readings, parameters, how)
+        return self.diagnosed(ended, how.sigma, how)
 
     def with_poses(self, solution: Solution, variances: Variances) -> Solution:
         """Solve once more with a variable for every hand pose, where these are asked for."""
         wanted = self.options.poses == "estimated" and variances.pose is not None
-        if not wanted or variances.pose is None or solution.result.status == "interrupted":
+        if not wanted or variances.pose is None or solution.at.status == "interrupted":
             return solution
         parameters = solution.parameters
         readings, _ = self.weighed(parameters, variances)
         how = whitening(parameters, readings, variances.without_poses())
         priors = pose_priors(readings, variances.pose)
-        problem, result = self.minimized(parameters, how, priors, readings=readings)
-        marginal = whitening(read_parameters(problem, result.values), readings, variances)
-        diagnosed = self.diagnosed(problem, result, marginal.sigma, marginal)
+        ended = self._by_gtsam(readings, parameters, how, self._solver(parameters), priors)
+        marginal = whitening(ended.parameters, readings, variances)
+        diagnosed = self.diagnosed(ended, marginal.sigma, marginal)
         return replace(diagnosed, variances=variances)
 
     def minimized(
         self,
+        readings: Readings,
         start: Parameters,
         noise: float | Whitening,
-        priors: PosePriors | None = None,
         *,
         coarse: bool = False,
-        readings: Readings | None = None,
-    ) -> tuple[CalibrationGraph, LevenbergResult]:
-        """Solve the graph; damped throughout where the readings leave something undetermined.
+    ) -> Minimum:
+        """Minimise on the reduction; by GTSAM where a robust loss weighs correlated readings.
 
-        What they determine at one start they do at the next: the rank is computed until it is full.
+        Raises
+        ------
+        GrazingBeamError
+            A beam grazes its plane at the start.
         """
-        solver = self.options.solver
-        readings = self.readings if readings is None else readings
-        if not self.determined:
-            before = self.observed(start, 0.0)
-            self.rank, self.determined = before.rank, before.full
-        if not self.determined:
-            solver = replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
-        elif coarse:
+        solver = self._solver(start)
+        if coarse and self.determined:
             solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE_TOLERANCE))
-        steps: list[Trial] = []
-        coupled, interrupted = isinstance(noise, Whitening) and noise.is_coupled, False
-        if priors is None and not (coupled and self.loss != GAUSSIAN):
-            start, interrupted = self._searched(readings, start, noise, solver, steps)
-        problem = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
-        if interrupted:
-            words = f"stopped by Ctrl-C after {count(len(steps), 'step')}"
-            return problem, replace(evaluated(problem, words), status="interrupted")
-        return problem, levenberg_marquardt(problem, solver, tell_trial, steps)
+        if isinstance(noise, Whitening) and noise.is_coupled and self.loss != GAUSSIAN:
+            return self._by_gtsam(readings, start, noise, solver)
+        used = np.arange(2) < self.terms
+        start = replace(start, range_errors=start.range_errors * used)
+        require_steep(start, readings)
+        how = noise if isinstance(noise, float) else [noise]
+        problem, block = beam_problem([readings], self.terms, how, prior=self.prior, loss=self.loss)
+        trials: list[Trial] = []
 
-    def _searched(
+        def told(trial: Trial) -> None:
+            trials.append(trial)
+            tell_trial(trial)
+
+        ended = search(problem, block.begun([start]), solver, told)
+        parameters, steps = parameters_of(ended.values)[0], int(ended.iterations[0])
+        e = residuals(scene(parameters, readings), readings.measured)
+        return Minimum(
+            readings,
+            per_beam(self.terms, readings.beams),
+            self.loss,
+            noise if isinstance(noise, float) else noise.sigma,
+            parameters,
+            *_ending(ended, steps, len(trials) >= solver.max_iterations),
+            float(ended.cost[0]),
+            steps,
+            trials[0].step if trials else 0.0,
+            e,
+            e if isinstance(noise, float) else noise.apply(e),
+        )
+
+    def finished(self, solution: Solution) -> Solution:
+        """Return the solution that GTSAM ends with, and its covariance, where all is determined.
+
+        Levenberg-Marquardt on the factor graph begins where the reduction ended.
+        """
+        at = solution.at
+        if at.status != "converged" or not solution.observability.full:
+            return solution
+        if not at.estimates_poses:
+            noise = at.sigma if solution.whitening is None else solution.whitening
+            last = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
+            steps = at.iterations + last.iterations
+            if last.status == "interrupted":
+                return replace(solution, at=replace(last, iterations=steps))
+            if last.status == "converged":
+                words = f"converged after {count(steps, 'step')}"
+                at = replace(last, message=words, iterations=steps, first_step=at.first_step)
+        solution = replace(solution, at=at)
+        if at.loss != GAUSSIAN or at.graph is None or at.values is None:
+            return solution
+        return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
+
+    def _by_gtsam(
         self,
         readings: Readings,
         start: Parameters,
         noise: float | Whitening,
         solver: LevenbergOptions,
-        history: list[Trial],
-    ) -> tuple[Parameters, bool]:
-        """Return where a search on the reduction ends, and whether Ctrl-C ended it.
+        priors: PosePriors | None = None,
+    ) -> Minimum:
+        """Minimise the factor graph, hand poses being variables where they have priors."""
+        graph = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
+        return Minimum.of_graph(graph, levenberg_marquardt(graph, solver, tell_trial))
 
-        Its trial steps go into `history`.
+    def _solver(self, start: Parameters) -> LevenbergOptions:
+        """Return the solver's options: damped throughout where something is undetermined.
+
+        A recording that determines everything at one start does so at the next, so that the rank is
+        computed until it is full.
         """
-
-        def told(trial: Trial) -> None:
-            history.append(trial)
-            tell_trial(trial)
-
-        how = noise if isinstance(noise, float) else [noise]
-        problem, block = beam_problem([readings], self.terms, how, prior=self.prior, loss=self.loss)
-        used = np.arange(2) < self.terms
-        begun = replace(start, range_errors=start.range_errors * used)
-        ended = search(problem, block.centred(values_of([begun])), solver, told)
-        if not np.isfinite(ended.cost[0]):
-            return start, False
-        return parameters_of(ended.values)[0], ended.interrupted
+        solver = self.options.solver
+        if not self.determined:
+            before = self.observed(start, 0.0)
+            self.rank, self.determined = before.rank, before.full
+        if self.determined:
+            return solver
+        return replace(solver, least_damping=max(solver.least_damping, solver.first_damping))
 
     def observed(
         self,
@@ -226,39 +265,45 @@ class SolutionTask:
         how: Whitening | None = None,
         readings: Readings | None = None,
     ) -> Observability:
-        """Return what the readings determine at `at`, if they err by sigma [m]."""
+        """Return what the readings determine at some parameters, if they err by sigma [m]."""
         options, readings = self.options.observability, readings or self.readings
         return observability(parameters, readings, self.terms, sigma, options, how, self.prior)
 
-    def diagnosed(
-        self,
-        problem: CalibrationGraph,
-        result: LevenbergResult,
-        sigma: float,
-        how: Whitening | None = None,
-    ) -> Solution:
-        """Diagnose a result; of solutions of short rank, take the one that leaves most undetermined."""
-        parameters = read_parameters(problem, result.values)
-        observability = self.observed(parameters, sigma, how, problem.readings)
-        solution = Solution(problem, result, parameters, observability, None, how, self.prior)
+    def diagnosed(self, ended: Minimum, sigma: float, how: Whitening | None = None) -> Solution:
+        """Diagnose a minimum; of minima of short rank, take the one that leaves most undetermined."""
+        observability = self.observed(ended.parameters, sigma, how, ended.readings)
+        solution = Solution(ended, observability, None, how, self.prior)
         return solution if observability.full else self._least_observed(solution, sigma)
 
     def _least_observed(self, solution: Solution, sigma: float) -> Solution:
         readings, options = self.readings, self.options.observability
-        observability, weight = solution.observability, solution.problem.range_sigma
+        observability, unit = solution.observability, solution.at.sigma
         parameters, least = least_observed(
             observability, solution.parameters, readings, self.terms, sigma, options, self.prior
         )
         if least.rank >= observability.rank:
             return solution
-        problem = build_graph(readings, parameters, self.terms, weight, self.loss, None, self.prior)
         e = residuals(scene(parameters, readings), readings.distance)
-        cost = float(self.loss.cost(e / weight).sum())
-        result = replace(solution.result, values=problem.values, residual=e, white=e, cost=cost)
-        return Solution(problem, result, parameters, least, None, None, self.prior)
+        cost = float(self.loss.cost(e / unit).sum())
+        at = replace(
+            solution.at, readings=readings, parameters=parameters, residual=e, white=e, cost=cost
+        )
+        return Solution(at, least, None, None, self.prior)
 
-    def _estimated_sigma(self, problem: CalibrationGraph, residual: FloatArray) -> float:
+    def _estimated_sigma(self, ended: Minimum) -> float:
         """Return the standard deviation of a reading [m] that the residuals show."""
-        if problem.loss != GAUSSIAN:
-            return problem.range_sigma
-        return float(np.sqrt(residual @ residual / max(self.redundancy, 1)))
+        if ended.loss != GAUSSIAN:
+            return ended.sigma
+        return float(np.sqrt(ended.residual @ ended.residual / max(self.redundancy, 1)))
+
+
+def _ending(ended: Searched, steps: int, exhausted: bool) -> tuple[Status, str]:
+    """Return how the search of one problem ended, and the same in words."""
+    after = f"after {count(steps, 'step')}"
+    if ended.interrupted:
+        return "interrupted", f"stopped by Ctrl-C {after}"
+    if ended.converged[0]:
+        return "converged", f"converged {after}"
+    if exhausted:
+        return "max_iterations", f"not converged {after}"
+    return "stalled", f"no step lowers the cost {after}"

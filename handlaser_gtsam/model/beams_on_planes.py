@@ -62,6 +62,7 @@ class BeamsOnPlanes:
         sizes = np.bincount(planes, minlength=self.planes)
         self.slots_of_chunk = int(min(sizes.max(), CHUNK_SLOTS))
         chunks = np.maximum(-(-sizes // self.slots_of_chunk), 1)
+        self._stations = np.maximum(sizes, 1)
         self.first: IntArray = (np.cumsum(chunks) - chunks) * self.slots_of_chunk
         self.plane: IntArray = np.repeat(np.arange(self.planes), chunks * self.slots_of_chunk)
         self.cells = len(self.plane)
@@ -84,6 +85,13 @@ class BeamsOnPlanes:
             self.poses[k, :, :3, place] = problem.world_R_hand[rows]
             self.poses[k, :, 3, place] = problem.world_t_hand[rows]
         self.weights = Weights() if whitenings is None else self._weights(whitenings)
+        by_chunk = self.plane[:: self.slots_of_chunk]
+        beam = np.repeat(np.arange(self.beams), len(by_chunk))
+        plane = np.tile(by_chunk, self.beams)
+        self._slots = (
+            Slot(BEAM.name, beam, slice(0, BEAM.dim)),
+            Slot(PLANE.name, plane, slice(BEAM.dim, BEAM.dim + PLANE.dim)),
+        )
 
     @property
     def size(self) -> int:
@@ -97,11 +105,7 @@ class BeamsOnPlanes:
 
     def slots(self) -> tuple[Slot, ...]:
         """Return beam and plane of every group."""
-        planes = self.plane[:: self.slots_of_chunk]
-        return (
-            Slot(BEAM.name, np.repeat(np.arange(self.beams), len(planes)), slice(0, BEAM.dim)),
-            Slot(PLANE.name, np.tile(planes, self.beams), slice(BEAM.dim, BEAM.dim + PLANE.dim)),
-        )
+        return self._slots
 
     def picked(self, problems: IntArray) -> "BeamsOnPlanes":
         """Return the readings of some of the problems."""
@@ -151,6 +155,17 @@ class BeamsOnPlanes:
         shape = K, -1, self.slots_of_chunk
         impossible = None if grazing is None else grazing.reshape(shape)
         return Rows(columns.reshape(len(columns), *shape), impossible)
+
+    def begun(self, problems: Sequence[Parameters]) -> Values:
+        """Return parameters of K problems as values, planes about their points nearest to the hands."""
+        values = values_of(problems)
+        planes = values[PLANE.name]
+        hands = np.add.reduceat(self.poses[:, :, 3], self.first, axis=2) / self._stations
+        planes[..., CENTRE] = hands.transpose(0, 2, 1)
+        planes[..., HEIGHT] += np.einsum("kpi,kpi->kp", planes[..., NORMAL], planes[..., CENTRE])
+        planes[..., CENTRE] -= planes[..., [HEIGHT]] * planes[..., NORMAL]
+        planes[..., HEIGHT] = 0.0
+        return values
 
     def centred(self, values: Values) -> Values:
         """Return the same planes about centres amid their laser spots, where offsets are well known."""

@@ -6,6 +6,10 @@ from ..arrays import FloatArray, IntArray
 
 ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""
+AXES = np.eye(3)
+"""The coordinate axes."""
+CROSS_WITH_AXIS = np.cross(AXES[None, :, None], AXES[:, None, None])[:, :, 0].swapaxes(1, 2)
+"""Matrices (3, 3, 3) that take a vector to its cross product with each axis."""
 
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
@@ -14,23 +18,12 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     It is that of `gtsam.Unit3`: its first vector is at right angles to the axis that is farthest from
     the unit vector. A test compares the two.
     """
-    size = np.abs(unit)
-    axis = np.where(
-        (size[:, 0] <= size[:, 1]) & (size[:, 0] <= size[:, 2]),
-        0,
-        np.where((size[:, 1] <= size[:, 0]) & (size[:, 1] <= size[:, 2]), 1, 2),
-    )
-    x, y, z = unit.T
-    first = np.zeros((3, 3, len(unit)))  # for each axis, the cross product of the vector with it
-    first[0, 1], first[0, 2] = z, -y
-    first[1, 0], first[1, 2] = -z, x
-    first[2, 0], first[2, 1] = y, -x
-    a, b, c = first[axis, :, np.arange(len(unit))].T
-    length = np.sqrt(a * a + b * b + c * c)
-    a, b, c = a / length, b / length, c / length
+    axis = np.abs(unit).argmin(axis=1)
+    along = unit[np.arange(len(unit)), axis, None]
+    scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
-    basis[:, 0, 0], basis[:, 1, 0], basis[:, 2, 0] = a, b, c
-    basis[:, 0, 1], basis[:, 1, 1], basis[:, 2, 1] = y * c - z * b, z * a - x * c, x * b - y * a
+    basis[..., 0] = (CROSS_WITH_AXIS[axis] @ unit[..., None])[..., 0] * scale
+    basis[..., 1] = (unit * along - AXES[axis]) * scale  # the vector times the first tangent
     return basis
 
 

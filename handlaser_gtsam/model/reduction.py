@@ -221,6 +221,21 @@ class Structure:
         self.width = len(free[local])
         self.plans = [plan for i, block in enumerate(blocks) for plan in self._plans(i, block)]
 
+    def gathered(self, name: str, step: FloatArray, local_step: FloatArray) -> FloatArray:
+        """Return the steps (K, members, unknown coordinates) of a family, from those of all."""
+        place, number, width = self.place[name], self.number[name], len(self.free[name])
+        stays = place >= 0
+        shape = len(step), -1, width
+        if stays.all():
+            first = int(place[0])
+            return step[:, first : first + len(place) * width].reshape(shape)
+        if not stays.any():
+            return local_step
+        delta = np.empty((len(step), len(place), width))
+        delta[:, stays] = step[:, place[stays][:, None] + np.arange(width)]
+        delta[:, ~stays] = local_step[:, number[~stays]]
+        return delta
+
     def _plans(self, index: int, block: Block) -> list[_GroupPlan]:
         """Return the plans of the groups whose local member is eliminated, and of all others."""
         slots = [slot for slot in block.slots() if slot.family in self.free]
@@ -357,17 +372,12 @@ class Reduction:
         """Return values moved by the steps."""
         of, new = self.structure, dict(values)
         for name, columns in of.free.items():
-            family, count = FAMILIES[name], of.counts[name]
-            place, number = of.place[name], of.number[name]
-            delta = np.zeros((len(step), count, family.dim))
-            stays = np.flatnonzero(place >= 0)
-            if stays.size:
-                each = place[stays][:, None] + np.arange(len(columns))
-                delta[:, stays[:, None], columns] = step[:, each]
-            apart = np.flatnonzero(number >= 0)
-            if apart.size:
-                delta[:, apart[:, None], columns] = local_step[:, number[apart]]
-            new[name] = family.retract(values[name], delta)
+            delta = of.gathered(name, step, local_step)
+            if len(columns) < FAMILIES[name].dim:
+                whole = np.zeros((*delta.shape[:2], FAMILIES[name].dim))
+                whole[..., columns] = delta
+                delta = whole
+            new[name] = FAMILIES[name].retract(values[name], delta)
         return new
 
 

@@ -272,8 +272,8 @@ class _Search:
         self.index: IntArray = np.arange(K)
         self.damping = np.full(K, options.least_damping)
         self.before, self.damped = np.full(K, np.inf), np.full(K, np.nan)
-        self.iterations, self.trials = np.zeros((2, K), dtype=np.intp)
-        self.level = np.zeros(K, dtype=np.intp)
+        self.trials = 0
+        self.iterations, self.level = np.zeros((2, K), dtype=np.intp)
         self.ended: list[tuple[IntArray, Searched]] = []
 
     def run(self) -> Searched:
@@ -281,17 +281,15 @@ class _Search:
         impossible = ~np.isfinite(self.at.cost)
         self._leave(impossible, impossible)
         try:
-            while self.index.size:
-                over = self.trials >= self.options.max_iterations
-                self._leave(over, over)
-                if self.index.size:
-                    self._advance()
+            while self.index.size and self.trials < self.options.max_iterations:
+                self.trials += 1
+                self._advance()
         except KeyboardInterrupt:
             if self.progress is None:
                 raise
-            every = np.ones(len(self.index), dtype=bool)
-            self._leave(every, every)
+            self._leave_all()
             return replace(_in_order(self.ended), interrupted=True)
+        self._leave_all()
         return _in_order(self.ended)
 
     def _evaluated(self, values: Values, scale: FloatArray | None) -> _Point:
@@ -338,10 +336,10 @@ class _Search:
         saved += np.einsum("kmi,kmi->k", normal.local_gradient, local)
         decrement = saved / -(self.problem.unit**2)
         values = self.problem.reduction.moved(self.at.values, step, local)
-        self.trials += 1
         arrived = self._little_left(decrement)
+        resolution = self._resolution()
         # A step too short to show in the cost is the last, and is not evaluated again.
-        last = arrived & (decrement >= 0.0) & (decrement <= self._resolution())
+        last = arrived & (decrement >= 0.0) & (decrement <= resolution)
         if last.any():
             self.at.values = _chosen(last, values, self.at.values)
             self.at.cost = np.where(
@@ -354,10 +352,13 @@ class _Search:
                 return
             values = {name: x[rest] for name, x in values.items()}
             decrement, arrived = decrement[rest], arrived[rest]
+            resolution = resolution[rest]
         trial = self._evaluated(values, self.at.scale)
+        if self._goes_well(trial, decrement, arrived):
+            return
         gain = self._gain(decrement, trial.cost)
         better = gain > 0.0
-        level = np.abs(decrement) <= self._resolution()
+        level = np.abs(decrement) <= resolution
         self.level = np.where(level & better, self.level + 1, 0)
         self.iterations += better
         self._tell(decrement, trial.cost, better)
@@ -366,10 +367,24 @@ class _Search:
         self._adapt_damping(gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
 
+    def _goes_well(self, trial: _Point, decrement: FloatArray, arrived: BoolArray) -> bool:
+        """Take an undamped step of all problems if it does well for each, as most steps do."""
+        if self.problem.robust is not None or arrived.any() or self.damping.any():
+            return False
+        if not (self.at.cost - trial.cost >= 0.5 * POOR_GAIN * decrement).all():
+            return False
+        if not (decrement > 0.0).all():
+            return False
+        self._tell(decrement, trial.cost, np.ones(len(decrement), dtype=bool))
+        self.iterations += 1
+        self.level[:] = 0
+        self.at = trial
+        return True
+
     def _tell(self, decrement: FloatArray, cost: FloatArray, accepted: BoolArray) -> None:
         if self.progress is not None:
             length = float(np.sqrt(decrement[0])) if decrement[0] >= 0.0 else np.inf
-            damping, number = float(self.damping[0]), int(self.trials[0])
+            damping, number = float(self.damping[0]), self.trials
             self.progress(Trial(number, float(cost[0]), damping, length, bool(accepted[0])))
 
     def _accept(self, better: BoolArray, trial: _Point) -> None:
@@ -427,6 +442,12 @@ class _Search:
             gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, self.damping)
         )
 
+    def _leave_all(self) -> None:
+        """Let the problems end that are still on their way."""
+        if self.index.size:
+            every = np.ones(len(self.index), dtype=bool)
+            self._leave(every, every)
+
     def _leave(self, which: BoolArray, failed: BoolArray) -> IntArray:
         """Let problems end; return those that go on."""
         rest = np.flatnonzero(~which)
@@ -443,7 +464,7 @@ class _Search:
         self.ended.append((self.index[gone], ended))
         if rest.size:
             self.at, self.problem = at.picked(rest), self.problem.picked(rest)
-        counted = ("index", "iterations", "trials", "level", "tightening")
+        counted = ("index", "iterations", "level", "tightening")
         for name in (*counted, "damping", "before", "damped"):
             setattr(self, name, getattr(self, name)[rest])
         return rest

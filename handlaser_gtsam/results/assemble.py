@@ -81,7 +81,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together = INDEPENDENT
-    if status == "converged" and solution.problem.loss == GAUSSIAN:
+    if status == "converged" and solution.at.loss == GAUSSIAN:
         systematic, together = _tested(problem, used, solution, fit)
     joint, growth = None, None
     if status == "converged" or _is_settled(solution, status, fit):
@@ -107,8 +107,8 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         fit,
         determined,
         StartReport(selection.method, selection.tried),
-        solution.result.iterations,
-        solution.result.status == "interrupted",
+        solution.at.iterations,
+        solution.at.status == "interrupted",
         covariance=whole,
         correlations=() if whole is None else strong_correlations(whole),
         systematic=systematic,
@@ -143,7 +143,7 @@ def _estimates(
         recording.beam_names,
         recording.plane_names,
         problem.in_world(solution.best),
-        tuple(solution.problem.terms[i] for i in beams),
+        tuple(solution.at.terms[i] for i in beams),
         joint,
         (open_beams[beams] > NEGLIGIBLE, open_planes[planes] > NEGLIGIBLE),
     )
@@ -151,7 +151,7 @@ def _estimates(
 
 def _is_settled(solution: Solution, status: Status, fit: Fit) -> bool:
     """Tell whether standard deviations mean something although not everything is determined."""
-    settled = solution.result.status == "converged" and fit.range_sigma > 0.0
+    settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     return status == "unobservable" and settled and not solution.observability.full
 
 
@@ -162,13 +162,13 @@ def _tested(
     tell("tests")
     how, at, names = solution.whitening, solution.parameters, problem.names
     if how is None:
-        equal = Variances(np.full(used.beams, solution.problem.range_sigma))
+        equal = Variances(np.full(used.beams, solution.at.sigma))
         how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
-    prior = np.where(np.arange(2) < max(solution.problem.terms), np.inf, 0.0)
+    prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
     rows = linear_rows(
         at,
-        solution.problem.readings,
+        solution.at.readings,
         how,
         prior,
         problem.order.stations[used.station],
@@ -249,7 +249,7 @@ def _way(
         rejected = np.array(
             [[(s, b) in out for b in recording.beam_names] for s in recording.station_names]
         )
-    terms = max(solution.problem.terms)
+    terms = solution.terms
     words = better_way(recording, terms, rejected)
     if not words and wrong is not None and rejected is not None:
         words = better_way(recording, terms)
@@ -308,7 +308,7 @@ def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
 
 def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
     """Tell whether the mirror image of the solution fits as well."""
-    squares = float(solution.result.residual @ solution.result.residual)
+    squares = float(solution.at.residual @ solution.at.residual)
     sigma = fit.range_sigma if solution.whitening is None else solution.whitening.sigma
     return mirror_image_fits(solution.parameters, readings, squares, sigma)
 
@@ -317,7 +317,7 @@ def _status_of(
     solution: Solution, determined: Determined, wrong: CalibrationWarning | None
 ) -> tuple[Status, str]:
     """Return the status, and what to do in words; `wrong` says that the readings do not fit at all."""
-    ended = solution.result.status
+    ended = solution.at.status
     if wrong is not None and ended != "interrupted":
         return "not_converged", wrong.message
     if ended != "interrupted" and determined.undetermined:
@@ -325,4 +325,4 @@ def _status_of(
             f"the recording does not determine {'; '.join(determined.undetermined)}. "
             f"To determine it: {'; '.join(determined.advice)}"
         )
-    return "converged" if ended == "converged" else "not_converged", solution.result.message
+    return "converged" if ended == "converged" else "not_converged", solution.at.message

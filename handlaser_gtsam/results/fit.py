@@ -70,8 +70,8 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
     """Return the fit, and the reasons for what was rejected, in the order of the recording."""
     solution, recording, order = selection.solution, problem.recording, problem.order
     used = problem.chosen(selection.used)
-    e = solution.result.residual
-    if solution.posterior is not None and not solution.problem.poses:
+    e = solution.at.residual
+    if solution.posterior is not None and not solution.at.estimates_poses:
         e = residuals(scene(solution.best, used), used.distance)
     given = problem.noise.range_sigma is not None
     chi2, sigma = _size(solution, given=given)
@@ -79,7 +79,7 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
     standardized = np.zeros(len(e))  # of an exact fit
     if solution.variances is not None:
         variances = solution.variances
-        if solution.problem.poses:  # what is left once the poses have moved
+        if solution.at.estimates_poses:  # what is left once the poses have moved
             variances = variances.without_poses()
         standardized = e / reading_sigmas(at, used, variances)
     elif sigma > 0.0:
@@ -95,7 +95,7 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
         range_sigma=sigma,
         given=given,
         poses=solution.poses,
-        loss=solution.problem.loss.name,
+        loss=solution.at.loss.name,
     )
     in_world = solution.best.seen_from(-problem.origins)
     fitted = max(sigma, float(np.sqrt(float(e @ e) / max(fit.dof, 1))))
@@ -110,7 +110,7 @@ def _sigma0(chi2: float, dof: int) -> float:
 
 def _size(solution: Solution, *, given: bool) -> tuple[float, float]:
     """Return chi2 and the range sigma [m] behind the covariances; see `Fit`."""
-    unit, known = solution.problem.range_sigma, given or solution.scales_estimated
+    unit, known = solution.at.sigma, given or solution.scales_estimated
     chi2 = solution.chi2 if known else solution.chi2 * unit**2
     typical = 1.0
     if solution.variances is not None:
@@ -121,7 +121,7 @@ def _size(solution: Solution, *, given: bool) -> tuple[float, float]:
 
 def robust_sigma(solution: Solution) -> float | None:
     """Return the scale of a robust loss [m]: outliers would spoil the rms."""
-    return None if solution.problem.loss == GAUSSIAN else solution.problem.range_sigma
+    return None if solution.at.loss == GAUSSIAN else solution.at.sigma
 
 
 def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rejected, ...]:

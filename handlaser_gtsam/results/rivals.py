@@ -71,14 +71,14 @@ def rival_warnings(
 ) -> Iterator[CalibrationWarning]:
     """Yield a warning of every mount that is nearly as probable, and not within what is stated."""
     known = joint is not None and solution.observability.full and solution.redundancy > 0
-    if joint is None or not known or solution.problem.loss != GAUSSIAN:
+    if joint is None or not known or solution.at.loss != GAUSSIAN:
         return
     e = residuals(scene(solution.parameters, used), used.distance)
     size = float(np.sqrt(e @ e / solution.redundancy))
     if size <= EXACT * used.largest_range():
         return
     sigma, listed = direction_sigmas(joint), {i: name for name, i in names.beams}
-    for one in rivals(solution.parameters, used, max(solution.problem.terms), size):
+    for one in rivals(solution.parameters, used, solution.terms, size):
         if one.worse > NEARLY_AS_WELL or one.turn < FAR_SIGMAS * sigma[one.beam]:
             continue
         turn = float(np.degrees(one.turn))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.parameters import RangeErrorPrior
-from ..estimation.covariance import covariance, covariance_of_determined
+from ..estimation.covariance import covariance_of_determined
 from ..estimation.posterior import Posterior, ScaleEstimate
 from ..estimation.scales import RANGE
 from ..estimation.solution import Solution
@@ -27,26 +27,20 @@ def joint_covariance(problem: Problem, solution: Solution, fit: Fit) -> JointCov
 
 
 def _covariance(solution: Solution, fit: Fit, origins: FloatArray) -> JointCovariance:
-    graph, loss = solution.problem, solution.problem.loss
+    at = solution.at
     if solution.posterior is not None and solution.observability.full:
         joint = solution.posterior.joint
         return replace(joint, origins=joint.origins + origins)
     known = fit.range_sigma_given or solution.scales_estimated
-    sigma = graph.range_sigma if known else robust_sigma(solution) or fit.sigma0
-    if loss != GAUSSIAN:
-        standardized = solution.result.white / graph.range_sigma
-        sigma *= np.sqrt(loss.variance_factor(standardized, solution.observability.rank))
-    # Weights settle on the readings alone: their information stands in the diagnosis already.
-    settled = solution.whitening is not None and not graph.poses
-    if loss == GAUSSIAN and solution.observability.full and not settled:
-        try:
-            found = covariance(graph, solution.result.values, origins)
-        except (RuntimeError, np.linalg.LinAlgError):
-            pass
-        else:
-            return found.scaled((sigma / graph.range_sigma) ** 2)
+    sigma = at.sigma if known else robust_sigma(solution) or fit.sigma0
+    if solution.joint is not None:
+        joint = solution.joint.scaled((sigma / at.sigma) ** 2)
+        return replace(joint, origins=joint.origins + origins)
+    if at.loss != GAUSSIAN:
+        standardized = at.white / at.sigma
+        sigma *= np.sqrt(at.loss.variance_factor(standardized, solution.observability.rank))
     if solution.whitening is not None:  # the diagnosis eliminates poses beforehand
-        sigma *= solution.whitening.sigma / graph.range_sigma
+        sigma *= solution.whitening.sigma / at.sigma
     return covariance_of_determined(solution.observability, solution.parameters, sigma, origins)
 
 
@@ -98,9 +92,9 @@ def _prior(problem: Problem, solution: Solution) -> RangeErrorPrior | None:
 
 def _cost(solution: Solution, fit: Fit) -> float:
     """Return the cost in units of the range sigma behind the covariances; see `Calibration.cost`."""
-    cost, sigma = solution.result.cost, fit.sigma0
+    cost, sigma = solution.at.cost, fit.sigma0
     known = fit.range_sigma_given or solution.scales_estimated or robust_sigma(solution)
-    return cost if known or not sigma else cost * (solution.problem.range_sigma / sigma) ** 2
+    return cost if known or not sigma else cost * (solution.at.sigma / sigma) ** 2
 
 
 def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:

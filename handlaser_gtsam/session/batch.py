@@ -8,11 +8,11 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
-from ..estimation.covariance import covariance
+from ..estimation.covariance import covariance, covariance_by_gtsam
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
 from ..estimation.selection import Selection
-from ..estimation.solution import Solution
+from ..estimation.solution import Minimum, Solution
 from ..estimation.task import WEIGHTS_SETTLED
 from ..model.errors_in_variables import weighed
 from ..model.sensor import FLAT, OUTSIDE
@@ -163,9 +163,8 @@ class BatchProblem:
         """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
         problem, marginal = self.problem(self.parameters, self.poses)
         result = evaluated(problem, METHOD)
-        solution = Solution(
-            problem, result, self.parameters, self._observability(problem, marginal)
-        )
+        ended = replace(Minimum.of_graph(problem, result), parameters=self.parameters)
+        solution = Solution(ended, self._observability(problem, marginal))
         white = float(result.white @ result.white) / problem.range_sigma**2
         return self.config.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
 
@@ -186,9 +185,9 @@ class BatchProblem:
         differ = unequal(variances, max(self.config.terms), graph.readings)
         observability, learned = self._observability(graph, marginal), self.config.learned
         weighted_by, how = (variances, marginal) if differ else (None, None)
-        solution = Solution(
-            graph, result, self.parameters, observability, weighted_by, how, self.config.prior
-        )
+        ended = replace(Minimum.of_graph(graph, result), parameters=self.parameters)
+        joint = covariance_by_gtsam(graph, result.values) if observability.full else None
+        solution = Solution(ended, observability, weighted_by, how, self.config.prior, joint=joint)
         if learned is not None:
             whole = posterior(self.scale_problem(self.parameters), learned)
             solution = replace(solution, posterior=whole, scales=whole.scales)

@@ -111,7 +111,7 @@ def linearized(
     """
     block = BeamsOnPlanes([readings], None if whitening is None else [whitening])
     values = block.centred(values_of([parameters]))
-    _require_steep(parameters, readings)
+    require_steep(parameters, readings)
     unknown: dict[str, BoolArray | bool] = {BEAM.name: _free(terms), PLANE.name: True}
     rows = block.evaluate(values)
     normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
@@ -172,7 +172,7 @@ def newton_step(
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    _require_steep(parameters, readings)
+    require_steep(parameters, readings)
     problem, block = beam_problem([readings], terms, [whitening], prior=prior)
     values = block.centred(values_of([parameters]))
     normal = problem.normal(values)
@@ -182,7 +182,7 @@ def newton_step(
     return parameters_of(there)[0], float(np.sqrt(max(saved, 0.0))) / whitening.sigma
 
 
-def _require_steep(parameters: Parameters, readings: Readings) -> None:
+def require_steep(parameters: Parameters, readings: Readings) -> None:
     """Refuse a beam that is parallel to its plane."""
     cosine = cosines(scene(parameters, readings))
     worst = float(cosine[np.argmin(np.abs(cosine))])

@@ -5,7 +5,7 @@ the square of the problem. Here each step evaluates all readings at once, the fa
 rows of it, and GTSAM eliminates. Damping and its rules are those of `model.search`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -62,7 +62,6 @@ def levenberg_marquardt(
     problem: CalibrationGraph,
     options: LevenbergOptions | None = None,
     progress: Callable[[Trial], None] | None = None,
-    before: Sequence[Trial] = (),
 ) -> LevenbergResult:
     """Minimise the cost of `problem`; Ctrl-C ends it with the best values so far.
 
@@ -73,8 +72,6 @@ def levenberg_marquardt(
     options : LevenbergOptions, optional
     progress : callable, optional
         Called with every trial step.
-    before : sequence of Trial
-        Steps that a search on the reduction took to the start: they count.
 
     Raises
     ------
@@ -82,7 +79,7 @@ def levenberg_marquardt(
         A beam grazes its plane at the start already.
     """
     options = options or LevenbergOptions()
-    return _LevenbergSearch(SharedObjective(problem), options, progress, before).result()
+    return _LevenbergSearch(SharedObjective(problem), options, progress).result()
 
 
 def optimize(
@@ -161,11 +158,10 @@ class _LevenbergSearch:
         objective: Objective,
         options: LevenbergOptions,
         progress: Callable[[Trial], None] | None,
-        before: Sequence[Trial] = (),
     ) -> None:
         self.objective, self.options, self.progress = objective, options, progress
-        self.history = list(before)
-        self.accepted = sum(trial.accepted for trial in before)
+        self.history: list[Trial] = []
+        self.accepted = 0
         self.damping = options.least_damping
         self.point = objective.evaluate(gtsam.Values(objective.start))
         self.stopping = objective.stopping(options.step_tolerance, options.least_damping)

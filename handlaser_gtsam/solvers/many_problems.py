@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
-from ..model.beams_on_planes import parameters_of, values_of
+from ..model.beams_on_planes import parameters_of
 from ..model.search import LevenbergOptions, search
 from ..model.weighting import Whitening
 from ..quantities import ROWS_AT_ONCE
@@ -76,7 +76,7 @@ def solve_together(
         problem, block = beam_problem(problems[some], terms, of_some, prior=prior)
         used = np.arange(2) < terms
         begun = [replace(p, range_errors=p.range_errors * used) for p in starts[some]]
-        ended = search(problem, block.centred(values_of(begun)), options)
+        ended = search(problem, block.begun(begun), options)
         parts.append(
             SolvedTogether(
                 tuple(parameters_of(ended.values)),

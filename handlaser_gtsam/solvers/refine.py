@@ -7,7 +7,7 @@ import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.readings import Readings
-from ..model.beams_on_planes import parameters_of, values_of
+from ..model.beams_on_planes import parameters_of
 from ..model.losses import GAUSSIAN, Loss
 from ..model.search import LevenbergOptions, LossScale, search
 from ..progress import tell
@@ -89,7 +89,7 @@ def refine_many(
         options = LevenbergOptions(
             iterations, tolerance, LEAST_DAMPING, LEAST_DAMPING, 10.0, MOST_DAMPING
         )
-        ended = search(problem, block.centred(values_of(some)), options)
+        ended = search(problem, block.begun(some), options)
         parameters = parameters_of(block.facing(ended.values))  # a beam may have come from behind
         ends = zip(parameters, ended.cost.tolist(), ended.scale.tolist(), strict=True)
         refined += [Refined(at, 2.0 * c, s) if np.isfinite(c) else None for at, c, s in ends]
