@@ -10,7 +10,7 @@ from helpers import simulated
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.solvers.incremental import IncrementalOptions
+from handlaser_gtsam.solvers.isam import IncrementalOptions
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

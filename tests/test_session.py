@@ -13,7 +13,7 @@ from handlaser_gtsam.model import tangent_basis
 from handlaser_gtsam.model.joint import beams_lift
 from handlaser_gtsam.session.fitted import fit_plane
 from handlaser_gtsam.solvers.beam_problem import jacobian_columns
-from handlaser_gtsam.solvers.incremental import IncrementalOptions
+from handlaser_gtsam.solvers.isam import IncrementalOptions
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..solvers.incremental import IncrementalOptions as IncrementalOptions
+    from ..solvers.isam import IncrementalOptions as IncrementalOptions
     from .drift import Moved as Moved
     from .reports import Change as Change
     from .reports import Comparison as Comparison
@@ -14,7 +14,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            ".solvers.incremental": "IncrementalOptions",
+            ".solvers.isam": "IncrementalOptions",
             "drift": "Moved",
             "reports": "Change Comparison Update",
         },

@@ -12,7 +12,7 @@ from ..estimation.options import CalibrationOptions
 from ..model.sensor import Rejected
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
-from ..solvers.incremental import IncrementalOptions
+from ..solvers.isam import IncrementalOptions
 from .config import SessionConfig
 from .contents import Contents
 from .state import SessionState, begin

@@ -20,7 +20,7 @@ from ..estimation.options import CalibrationOptions
 from ..model.sensor import Rejected
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..solvers.incremental import IncrementalOptions
+from ..solvers.isam import IncrementalOptions
 from .beginning import SessionArguments
 from .comparing import compared, recalibrate
 from .contents import Contents

@@ -14,7 +14,7 @@ from ..factors.keys import plane_key, pose_key
 from ..quantities import MOST_ROUNDS
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import parameters_of
-from ..solvers.incremental import IncrementalGraph, IncrementalOptions
+from ..solvers.isam import IncrementalGraph, IncrementalOptions
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents

@@ -1,31 +1,302 @@
-"""The settings of iSAM2: thresholds in natural units, and steps that reach every variable."""
+"""iSAM2 behind a small class that is never left half-updated.
+
+Planes join one by one; the beams stay in the root of the Bayes tree, so that an update with one plane
+eliminates little else again. What was measured of GTSAM 4.3, and how it is met:
+
+- an exception inside `update` leaves the object half-updated: every change works on a copy and gives
+  a new graph; the old one stays as it was;
+- the default relinearisation threshold ignores moves of a mount in millimetres: each kind of variable
+  has a threshold in its natural unit. iSAM2 would relinearise the variables one by one, and a
+  beam takes all readings with it each time: here all are relinearised as soon as one must be;
+- all Values are copied for every Python factor unless the linearisation point is held: it is;
+- marginals are in the tangent bases of the linearisation point: they are lifted from there;
+- it is not thread-safe: a graph and those that follow from it share one lock.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from threading import RLock
 
 import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..factors.keys import BeamKeys
+from ..checks import require_count, require_number
+from ..data.parameters import Parameters
+from ..factors import RangeBlock, gathered, range_factor
+from ..factors.keys import BeamKeys, plane_key
+from ..model.joint import beams_lift
+from ..quantities import MOST_ROUNDS
+from .beam_state import BeamStart, BeamState, PlaneFactors
+from .graph import parameters_of
 
 FINE_PART = 0.05
 """Once one variable must be relinearised, all are that have moved by this part of their threshold."""
+WEAKLY_KNOWN = 0.01
+"""With standard deviations above this part of its natural units a beam counts as hardly known."""
 
 
-def thresholds(
+@dataclass(frozen=True, slots=True)
+class IncrementalOptions:
+    """Controls of the incremental solver.
+
+    Attributes
+    ----------
+    relinearize : float
+        A variable is relinearised when it has moved by more than this part of its natural unit:
+        1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
+    compare_every : int
+        Changes after which a session compares itself with the batch solution, at most a quarter of the
+        number of planes; it also does when the estimate has moved far. Zero: never.
+    """
+
+    relinearize: float = 2e-4
+    compare_every: int = 50
+
+    def __post_init__(self) -> None:
+        require_number("relinearize", self.relinearize, 0.0, 1e6, above=True)
+        require_count("compare_every", self.compare_every, 0, 10**9)
+
+
+class IncrementalGraph:
+    """Beams and planes under iSAM2; never changed: a change gives a new one.
+
+    Parameters
+    ----------
+    beams : BeamKeys, each
+        Range errors with one term and with two need keys of different letters: iSAM2 has one threshold
+        a letter.
+    terms : tuple of int
+        Range-error terms of each beam.
+    length : float
+        The typical range [m], for natural units.
+    options : IncrementalOptions, optional
+    """
+
+    def __init__(
+        self,
+        beams: Sequence[BeamKeys],
+        terms: tuple[int, ...],
+        length: float,
+        options: IncrementalOptions | None = None,
+    ) -> None:
+        self.beams, self.terms = tuple(beams), terms
+        self._keys = [key for beam in beams for key in beam.variables]
+        part = (options or IncrementalOptions()).relinearize
+        self._thresholds = _thresholds_of(part, length, self.beams, terms)
+        self._unit = np.array([length] * 3 + [1.0] * 4 + [1.0 / length])
+        self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
+        self._view = self._isam.getLinearizationPoint()
+        self._factors: dict[int, tuple[int, ...]] = {}
+        self._blocks: dict[int, tuple[RangeBlock, ...]] = {}
+        self._limits = np.empty(0)
+        self._lock = RLock()
+
+    @property
+    def planes(self) -> tuple[int, ...]:
+        """Numbers of the planes that are in."""
+        return tuple(self._factors)
+
+    def changed(
+        self,
+        added: Mapping[int, PlaneFactors],
+        without: Iterable[int] = (),
+        beams: BeamStart | None = None,
+        accept: Callable[[BeamState], bool] | None = None,
+        *,
+        fine: bool = False,
+    ) -> tuple["IncrementalGraph", BeamState]:
+        """Return the graph with planes added and others taken out, and its beams.
+
+        Parameters
+        ----------
+        added : mapping
+            By the number of the plane. What a plane brought before is taken out first.
+        without : numbers
+            Planes that leave.
+        beams : BeamStart, optional
+            Where the beams start, the first time.
+        accept : callable, optional
+            Asked before the change takes place.
+        fine : bool
+            Whether to relinearise for much smaller moves: where readings do not fit, the optimum
+            depends on every Jacobian by as much as they are off. Always done where beams are hardly
+            known, for their standard deviations then depend on where they were linearised.
+
+        Raises
+        ------
+        RuntimeError
+            GTSAM calls the system indeterminate, the estimate does not settle, or it is not accepted.
+        """
+        with self._lock:
+            new = self._copy()
+            gone = {*without, *(number for number in added if number in self._factors)}
+            old = new._exchange(added, gone)
+            new._add(added, old, beams)
+            new._settle(FINE_PART if fine else 1.0)
+            state = new.state()
+            if not fine and (state.sigmas() > WEAKLY_KNOWN * new._unit).any():
+                new._settle(FINE_PART)
+                state = new.state()
+            if accept is not None and not accept(state):
+                raise RuntimeError("too few planes are left")
+        return new, state
+
+    def state(self) -> BeamState:
+        """Return the beams as they are now."""
+        with self._lock:
+            return self._state()
+
+    def parameters(self) -> Parameters:
+        """Return beams, and planes in the order of `planes`, each in the frame of its blocks."""
+        with self._lock:
+            values = self._isam.calculateEstimate()
+        return parameters_of(values, self.beams, [plane_key(number) for number in self.planes])
+
+    def linearization_point(self) -> gtsam.Values:
+        """Return where all variables are linearised."""
+        with self._lock:
+            return gtsam.Values(self._view)
+
+    def pose(self, key: int) -> gtsam.Pose3:
+        """Return a hand pose that is a variable, in the frame of its blocks."""
+        with self._lock:
+            return self._isam.calculateEstimatePose3(key)
+
+    def _copy(self) -> "IncrementalGraph":
+        new = object.__new__(IncrementalGraph)
+        new.beams, new.terms, new._keys, new._lock = self.beams, self.terms, self._keys, self._lock
+        new._thresholds, new._unit = self._thresholds, self._unit
+        new._factors, new._blocks = dict(self._factors), dict(self._blocks)
+        new._isam = gtsam.ISAM2(self._isam)
+        new._view = new._isam.getLinearizationPoint()
+        return new
+
+    def _exchange(self, added: Mapping[int, PlaneFactors], gone: set[int]) -> list[int]:
+        """Take over the blocks of planes, and return the factors of those that leave."""
+        old = [index for number in gone for index in self._factors[number]]
+        for number in gone:
+            del self._factors[number], self._blocks[number]
+        self._blocks |= {number: factors.blocks for number, factors in added.items()}
+        if not self._blocks:
+            raise RuntimeError("no plane is left")
+        self._limits = self._limits_of_all()
+        return old
+
+    def _add(
+        self, added: Mapping[int, PlaneFactors], old: list[int], beams: BeamStart | None
+    ) -> None:
+        graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+        for plane in added.values():
+            for block in plane.blocks:
+                sigma = 1.0 if block.whitening is None else block.whitening.sigma
+                graph.push_back(range_factor(block, sigma))
+            for factor in plane.others:
+                graph.push_back(factor)
+            sizes.append(len(plane.blocks) + len(plane.others))
+            start.insert(_new_variables(plane.start, self._isam))
+        if beams is not None:
+            start.insert(beams.values)
+            for factor in beams.factors:
+                graph.push_back(factor)
+        indices = list(self._update(graph, start, old).getNewFactorsIndices())
+        ends = np.cumsum([0, *sizes]).tolist()
+        for number, a, e in zip(added, ends, ends[1:], strict=False):
+            self._factors[number] = tuple(indices[a:e])
+
+    def _update(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        start: gtsam.Values,
+        old: list[int],
+        *,
+        relinearize: bool = False,
+    ) -> gtsam.ISAM2Result:
+        groups = gtsam.KeyGroupMap()
+        for key in self._keys:
+            groups.insert2(key, 1)  # eliminated last: all other variables are in group 0
+        blocks = [block for of_plane in self._blocks.values() for block in of_plane]
+        with gathered(blocks):
+            return self._isam.update(graph, start, old, groups, None, None, relinearize)
+
+    def _settle(self, part: float) -> None:
+        """Relinearise until nothing has moved by a part of its threshold."""
+        for _ in range(MOST_ROUNDS):
+            if not self._has_moved(part):
+                return
+            self._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
+        raise RuntimeError("the estimate does not settle")
+
+    def _has_moved(self, part: float) -> bool:
+        """Tell whether a variable has left its linearisation point by a part of its threshold."""
+        return bool((np.abs(self._isam.getDelta().vector()) > part * self._limits).any())
+
+    def _limits_of_all(self) -> FloatArray:
+        """Return the thresholds of all variables in GTSAM's order: by letter, then by number."""
+        count = {"p": len(self._blocks)}
+        for key in self._keys:
+            count[_letter(key)] = count.get(_letter(key), 0) + 1
+        blocks = (block for of_plane in self._blocks.values() for block in of_plane)
+        count["x"] = len({block.pose for block in blocks if block.pose is not None})
+        return np.concatenate(
+            [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
+        )
+
+    def _beam_values(self) -> gtsam.Values:
+        """Return the beams alone: the estimate of all variables would cost time in their number."""
+        values, delta = gtsam.Values(), self._isam.getDelta()
+        for beam in self.beams:
+            r, v, k = beam.location, beam.direction, beam.range_error
+            values.insert(r, self._view.atPoint3(r) + delta.at(r))
+            values.insert(v, self._view.atUnit3(v).retract(delta.at(v)))
+            if k is not None:
+                values.insert(k, self._view.atVector(k) + delta.at(k))
+        return values
+
+    def _state(self) -> BeamState:
+        S = self._isam.jointMarginalCovariance(self._keys).fullMatrix()
+        scale = np.sqrt(np.diagonal(S))
+        if not (np.isfinite(scale).all() and scale.all()):
+            raise RuntimeError("the beams are not determined")
+        sign, size = np.linalg.slogdet(S / np.outer(scale, scale))
+        if sign <= 0:
+            raise RuntimeError("the beams are not determined")
+        bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
+        lift = beams_lift(bases, self.terms)
+        return BeamState(
+            *parameters_of(self._beam_values(), self.beams, ()).beams,
+            lift @ S @ lift.T,
+            -float(size + 2.0 * np.log(scale).sum()),
+        )
+
+
+def _new_variables(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
+    """Return the values of variables that are not in the graph."""
+    known = [key for key in start.keys() if isam.valueExists(key)]  # noqa: SIM118
+    if not known:
+        return start
+    new = gtsam.Values(start)
+    for key in known:
+        new.erase(key)
+    return new
+
+
+def _thresholds_of(
     part: float, length: float, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
 ) -> dict[str, FloatArray]:
     """Return by how much the variables of each letter may move before they are relinearised."""
     units = {"p": [1.0, 1.0, length], "x": [1.0] * 3 + [length] * 3}
     for beam, count in zip(beams, terms, strict=True):
-        units[letter(beam.location)] = [length] * 3
-        units[letter(beam.direction)] = [1.0, 1.0]
+        units[_letter(beam.location)] = [length] * 3
+        units[_letter(beam.direction)] = [1.0, 1.0]
         if beam.range_error is not None:
             unit = [1.0, 1.0 / length][:count]
-            if len(units.setdefault(letter(beam.range_error), unit)) != count:
+            if len(units.setdefault(_letter(beam.range_error), unit)) != count:
                 raise ValueError("one letter for range errors of one term and of two")
     return {letter: part * np.array(unit) for letter, unit in units.items()}
 
 
-def isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
+def _isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
     """Return parameters with which only `IncrementalGraph` decides when to relinearise."""
     fine = gtsam.ISAM2ThresholdMap()
     for letter, threshold in thresholds.items():
@@ -39,6 +310,6 @@ def isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
     return parameters
 
 
-def letter(key: int) -> str:
+def _letter(key: int) -> str:
     """Return the letter of a key, to which iSAM2 has one threshold."""
     return chr(gtsam.symbolChr(key))
