@@ -8,6 +8,7 @@ only for the Values of that evaluation; a factor met anywhere else evaluates its
 from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeVar
 
 import gtsam
@@ -200,11 +201,13 @@ class SharedEvaluation:
 
     def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:
         """Return the columns of each key of `block` in the evaluation."""
-        count, columns = int(self.slot.max()) + 1, []
-        for i, beam in enumerate(block.beams):
-            key = beam.range_error
-            columns += beam_columns(i, 0 if key is None else self._terms[key])
-        return (*columns, *other_columns(count, with_pose=block.pose is not None))
+        none = -1
+        keys = (none if beam.range_error is None else beam.range_error for beam in block.beams)
+        return _columns_of(
+            tuple(self._terms[key] for key in keys),
+            int(self.slot.max()) + 1,
+            block.pose is not None,
+        )
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
         k = np.zeros((len(self.range_errors), 2))
@@ -222,6 +225,13 @@ class SharedEvaluation:
         R[self._posed] = np.array([pose.rotation().matrix() for pose in poses])[index]
         t[self._posed] = np.array([pose.translation() for pose in poses])[index]
         return R, t
+
+
+@cache
+def _columns_of(terms: tuple[int, ...], beams: int, with_pose: bool) -> tuple[slice, ...]:
+    """Return the columns of a block's keys, given the range-error terms of its beams."""
+    columns = [column for i, count in enumerate(terms) for column in beam_columns(i, count)]
+    return (*columns, *other_columns(beams, with_pose=with_pose))
 
 
 def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:

@@ -19,6 +19,7 @@ from ..model.joint import JointCovariance
 from ..observability.rank import Observability
 from ..solvers.graph import CalibrationGraph
 from ..solvers.levenberg import linearize
+from ..solvers.sums import EliminatedSums
 
 
 def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance:
@@ -62,6 +63,33 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
         np.array([values.atUnit3(beam.direction).basis() for beam in problem.beams]),
         np.array([normal.basis() for normal in planes]),
         np.zeros((len(planes), 3)),
+    )
+
+
+def covariance_of_sums(
+    parameters: Parameters, terms: tuple[int, ...], sums: EliminatedSums, centres: FloatArray
+) -> JointCovariance:
+    """Return the covariance from sums that GTSAM has eliminated, beams being what stays.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    terms : tuple of int
+        Range-error terms of each beam.
+    sums : EliminatedSums
+    centres : (P, 3)
+        Where the offset of each plane is taken, in the frames of the readings [m].
+    """
+    return JointCovariance(
+        tuple(map(str, range(len(parameters.locations)))),
+        tuple(map(str, range(len(parameters.offsets)))),
+        terms,
+        sums.covariance,
+        sums.response,
+        sums.known,
+        model.tangent_basis(parameters.directions),
+        model.tangent_basis(parameters.normals),
+        centres,
     )
 
 

@@ -9,9 +9,10 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
-from ..model.beams_on_planes import parameters_of
+from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
+from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
 from ..model.search import LevenbergOptions, Searched, search
 from ..model.weighting import Variances, Whitening, whitening
@@ -23,8 +24,9 @@ from ..solvers.beam_problem import beam_problem, newton_step, require_steep
 from ..solvers.graph import build_graph
 from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
+from ..solvers.sums import eliminated_sums
 from ..text import count
-from .covariance import covariance_by_gtsam
+from .covariance import covariance_by_gtsam, covariance_of_sums
 from .options import CalibrationOptions
 from .solution import Minimum, Solution
 
@@ -34,6 +36,9 @@ STEPS_SETTLED = 1e-3
 """Linear steps that settle the weights end when they are shorter than this [standard deviations]."""
 MOST_INCREASE = 4.0
 """A linear step to other weights may raise the squares by this factor: beyond, it leads nowhere."""
+MOST_NUMBERS = 200_000
+"""Derivatives in the factors of a graph; beyond, their sums go to GTSAM. At so many the graph takes as
+long as all steps of the reduction."""
 COARSE_TOLERANCE = 1e-2
 """Standard deviations that an equally weighted solution may be off where another follows it."""
 
@@ -213,24 +218,48 @@ class SolutionTask:
     def finished(self, solution: Solution) -> Solution:
         """Return the solution that GTSAM ends with, and its covariance, where all is determined.
 
-        Levenberg-Marquardt on the factor graph begins where the reduction ended.
+        Levenberg-Marquardt on the factor graph begins where the reduction ended; where the graph would
+        be very large, the last step is on the sums of the reduction.
         """
         at = solution.at
         if at.status != "converged" or not solution.observability.full:
             return solution
-        if not at.estimates_poses:
-            noise = at.sigma if solution.whitening is None else solution.whitening
-            last = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
-            steps = at.iterations + last.iterations
-            if last.status == "interrupted":
-                return replace(solution, at=replace(last, iterations=steps))
-            if last.status == "converged":
-                words = f"converged after {count(steps, 'step')}"
-                at = replace(last, message=words, iterations=steps, first_step=at.first_step)
-        solution = replace(solution, at=at)
-        if at.loss != GAUSSIAN or at.graph is None or at.values is None:
+        if at.estimates_poses and at.graph is not None and at.values is not None:
+            return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
+        noise = at.sigma if solution.whitening is None else solution.whitening
+        if at.loss == GAUSSIAN and _is_large(at.readings, noise):
+            return self._finished_on_sums(solution, noise)
+        last = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
+        steps = at.iterations + last.iterations
+        if last.status == "interrupted":
+            return replace(solution, at=replace(last, iterations=steps))
+        if last.status != "converged" or last.graph is None or last.values is None:
             return solution
-        return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
+        words = f"converged after {count(steps, 'step')}"
+        at = replace(last, message=words, iterations=steps, first_step=at.first_step)
+        joint = None
+        if at.loss == GAUSSIAN:
+            joint = covariance_by_gtsam(last.graph, last.values)
+        return replace(solution, at=at, joint=joint)
+
+    def _finished_on_sums(self, solution: Solution, noise: float | Whitening) -> Solution:
+        """Return the solution after a step that GTSAM makes from the sums of the reduction."""
+        at, how = solution.at, noise if isinstance(noise, float) else [noise]
+        problem, block = beam_problem(
+            [at.readings], self.terms, how, prior=solution.prior, local=PLANE.name
+        )
+        values = block.centred(values_of([at.parameters]))
+        try:
+            sums = eliminated_sums(problem.normal(values), at.sigma)
+        except (RuntimeError, np.linalg.LinAlgError):
+            return solution
+        there = problem.reduction.moved(values, sums.step[None], sums.local_step[None])
+        parameters = parameters_of(there)[0]
+        joint = covariance_of_sums(parameters, at.terms, sums, there[PLANE.name][0, :, CENTRE])
+        e = residuals(scene(parameters, at.readings), at.readings.measured)
+        white = e if isinstance(noise, float) else noise.apply(e)
+        at = replace(at, parameters=parameters, residual=e, white=white)
+        return replace(solution, at=at, joint=joint)
 
     def _by_gtsam(
         self,
@@ -295,6 +324,13 @@ class SolutionTask:
         if ended.loss != GAUSSIAN:
             return ended.sigma
         return float(np.sqrt(ended.residual @ ended.residual / max(self.redundancy, 1)))
+
+
+def _is_large(readings: Readings, noise: float | Whitening) -> bool:
+    """Tell whether the rows that factors would hand out are more than GTSAM should hold once more."""
+    coupled = isinstance(noise, Whitening) and noise.is_coupled
+    beams = readings.beams if coupled else 1
+    return len(readings) * (BEAM.dim * beams + PLANE.dim) > MOST_NUMBERS
 
 
 def _ending(ended: Searched, steps: int, exhausted: bool) -> tuple[Status, str]:
