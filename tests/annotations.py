@@ -58,7 +58,7 @@ def hints_of(thing: object) -> list[object]:
     """Return the annotations of one public name."""
     hints = [typing.get_type_hints(one, None, LATE) for one in callables(thing)]
     if dataclasses.is_dataclass(thing):
-        hints.append(typing.get_type_hints(thing))
+        hints.append(typing.get_type_hints(thing, None, LATE))
     return [hint for one in hints for hint in one.values()]
 
 

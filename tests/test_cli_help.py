@@ -14,10 +14,9 @@ from helpers import GRIPPER, ROOT
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.examples import EXAMPLES
 from handlaser_gtsam.cli.log_level import LogLevel, logging_at
-from handlaser_gtsam.cli.verbs import app
+from handlaser_gtsam.cli.verbs import VERBS
 
 RECORDING = GRIPPER / "recording.csv"
-VERBS = [one.callback.__name__ for one in app.registered_commands]
 QUICK = ("--poses", "exact", "--range-error", "k1k2", "--range-sigma-mm", "0.03")
 
 

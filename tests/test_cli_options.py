@@ -60,7 +60,7 @@ PYDANTIC = re.compile(r"Input should|validation error|type=|pydantic|Value error
 
 def _bad_values():
     for verb in BASE:
-        parameters = inspect.signature(expanded(getattr(verbs, verb))).parameters
+        parameters = inspect.signature(expanded(verbs.function_of(verb))).parameters
         for name, one in parameters.items():
             kinds, option = str(one.annotation), f"--{name.replace('_', '-')}"
             if "OptionInfo" not in kinds or "bool" in kinds or option in FREE:

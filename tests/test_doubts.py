@@ -108,14 +108,15 @@ def test_sensors_without_range_errors_do_not_make_sigmas_too_large():
     [
         ("sigmas-too-small", 1.0 / 3.0, {"sigma0", "p_value"}),
         ("sigmas-too-large", 3.0, {"sigma0", "p_value"}),
-        ("contradicting-beam", None, {"beam", "rejected", "readings"}),
+        pytest.param(
+            *("contradicting-beam", None, {"beam", "rejected", "readings"}), marks=pytest.mark.slow
+        ),
     ],
 )
-def test_a_warning_carries_the_numbers_of_its_message(
-    recording, in_another_unit, code, factor, names
-):
-    found = in_another_unit
-    if factor is not None:
+def test_a_warning_carries_the_numbers_of_its_message(recording, request, code, factor, names):
+    if factor is None:
+        found = request.getfixturevalue("in_another_unit")
+    else:
         found = hl.calibrate(recording, hl.Noise(factor * SIGMA, 0.0, 0.0), NONE)
     (warning,) = [one for one in found.warnings if one.code == code]
     assert set(warning.values) == names

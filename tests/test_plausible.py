@@ -177,7 +177,7 @@ def test_a_session_counts_what_may_hide_as_a_batch_does():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_kinds_are_fields_of_rig_files(kind, tmp_path, handlaser):
+def test_kinds_are_fields_of_rig_files(kind, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(
         f'[sensor]\nkind = "{kind}"\n[plausible]\nincidence_mm = 0.2\nlag_percent = 0.0\n'
@@ -187,6 +187,11 @@ def test_kinds_are_fields_of_rig_files(kind, tmp_path, handlaser):
     assert sizes["incidence"] == pytest.approx(2e-4)
     assert sizes["lag"] == 0.0
     assert sizes["cubic"] == pytest.approx(0.1 * KINDS[kind].cubic)
+
+
+def test_where_a_kind_is_stated_not_only_random_errors_count(tmp_path, handlaser):
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[sensor]\nkind = "other"\n')
     code, out, _ = handlaser("calibrate", str(GRIPPER / "recording.csv"), "--rig", str(rig))
     assert code == 0
     assert "random errors only" not in out

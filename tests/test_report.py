@@ -742,7 +742,7 @@ def test_robot_and_sensor_are_those_of_the_rig(calibration, rig):
     robot = hl.planning.Robot("folder/<arm>.urdf", "tool0")
     workspace = hl.planning.Workspace([0.5, 0.0, 0.2], [0.8, 0.2, 0.6], np.eye(3), robot=robot)
     sensor = hl.Sensor(0.0, 0.03, max_incidence=math.radians(40.0), linearity=0.002)
-    told = dataclasses.replace(rig, workspace=workspace, sensor=sensor)
+    told = dataclasses.replace(rig, plans=hl.files.Plans(workspace), sensor=sensor)
     page = Page(report_text(calibration, hl.ReportOptions(told)))
     assert "<arm>.urdf, hand frame tool0" in page.text
     assert "reads 0 to 30 mm, up to 40 deg of incidence, expected linear to 0.2 %" in page.text

@@ -159,10 +159,10 @@ def _calibrated(
     path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
 ) -> _Outcome:
     """Calibrate, and write the result where it is asked for."""
-    from .. import pipeline
     from ..files.calibration_json import calibration_text
     from ..files.rig_reading import read_with
     from ..files.writing import write_text
+    from ..pipeline import calibrate as run
     from ..results.verdict import verdict
 
     output.check((path, rig_file, *rig.log.files))
@@ -176,7 +176,7 @@ def _calibrated(
         fed = plane_by_plane(recording, noise, options)
         result, recording = fed.result, fed.recording
     else:
-        result = pipeline.calibrate(recording, noise, options)
+        result = run(recording, noise, options)
     if result.recording is None:
         result = replace(result, recording=recording)
     judged = verdict(result, rig.limits, reading)

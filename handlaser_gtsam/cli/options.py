@@ -7,7 +7,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .log_level import LogLevel, LogLevelOption, logging_at
-from .log_options import Log
 
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
@@ -178,6 +177,11 @@ def _is_option(parameter: inspect.Parameter) -> bool:
     return not any(isinstance(kind, typer.models.ArgumentInfo) for kind in kinds)
 
 
+def _is_group(kind: object) -> bool:
+    """Tell whether a parameter is a group: a dataclass, or a class that states its signature."""
+    return isinstance(kind, type) and (is_dataclass(kind) or "__signature__" in vars(kind))
+
+
 @contextmanager
 def _in_options(names: Mapping[str, str], values: Mapping[str, object]) -> Iterator[None]:
     """Let what is wrong with the value of an option name the option as it is typed."""
@@ -201,7 +205,7 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     groups: dict[str, Callable[..., object]] = {}
     parameters: list[inspect.Parameter] = []
     for one in inspect.signature(verb).parameters.values():
-        if one.annotation is Log or hasattr(one.annotation, "__dataclass_fields__"):
+        if _is_group(one.annotation):
             groups[one.name] = one.annotation
             parameters += inspect.signature(one.annotation).parameters.values()
         else:

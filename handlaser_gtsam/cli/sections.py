@@ -1,4 +1,4 @@
-"""The options of a verb's help in sections, what most people need first."""
+"""The help of a verb: its options in sections, what most people need first, and examples."""
 
 from typing import Any
 
@@ -23,3 +23,10 @@ class Verb(TyperCommand):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        from .examples import epilog
+
+        self.epilog = epilog(self.name or "")
+        super().format_epilog(ctx, formatter)

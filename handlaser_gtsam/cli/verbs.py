@@ -1,42 +1,84 @@
-"""The verbs of the command line, and what they share."""
+"""The verbs of the command line, and what they share; a verb is imported when it is asked for."""
 
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
 from typing import Any, cast
 
 import typer
+from typer.core import TyperGroup
 
 from .. import __version__
-from ..files.logs.format import LogFormat
-from .calibrate import calibrate
-from .check import check
-from .convert import convert
-from .examples import epilog
-from .export import export
 from .options import expanded
-from .plan import plan
-from .plot import plot
 from .sections import Verb
-from .simulate import simulate
-from .study import study
-from .validate import validate
-from .watch import watch
 from .width import NO_SCREEN
 
 NAME = "handlaser"
+VERBS = (
+    "calibrate",
+    "check",
+    "convert",
+    "export",
+    "plan",
+    "plot",
+    "simulate",
+    "study",
+    "validate",
+    "watch",
+)
+"""Each is a module beside this one and the function in it."""
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
 """Of the click that typer uses, which newer versions bring along."""
+
+
+def function_of(verb: str) -> Callable[..., None]:
+    """Return the function that does what a verb says."""
+    return cast("Callable[..., None]", getattr(import_module(f".{verb}", __package__), verb))
+
+
+@cache
+def _command(verb: str) -> Any:
+    """Return a verb as typer runs it."""
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    alone.command(cls=Verb)(expanded(function_of(verb)))
+    return typer.main.get_command(alone)
+
+
+class _Commands(Mapping[str, Any]):
+    """The verbs by name."""
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in VERBS:
+            raise KeyError(name)
+        return _command(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(VERBS)
+
+    def __len__(self) -> int:
+        return len(VERBS)
+
+
+class _Verbs(TyperGroup):
+    """A group of commands that are not there before they are asked for."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings | {"commands": _Commands()})
+
+
 app = typer.Typer(
     name=NAME,
+    cls=_Verbs,
     help="Calibrate laser distance sensors on a robot hand.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": NO_SCREEN},
 )
-for verb in (calibrate, check, convert, export, plan, plot, simulate, study, validate, watch):
-    app.command(cls=Verb, epilog=epilog(verb.__name__))(expanded(verb))
 
 
 def usage_words(error: Exception) -> str:
     """Return in one line what is wrong with a command line, and where to look."""
+    from ..files.logs.format import LogFormat
     from ..text import printable
 
     context = getattr(error, "ctx", None)

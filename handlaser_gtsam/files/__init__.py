@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .calibration_file import CalibrationFile as CalibrationFile
     from .logs.report import LogReport as LogReport
+    from .rig_planning import Plans as Plans
     from .rig_toml import Rig as Rig
     from .runs_parquet import read_runs as read_runs
     from .runs_parquet import write_runs as write_runs
@@ -16,6 +17,7 @@ else:
         {
             "calibration_file": "CalibrationFile",
             "logs.report": "LogReport",
+            "rig_planning": "Plans",
             "rig_toml": "Rig",
             "runs_parquet": "read_runs write_runs",
         },

@@ -2,12 +2,12 @@
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import Recording
-from ..observability.motion import MotionCheck
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
@@ -18,6 +18,9 @@ from ..results.verdict import verdict as verdict_on
 from . import calibration_file as schema
 from .json_text import Record, json_text, record
 from .writing import path_of, write_text
+
+if TYPE_CHECKING:
+    from ..observability.motion import MotionCheck
 
 RANGE_ERRORS = ("k1", "k2_per_m")
 
@@ -105,7 +108,7 @@ def write_calibration(
     write_text(path_of(path), text)
 
 
-def check_text(check: MotionCheck) -> str:
+def check_text(check: "MotionCheck") -> str:
     """Return the check of a motion as JSON text."""
     fields = "name stations orientations translations translating axes readings"
     planes = [record(one, fields) for one in check.planes]

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -17,13 +17,19 @@ from ..errors import ArgumentError, InputError
 from ..text import shown
 from .writing import path_of
 
-Schema = TypeVar("Schema", bound=BaseModel)
-
 
 class FileRecord(BaseModel):
     """Fields of a file: no others, of no other type, and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    @classmethod
+    def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
+        """Return the schema of a file of this content, which may import those of rare tables."""
+        return cls
+
+
+Schema = TypeVar("Schema", bound=FileRecord)
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -55,7 +61,7 @@ def read_checked(
     Parameters
     ----------
     path : Path or str
-    schema : subclass of BaseModel
+    schema : subclass of FileRecord
     parse : callable
         Makes a mapping of the text; a ValueError says that the text is none.
     expected : str
@@ -71,6 +77,7 @@ def read_checked(
     data: object = None
     try:
         data = parse(text)
+        schema = schema.schema_of(data)
         return schema.model_validate(data)
     except ValidationError as error:
         raise _first_fault(error, data, schema, expected, path) from error

@@ -10,6 +10,7 @@ become rows stands in `table`.
 import re
 from difflib import SequenceMatcher
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -18,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording, first_repeated
-from ..data.station_list import StationList
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH
@@ -27,6 +27,9 @@ from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
 from .table import column_numbers, read_table
 from .writing import path_of, write_text
+
+if TYPE_CHECKING:
+    from ..data.station_list import StationList
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX, SAMPLES = "range_", "samples_"
@@ -95,7 +98,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     write_text(path_of(path), table.write_csv())
 
 
-def station_columns(stations: Recording | StationList) -> pl.DataFrame:
+def station_columns(stations: "Recording | StationList") -> pl.DataFrame:
     """Return the columns of a file that all say where the hand is, in their order."""
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
     numbers = np.hstack((stations.world_t_hand, quaternions))

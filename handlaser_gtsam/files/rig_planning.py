@@ -14,6 +14,7 @@
 """
 
 import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
+from ..model.sensor import Sensor
 from ..planning.bounds import Bounds
 from ..planning.choice import Criterion
 from ..planning.goal import Goal
@@ -30,6 +32,7 @@ from ..planning.plate import Placement, Plate
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from ..quantities import DEG, MM
+from ..results.limits import Limits
 from .checked_text import FileRecord, in_table
 from .recording_csv import QUATERNION_TOLERANCE
 
@@ -151,6 +154,65 @@ class PlacementTable(FileRecord):
         tilt = self.tilt_deg * DEG
         with in_table("placement", self):
             return Placement(1, self.largest_tilt_deg * DEG, self.within_mm * MM, tilt)
+
+
+@dataclass(frozen=True, slots=True)
+class Plans:
+    """What a rig file says for plans.
+
+    Attributes
+    ----------
+    workspace : Workspace or None
+        Where the hand may go, and the robot that is to reach it.
+    bounds : Bounds or None
+        Where beams and plate roughly are, before any reading.
+    goal : Goal
+        What to plan for.
+    placement : Placement
+        How the plate can be put anew.
+    """
+
+    workspace: Workspace | None = None
+    bounds: Bounds | None = None
+    goal: Goal = field(default_factory=Goal)
+    placement: Placement = field(default_factory=Placement)
+
+
+class PlanTables(FileRecord):
+    """The tables for plans."""
+
+    workspace: WorkspaceTable | None = None
+    robot: RobotTable | None = None
+    blind: BlindTable | None = None
+    goal: GoalTable = GoalTable()
+    placement: PlacementTable = PlacementTable()
+
+    def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> Plans:
+        """Return what they say, with limits where the goal states nothing else.
+
+        Files are named from a folder on.
+
+        Raises
+        ------
+        InputError
+            A value that cannot be, or errors to tell of which no size is known.
+        """
+        goal = self.goal.to_si()
+        goal.plausible(sensor, 1.0)
+        bounds = None if self.blind is None else self.blind.to_si()
+        return Plans(self._workspace(folder), bounds, goal.within(limits), self.placement.to_si())
+
+    def _workspace(self, folder: Path) -> Workspace | None:
+        """Return the workspace, with the robot."""
+        robot = None if self.robot is None else self.robot.to_si(folder)
+        if self.workspace is None:
+            if robot is not None:
+                raise InputError(
+                    "a table [robot] without [workspace]",
+                    "both: [workspace] says where the hand may go",
+                )
+            return None
+        return replace(self.workspace.to_si(), robot=robot)
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

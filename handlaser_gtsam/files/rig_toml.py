@@ -22,26 +22,28 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, overload
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast, overload
 
-from pydantic import Strict
+from pydantic import Strict, create_model
 
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.plausible import Plausible
 from ..model.sensor import Sensor
-from ..planning.bounds import Bounds
-from ..planning.goal import Goal
-from ..planning.plate import Placement
-from ..planning.workspace import Workspace
 from ..quantities import DEG, IN_DEG, IN_MM, MM
 from ..results.limits import Limits
-from ..validation.simulate import Errors
 from .checked_text import FileRecord, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
-from .rig_planning import BlindTable, GoalTable, PlacementTable, RobotTable, WorkspaceTable
 from .writing import path_of, write_text
+
+if TYPE_CHECKING:
+    from ..planning.bounds import Bounds
+    from ..planning.goal import Goal
+    from ..planning.plate import Placement
+    from ..planning.workspace import Workspace
+    from ..validation.simulate import Errors
+    from .rig_planning import Plans
 
 RIG_FILE = "a rig file, TOML"
 
@@ -101,11 +103,26 @@ class _Rig(FileRecord):
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
-    workspace: WorkspaceTable | None = None
-    robot: RobotTable | None = None
-    blind: BlindTable | None = None
-    goal: GoalTable = GoalTable()
-    placement: PlacementTable = PlacementTable()
+    # For plans; `rig_planning.PlanTables` says what they hold, and is imported where there is one.
+    workspace: Any = None
+    robot: Any = None
+    blind: Any = None
+    goal: Any = None
+    placement: Any = None
+
+    @classmethod
+    def schema_of(cls, data: object) -> type[Self]:
+        """Return a schema that knows what tables for plans hold, where there are any."""
+        for_plans = ("workspace", "robot", "blind", "goal", "placement")
+        if not isinstance(data, dict) or not any(name in data for name in for_plans):
+            return cls
+        from .rig_planning import PlanTables
+
+        return cast("type[Self]", create_model("_RigForPlans", __base__=(PlanTables, cls)))
+
+    def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> "Plans | None":  # noqa: ARG002
+        """Return what tables for plans say; None where there are none."""
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,26 +134,41 @@ class Rig:
     noise : Noise
     sensor : Sensor
     limits : Limits
-    workspace : Workspace or None
-        Where the hand may go, and the robot that is to reach it.
-    bounds : Bounds or None
-        Where beams and plate roughly are, before any reading.
-    goal : Goal
-        What to plan for; the limits stand in it where it states nothing else.
-    placement : Placement
-        How the plate can be put anew.
     log : LogFormat
         How logs are written.
+    plans : Plans or None
+        What is said for plans: the properties below; None where nothing is.
     """
 
     noise: Noise = field(default_factory=Noise)
     sensor: Sensor = field(default_factory=Sensor)
     limits: Limits = field(default_factory=Limits)
-    workspace: Workspace | None = None
-    bounds: Bounds | None = None
-    goal: Goal = field(default_factory=Goal)
-    placement: Placement = field(default_factory=Placement)
     log: LogFormat = field(default_factory=LogFormat)
+    plans: "Plans | None" = None
+
+    @property
+    def workspace(self) -> "Workspace | None":
+        """Where the hand may go, and the robot that is to reach it."""
+        return None if self.plans is None else self.plans.workspace
+
+    @property
+    def bounds(self) -> "Bounds | None":
+        """Where beams and plate roughly are, before any reading."""
+        return None if self.plans is None else self.plans.bounds
+
+    @property
+    def goal(self) -> "Goal":
+        """What to plan for; the limits stand in it where it states nothing else."""
+        from ..planning.goal import Goal
+
+        return Goal().within(self.limits) if self.plans is None else self.plans.goal
+
+    @property
+    def placement(self) -> "Placement":
+        """How the plate can be put anew."""
+        from ..planning.plate import Placement
+
+        return Placement() if self.plans is None else self.plans.placement
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -208,31 +240,13 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
             rig.sensor.kind,
             rig.plausible.to_si(),
         )
-    goal = rig.goal.to_si().within(limits)
-    goal.plausible(sensor, 1.0)  # refuses errors of which no size is known
     return Rig(
         noise_of(rig.noise),
         sensor,
         limits,
-        _workspace(rig, folder),
-        None if rig.blind is None else rig.blind.to_si(),
-        goal,
-        rig.placement.to_si(),
         rig.log.to_format(folder),
+        rig.plans(folder, sensor, limits),
     )
-
-
-def _workspace(rig: _Rig, folder: Path) -> Workspace | None:
-    """Return the workspace, with the robot; files are named from a folder on."""
-    robot = None if rig.robot is None else rig.robot.to_si(folder)
-    if rig.workspace is None:
-        if robot is not None:
-            raise InputError(
-                "a table [robot] without [workspace]",
-                "both: [workspace] says where the hand may go",
-            )
-        return None
-    return replace(rig.workspace.to_si(), robot=robot)
 
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
@@ -251,18 +265,19 @@ def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
 
 
 def errors_instead(
-    usual: Errors,
+    usual: "Errors",
     range_sigma_mm: float | None,
     pose_translation_sigma_mm: float | None,
     pose_rotation_sigma_deg: float | None,
     pose_axes: str | None,
-) -> Errors:
+) -> "Errors":
     """Return the usual errors of a scene with those that are given instead."""
-    return Errors(
-        scaled(range_sigma_mm, MM, usual.range_sigma),
-        scaled(pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
-        scaled(pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
-        usual.pose_axes if pose_axes is None else tuple(map("xyz".index, pose_axes)),
+    return replace(
+        usual,
+        range_sigma=scaled(range_sigma_mm, MM, usual.range_sigma),
+        pose_translation_sigma=scaled(pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
+        pose_rotation_sigma=scaled(pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
+        pose_axes=usual.pose_axes if pose_axes is None else tuple(map("xyz".index, pose_axes)),
     )
 
 

@@ -33,7 +33,6 @@ from .calibration import Calibration
 from .calibration_fields import Status
 from .correlations import strong_correlations
 from .dependence import INDEPENDENT, Dependence
-from .file_mistakes import better_way
 from .fit import fit_of
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
@@ -249,6 +248,8 @@ def _way(
         rejected = np.array(
             [[(s, b) in out for b in recording.beam_names] for s in recording.station_names]
         )
+    from .file_mistakes import better_way  # few recordings are wrong
+
     terms = solution.terms
     words = better_way(recording, terms, rejected)
     if not words and wrong is not None and rejected is not None:

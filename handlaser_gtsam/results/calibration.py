@@ -13,9 +13,6 @@ from ..model.losses import Loss
 from ..model.weighting import whitening
 from ..quantities import UNIT_SIGMA
 from .calibration_fields import CalibrationData
-from .description.description import Description
-from .description.notebook import notebook_html
-from .description.screen import screen_lines
 from .limits import Limits
 from .reports import Beam, Plane
 from .verdict import Verdict
@@ -146,6 +143,9 @@ class Calibration(CalibrationData):
         reading : float, optional
             Working distance at which laser spots are judged [m]; the median reading where not given.
         """
+        from .description.description import Description
+        from .description.screen import screen_lines
+
         return "\n".join(screen_lines(Description(self, verdict_on(self, limits, reading))))
 
     @property
@@ -158,6 +158,9 @@ class Calibration(CalibrationData):
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and a row a beam."""
+        from .description.description import Description
+        from .description.notebook import notebook_html
+
         return notebook_html(Description(self, self.verdict))
 
     def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":

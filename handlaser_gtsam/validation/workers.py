@@ -13,6 +13,8 @@ from ..errors import InputError, SolverError
 Result = TypeVar("Result")
 MOST_JOBS = 1000
 """Processes on one computer: more than any has processors, and fewer than take its memory."""
+CONNECTS_WITHIN = 10.0
+"""Seconds after which there is no scheduler at an address."""
 ATTEMPTS = 4
 """Losses of workers one after the other, without a result between them, after which work is given up:
 a single loss may be chance, and work that needs too much memory loses every worker."""
@@ -49,7 +51,7 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
         expected = "pip install 'handlaser-gtsam[dask]'"
         raise InputError("no dask.distributed, which --scheduler needs", expected) from error
     try:
-        client = distributed.Client(scheduler, timeout=10)
+        client = distributed.Client(scheduler, timeout=CONNECTS_WITHIN)
     except (OSError, ValueError, TypeError) as error:
         found = f"no scheduler at {scheduler} ({type(error).__name__})"
         raise InputError(found, "the address of a running one, tcp://ADDRESS:PORT") from error
