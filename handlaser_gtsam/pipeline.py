@@ -31,8 +31,9 @@ def calibrate(
     ----------
     recording : Recording
     noise : Noise, optional
-        An unknown range sigma is estimated from the residuals.
+        What is not given of it is estimated, and integrated over.
     options : CalibrationOptions, optional
+        What is estimated, what is rejected, and the sensor's limits.
     progress : callable, optional
         Called with a `Progress` in every phase, and with every trial step of the solver. A
         KeyboardInterrupt that it raises there ends the solver with what it has; elsewhere it is raised.
@@ -58,8 +59,8 @@ def calibrate_from(
 ) -> Calibration:
     """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
 
-    No start is sought: a search goes on to its end where nothing fits, which is wasted on a model that
-    is known to fit less well.
+    No start is sought. Where nothing fits, a search would try everything, which takes long; a model that
+    leaves out a beam or a term is known to fit less well.
     """
     return _calibrated(recording, noise, options, start, None)
 

@@ -1,10 +1,12 @@
 """The page on the house names every folder, every step of the way exists, and its code runs."""
 
-import ast
 import re
+import sys
 
 import pytest
 from helpers import ROOT
+
+import handlaser_gtsam as hl
 
 PACKAGE = ROOT / "handlaser_gtsam"
 PAGE = (ROOT / "docs" / "house.md").read_text()
@@ -22,13 +24,28 @@ def test_the_page_names_every_folder_and_nothing_else():
     assert sorted(listed) == sorted(folders)
 
 
-def test_every_step_of_the_way_is_there():
+def test_the_way_is_the_order_of_the_first_calls(tmp_path):
+    """Traced: a recording is read and calibrated, judged and written."""
     way = section("From the CSV row to the verdict")
     steps = re.findall(r"\| `([\w/]+\.py)` \| `(\w+)` \|", way)
     assert len(steps) == way.count("\n|") - 2  # all rows but the two of the header
-    for file, name in steps:
-        tree = ast.parse((PACKAGE / file).read_text())
-        assert name in {getattr(node, "name", "") for node in tree.body}, (file, name)
+    called = {}
+
+    def enter(frame, event, _):
+        if event == "call":
+            code = frame.f_code
+            called.setdefault((code.co_filename, code.co_name), len(called))
+
+    sys.setprofile(enter)
+    try:
+        calibration = hl.calibrate(hl.read_recording(ROOT / "examples/gripper/recording.csv"))
+        assert calibration.verdict is not None
+        hl.write_calibration(tmp_path / "calibration.json", calibration)
+    finally:
+        sys.setprofile(None)
+    order = [called.get((str(PACKAGE / file), name), -1) for file, name in steps]
+    assert -1 not in order, steps[order.index(-1)]
+    assert [x for _, x in sorted(zip(order, steps, strict=True))] == steps
 
 
 def test_every_file_that_the_page_names_is_there():

@@ -1,10 +1,11 @@
-"""Solving jointly: weights, graph, Levenberg-Marquardt, unknown scales, and what is determined.
+"""Solving jointly: weights, unknown scales, what is determined, and GTSAM's last word.
 
-Readings are solved with equal weights first. Where they differ in weight or are correlated, or where
-scales of noise or range errors are unknown, weights and scales are settled by linear steps in NumPy
-from that solution, and the graph is solved with them; should it end elsewhere than predicted, both are
-repeated. Then the scales are integrated over. Hand poses that are variables come last, from the
-solution in which they were eliminated beforehand.
+The reduction solves the readings with equal weights first. Where they differ in weight or are
+correlated, or where scales of noise or range errors are unknown, linear steps from that solution settle
+weights and scales, and the reduction solves the readings with them. If that ends elsewhere than the
+linear steps said, both are repeated. Hand poses that are variables come next, from the solution in
+which they were eliminated beforehand. At last GTSAM solves the factor graph from there, and the scales
+are integrated over.
 """
 
 from dataclasses import dataclass, replace

@@ -29,7 +29,7 @@ class CalibrationGraph:
         Range factors, then the priors of range errors and of hand poses that are variables.
     values : gtsam.Values
         The start.
-    blocks : RangeBlocks
+    blocks : tuple of RangeBlock
         Error functions of the range factors, all weighted by `range_sigma`.
     range_sigma : float
         Standard deviation of a whitened residual [m]; of a reading where all weigh the same.

@@ -40,7 +40,7 @@ class LevenbergResult:
         Half the sum of squared, weighted residuals at `values`.
     iterations : int
         Accepted steps.
-    history : Trials
+    history : tuple of Trial
         Every trial step.
     residual : (N,)
         Residuals [m] at `values`, in the order of the readings.
