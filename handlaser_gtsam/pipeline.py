@@ -59,8 +59,8 @@ def calibrate_from(
 ) -> Calibration:
     """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
 
-    No start is sought. Where nothing fits, a search would try everything, which takes long; a model that
-    leaves out a beam or a term is known to fit less well.
+    No start is sought. Where nothing fits, a search would try everything, which takes long; a model
+    that leaves out a beam or a term is known to fit less well.
     """
     return _calibrated(recording, noise, options, start, None)
 
