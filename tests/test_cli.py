@@ -249,12 +249,12 @@ def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
     write_recording(tmp_path / "recording.csv", recording)
     interrupt = (
         "import signal, sys, threading, os\n"
-        "import handlaser_gtsam.solvers.levenberg as solver\n"
-        "record = solver._LevenbergSearch._record\n"
-        "def interrupted(self, *rest):\n"
-        "    record(self, *rest)\n"
+        "import handlaser_gtsam.estimation.task as solver\n"
+        "tell = solver.tell_trial\n"
+        "def interrupted(*rest):\n"
+        "    tell(*rest)\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "solver._LevenbergSearch._record = interrupted\n"
+        "solver.tell_trial = interrupted\n"
         "from handlaser_gtsam.cli import main\n"
         f"sys.argv = ['handlaser', 'calibrate', {str(tmp_path / 'recording.csv')!r}, '-q',"
         f" '--out', {str(tmp_path / 'result.json')!r}]\n"
