@@ -5,6 +5,7 @@ from .block import RangeBlock, range_factor, require_rows
 from .evaluation import Evaluation
 from .gathering import gathered
 from .keys import BeamKeys
+from .of_blocks import BlockGraph, graph_of_blocks
 from .range_error_prior import range_error_prior
 from .range_to_plane import range_to_plane
 from .range_to_plane_from_pose import range_to_plane_from_pose
@@ -12,11 +13,13 @@ from .shared import SharedEvaluation
 
 __all__ = [
     "BeamKeys",
+    "BlockGraph",
     "Evaluation",
     "RangeBlock",
     "SharedEvaluation",
     "beam_drift",
     "gathered",
+    "graph_of_blocks",
     "range_error_prior",
     "range_factor",
     "range_to_plane",

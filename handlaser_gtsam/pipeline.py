@@ -1,6 +1,7 @@
 """The whole way, from a recording to a calibration."""
 
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from .data.ordering import sorted_readings
 from .data.parameters import Parameters
 from .data.recording import Recording
 from .data.screen import screened
-from .errors import CalibrationWarning
+from .errors import CalibrationWarning, InputError
+from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
@@ -19,17 +21,32 @@ from .results.calibration import Calibration
 from .results.problem import Problem
 
 
+@overload
 def calibrate(
     recording: Recording,
     noise: Noise | None = None,
     options: CalibrationOptions | None = None,
     progress: Listener | None = None,
-) -> Calibration:
+) -> Calibration: ...
+
+
+@overload
+def calibrate(recording: BlockProblem) -> Estimate: ...
+
+
+def calibrate(
+    recording: Recording | BlockProblem,
+    noise: Noise | None = None,
+    options: CalibrationOptions | None = None,
+    progress: Listener | None = None,
+) -> Calibration | Estimate:
     """Find the mount of every beam, its range error and every plane, with covariances.
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording or BlockProblem
+        Beams before planes; or blocks of any sensors, targets and relations, whose weights state their
+        noise (then there are no further arguments, and the result is an `Estimate`).
     noise : Noise, optional
         What is not given of it is estimated, and integrated over.
     options : CalibrationOptions, optional
@@ -40,7 +57,7 @@ def calibrate(
 
     Returns
     -------
-    Calibration
+    Calibration or Estimate
         Look at its `status` first.
 
     Raises
@@ -49,6 +66,10 @@ def calibrate(
         A beam or a plane without readings within the sensor's limits; a channel that was logged twice;
         pose covariances of another number of stations; arguments of other types, or contradictory.
     """
+    if isinstance(recording, BlockProblem):
+        if any(given is not None for given in (noise, options, progress)):
+            raise InputError("noise, options or progress beside blocks", "weights of the blocks")
+        return estimate(recording)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return _calibrated(recording, noise, options, None, progress)

@@ -14,6 +14,12 @@ WHOLE_MODULES = {"scenes", "simulate", "starts"}
 """Public modules that define what they offer, in place of names of one subject."""
 
 
+def is_inside(kind: type) -> bool:
+    """Tell of what evaluations share and blocks are made of: whoever writes one imports it from there."""
+    module = kind.__module__
+    return ".factors." in module or module.endswith(("model.block", "model.ranges"))
+
+
 def offered() -> dict[str, object]:
     """Return everything that has a public name, by that name: at the top and in modules."""
     things = {name: getattr(hl, name) for name in dir(hl)}

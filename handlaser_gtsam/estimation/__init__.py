@@ -3,6 +3,10 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .estimate import BlockProblem as BlockProblem
+    from .estimate import Effect as Effect
+    from .estimate import Estimate as Estimate
+    from .estimate import score_test as score_test
     from .information import NoiseSet as NoiseSet
     from .learned import LearnedScales as LearnedScales
     from .many_recordings import SolvedMany as SolvedMany
@@ -16,6 +20,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "estimate": "BlockProblem Effect Estimate score_test",
             "information": "NoiseSet",
             "learned": "LearnedScales",
             "many_recordings": "SolvedMany solve_many",

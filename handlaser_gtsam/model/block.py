@@ -8,7 +8,7 @@ candidates at once. Short groups are filled up with rows of weight zero.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,7 +18,7 @@ Values = Mapping[str, FloatArray]
 """Members (K, n, size) of each family, K problems or candidates first; 1 where all share them."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Slot:
     """One variable that each group of a block sees.
 
@@ -36,7 +36,7 @@ class Slot:
     columns: slice
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """The rows of a block at one point, not yet weighed.
 
@@ -52,7 +52,7 @@ class Rows:
     impossible: BoolArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Weights:
     """How the rows of a block weigh.
 
@@ -83,6 +83,7 @@ class Weights:
         )
 
 
+@runtime_checkable
 class Block(Protocol):
     """Rows of a least-squares problem."""
 

@@ -9,7 +9,7 @@ from .block import Rows, Slot, Values, Weights
 from .families import FAMILIES
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class VectorPrior:
     """Independent Gaussians of the last coordinates of all members of a family.
 

@@ -1,0 +1,251 @@
+r"""Ranges of any sensor to any target from any robot, as one block: the chain rule, written once.
+
+A reading d is that of a ray with origin o and direction u in the hand, which meets a target at the
+range s; its residual is e = s - g(d), with g(d) the true range that the sensor means. In the hand, let
+a = ds/do be the covector of the range. Everything on the near side of the target follows by pulling it
+back, because a direction acts as an origin that is s times as far:
+
+    de/du = s a,    de/d(hand pose) = (x cross a, a),    x = o + s u the spot,
+
+with a pose that is moved on the right by (omega, u). So a sensor turns (a, s) into its own columns, a
+robot turns the pose's columns into its own, and a target gives s, its covector and its own columns.
+
+Arrays of vectors have the coordinates first, (3, K, G, S): K problems, G groups of S readings that see
+the same members.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from .block import Rows, Slot, Values, Weights
+from .families import FAMILIES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """Where the rays of a sensor are in the hand, and what its readings mean.
+
+    Attributes
+    ----------
+    origin, direction : (3, K, G, S)
+        Axes of length 1 stand for what is common.
+    reading : (K, G, S)
+        d [m].
+    true : (K, G, S)
+        g(d) [m].
+    slope : (K, G, S)
+        g'(d): what an error of a reading does to the residual.
+    """
+
+    origin: FloatArray
+    direction: FloatArray
+    reading: FloatArray
+    true: FloatArray
+    slope: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hits:
+    """Where rays meet a target, in the world.
+
+    Attributes
+    ----------
+    range : (K, G, S)
+        s [m].
+    covector : (3, K, G, S)
+        ds/do.
+    columns : (q, K, G, S)
+        Derivatives of s by the target's tangent coordinates.
+    impossible : (K, G, S) of bool
+        Rays that miss the target, or graze it.
+    """
+
+    range: FloatArray
+    covector: FloatArray
+    columns: FloatArray
+    impossible: BoolArray
+
+
+class Sensor(Protocol):
+    """Rays in the hand; `member` (G,) says of which member each group of readings is."""
+
+    @property
+    def family(self) -> str:
+        """The family of its variable."""
+
+    @property
+    def member(self) -> IntArray:
+        """Which member each group is of."""
+
+    def rays(self, values: Values, reading: FloatArray) -> Rays:
+        """Return the rays of readings (K, G, S)."""
+
+    def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
+        """Return de by its tangent coordinates (q, K, G, S), for covectors a in the hand."""
+
+
+class Target(Protocol):
+    """What rays meet; `member` (G,) says which member each group sees."""
+
+    @property
+    def family(self) -> str:
+        """The family of its variable."""
+
+    @property
+    def member(self) -> IntArray:
+        """Which member each group sees."""
+
+    def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
+        """Return where rays (3, K, G, S), in the world, meet it."""
+
+
+class Robot(Protocol):
+    """Where the hand is; `family` is empty where its poses are given."""
+
+    @property
+    def family(self) -> str:
+        """The family of its variable, or nothing."""
+
+    @property
+    def member(self) -> IntArray:
+        """Which member each group has."""
+
+    def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:
+        """Return R (3, 3, K, G, S) and t (3, K, G, S) of the hand in the world."""
+
+    def pull(self, columns: FloatArray) -> FloatArray:
+        """Return de by its tangent coordinates, from those (6, K, G, S) by the hand pose."""
+
+    def picked(self, problems: IntArray) -> "Robot":
+        """Return the robot of some problems."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranges:
+    """Readings of a sensor to targets.
+
+    Attributes
+    ----------
+    sensor, target, robot
+    reading : (K, G, S)
+        [m]; K is 1 where all problems share them.
+    weights : Weights
+        Zero for what is no reading.
+    """
+
+    sensor: Sensor
+    target: Target
+    robot: Robot
+    reading: FloatArray
+    weights: Weights = field(default_factory=Weights)
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the members of sensor, target and, if its poses are variables, robot."""
+        slots, first = [], 0
+        for part in (self.sensor, self.target, self.robot):
+            if part.family:
+                dim = FAMILIES[part.family].dim
+                slots.append(Slot(part.family, part.member, slice(first, first + dim)))
+                first += dim
+        return tuple(slots)
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return the rows of all readings [m]."""
+        d = self.reading
+        rays = self.sensor.rays(values, d)
+        R, t = self.robot.pose(values)
+        hits = self.target.hit(values, _turned(R, rays.origin) + t, _turned(R, rays.direction))
+        a = _turned(np.swapaxes(R, 0, 1), hits.covector)
+        s = hits.range
+        columns = [self.sensor.pull(values, a, rays, s), hits.columns]
+        if self.robot.family:
+            spot = rays.origin + s * rays.direction
+            spot, covector = np.broadcast_arrays(spot, a)
+            turns = np.cross(spot, covector, axis=0)
+            columns.append(self.robot.pull(np.concatenate((turns, covector))))
+        e = s - rays.true
+        shape = np.broadcast_shapes(e.shape, d.shape)
+        whole = [np.broadcast_to(c, (len(c), *shape)) for c in (*columns, e[None])]
+        impossible = np.broadcast_to(hits.impossible, shape)
+        return Rows(np.concatenate(whole), impossible if impossible.any() else None)
+
+    def picked(self, problems: IntArray) -> "Ranges":
+        """Return the readings of some problems."""
+        reading = self.reading if len(self.reading) == 1 else self.reading[problems]
+        return replace(
+            self,
+            robot=self.robot.picked(problems),
+            reading=reading,
+            weights=self.weights.picked(problems),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenPoses:
+    """Hand poses that are known: R (3, 3, K, G, S), t (3, K, G, S) [m]; K is 1 where all share them."""
+
+    R: FloatArray
+    t: FloatArray
+    family: str = ""
+    member: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+
+    @classmethod
+    def of(cls, R: FloatArray, t: FloatArray) -> "GivenPoses":
+        """Return the poses of one problem, R (G, S, 3, 3) and t (G, S, 3)."""
+        return cls(np.moveaxis(R, (2, 3), (0, 1))[:, :, None], np.moveaxis(t, 2, 0)[:, None])
+
+    def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002  (they are given)
+        """Return them."""
+        return self.R, self.t
+
+    def pull(self, columns: FloatArray) -> FloatArray:
+        """Return nothing: they have no variable."""
+        return columns[:0]
+
+    def picked(self, problems: IntArray) -> "GivenPoses":
+        """Return those of some problems."""
+        if self.R.shape[2] == 1:
+            return self
+        return GivenPoses(self.R[:, :, problems], self.t[:, problems])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseVariables:
+    """Hand poses that are variables, one a group."""
+
+    member: IntArray
+    family: str = "pose"
+
+    def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:
+        """Return them."""
+        x = members(values, self.family, self.member)
+        return x[:9].reshape(3, 3, *x.shape[1:]), x[9:]
+
+    def pull(self, columns: FloatArray) -> FloatArray:
+        """Return the columns as they are."""
+        return columns
+
+    def picked(self, problems: IntArray) -> "PoseVariables":  # noqa: ARG002  (all have the same)
+        """Return the same."""
+        return self
+
+
+def members(values: Values, family: str, member: IntArray) -> FloatArray:
+    """Return the numbers (size, K, G, 1) of the member that each group sees."""
+    numbers: FloatArray = np.moveaxis(values[family][:, member], 2, 0)[..., None]
+    return numbers
+
+
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the products of vectors (3, ...)."""
+    product: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
+
+
+def _turned(R: FloatArray, x: FloatArray) -> FloatArray:
+    """Return R x for rotations (3, 3, ...) and vectors (3, ...)."""
+    turned: FloatArray = R[:, 0] * x[0] + R[:, 1] * x[1] + R[:, 2] * x[2]
+    return turned

@@ -1,0 +1,1 @@
+"""Sensors: rays in the hand, and what their readings mean; one file each."""

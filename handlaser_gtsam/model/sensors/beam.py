@@ -1,0 +1,39 @@
+r"""A beam: one ray at a location r in a direction v of the hand, with a range error.
+
+The true range of a reading d is g(d) = d + k1 d + k2 d^2 (equations 7 and 8 of Wei and Hirzinger). A
+constant offset is no unknown: it is the same as moving r along v.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ..block import Values
+from ..families import BEAM, bases
+from ..ranges import Rays, members
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """Beams; `member` (G,) says of which beam each group of readings is."""
+
+    member: IntArray
+    family: str = BEAM.name
+
+    def rays(self, values: Values, reading: FloatArray) -> Rays:
+        """Return the rays of readings (K, G, S)."""
+        x = members(values, self.family, self.member)
+        k1, k2 = x[6], x[7]
+        true = reading * (1.0 + k1 + k2 * reading)
+        return Rays(x[:3], x[3:6], reading, true, 1.0 + k1 + 2.0 * k2 * reading)
+
+    def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
+        """Return de by location, direction and range error."""
+        basis = np.moveaxis(bases(values[self.family][..., 3:6])[:, self.member], (2, 3), (0, 1))
+        turned = s * np.einsum("ijkg,ikgs->jkgs", basis, a)
+        d = rays.reading
+        shape = np.broadcast_shapes(d.shape, s.shape)
+        by_error = np.stack((-d, -d * d))
+        parts = (a, turned, by_error)
+        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in parts])

@@ -1,0 +1,1 @@
+"""Targets: what rays meet, and where; one file each."""

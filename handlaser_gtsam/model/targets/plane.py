@@ -1,0 +1,34 @@
+"""A plane n . (x - c) + h = 0 in the world, about a centre c that never moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ..block import Values
+from ..equation import GRAZING_LIMIT
+from ..families import PLANE, bases
+from ..ranges import Hits, dot, members
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Planes; `member` (G,) says which plane each group of readings sees.
+
+    A ray that grazes its plane (|n . u| below `GRAZING_LIMIT`) is impossible.
+    """
+
+    member: IntArray
+    family: str = PLANE.name
+
+    def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
+        """Return where rays (3, K, G, S), in the world, meet it."""
+        x = members(values, self.family, self.member)
+        n, h, c = x[:3], x[3], x[4:7]
+        cosine = dot(n, direction)
+        grazing = ~(np.abs(cosine) >= GRAZING_LIMIT)
+        f = -1.0 / np.where(grazing, GRAZING_LIMIT, cosine)
+        s = (dot(n, origin - c) + h) * f
+        basis = np.moveaxis(bases(values[self.family][..., :3])[:, self.member], (2, 3), (0, 1))
+        along = np.einsum("ijkg,ikgs->jkgs", basis, origin + s * direction - c)
+        return Hits(s, n * f, np.concatenate((along * f, f[None])), grazing)

@@ -1,0 +1,189 @@
+"""The page on sensors, targets and relations of one's own: its code runs, and its results are right."""
+
+import json
+import re
+
+import gtsam
+import numpy as np
+import pytest
+from helpers import ROOT, bench, motion, recording_of
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.estimation.estimate import _dense, _kept
+from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
+from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
+from handlaser_gtsam.model.ranges import GivenPoses, PoseVariables, Ranges
+from handlaser_gtsam.model.sensors.beam import Beam
+from handlaser_gtsam.model.targets.plane import Plane
+
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The names that the page's code defines, run in its order."""
+    names = {"__name__": "extending"}
+    for block in BLOCKS:
+        exec(compile(block, "extending.md", "exec"), names)
+    return names
+
+
+def test_a_sensor_a_target_and_a_relation_take_forty_lines_at_most():
+    for block in BLOCKS[:3]:
+        assert len([line for line in block.splitlines() if line.strip()]) <= 40
+
+
+def test_the_solution_is_the_truth_and_its_sigmas_are_right(page):
+    found = page["found"]
+    assert found.status == "converged"
+    assert found.undetermined == ()
+    R, t = page["HEAD"]
+    x = found.values["head"][0]
+    off = x[9:] - t
+    assert np.linalg.norm(off) < 1e-3
+    turn = gtsam.Rot3.Logmap(gtsam.Rot3(R.T @ x[:9].reshape(3, 3)))
+    error = np.concatenate((turn, R.T @ off))
+    nees = error @ np.linalg.solve(found.marginal("head", 0), error)
+    assert nees < 22.5  # 0.1 % of chi2 with six degrees of freedom
+    assert found.values["sphere"][0] == pytest.approx([*page["CENTRE"], page["RADIUS"]], abs=2e-3)
+    assert 0.4 * found.dof < found.chi2 < 1.8 * found.dof
+
+
+def test_the_wrong_reading_and_no_other_is_rejected(page):
+    out = [rows.sum() for rows in page["found"].rejected]
+    assert out == [1, 0, 0, 0]
+    assert page["found"].rejected[0][0, 3]
+
+
+def test_the_covariance_is_the_dense_inverse(page):
+    problem, found = page["problem"], page["found"]
+    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
+    J, _, _ = _dense(problem, kept, {name: x[None] for name, x in found.values.items()})
+    scale = np.sqrt(np.diagonal(found.covariance))
+    inverse = np.linalg.inv((J * scale).T @ (J * scale))
+    assert np.abs(found.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
+
+
+def test_gtsam_alone_agrees(page):
+    """The factors of the page's graph, linearised and eliminated by GTSAM: no step is left."""
+    found, problem = page["found"], page["problem"]
+    values = {name: x[None] for name, x in found.values.items()}
+    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
+    own = hl.factors.graph_of_blocks(kept, values, problem.unknown)
+    linear = own.graph.linearize(own.values)
+    step = linear.optimize()
+    assert np.sqrt(-linear.gradientAtZero().dot(step)) < 1e-4
+    marginals = gtsam.Marginals(own.graph, own.values)
+    theirs = marginals.marginalCovariance(own.keys["head", 0, 0])
+    mine = found.marginal("head", 0)
+    scale = np.sqrt(np.diagonal(mine))
+    assert np.abs((theirs - mine) / np.outer(scale, scale)).max() < 1e-6
+
+
+def test_a_systematic_error_is_found_where_there_is_one_only(page):
+    problem, found = page["problem"], page["found"]
+    effect = page["effects"]["all readings too long"]
+    assert not effect.found
+    longer = [
+        Ranges(b.sensor, b.target, b.robot, b.reading + 2.0 * effect.detectable, b.weights)
+        if isinstance(b, Ranges)
+        else b
+        for b in problem.blocks
+    ]
+    start = {name: x[None] for name, x in found.values.items()}
+    wrong = hl.estimation.BlockProblem(longer, start, problem.unknown, problem.length)
+    again = hl.calibrate(wrong)
+    size = hl.estimation.score_test(wrong, again, {"longer": page["longer"]})["longer"]
+    assert size.found
+    assert size.size == pytest.approx(2.0 * effect.detectable, abs=4.0 * size.sigma)
+
+
+def test_what_is_not_determined_is_named(page):
+    """One plane alone, from hands that hardly turn: nothing says where the head is along the plane."""
+    problem = page["problem"]
+    few = hl.estimation.BlockProblem(
+        problem.blocks[:1],
+        {name: x[None] for name, x in page["found"].values.items()},
+        {"head": True, "plane": True},
+        problem.length,
+    )
+    found = hl.calibrate(few)
+    assert found.status == "undetermined"
+    assert any("plane[1]" in one for one in found.undetermined)
+    assert np.isnan(found.covariance).all()
+
+
+def test_it_is_written_as_json(page):
+    content = json.loads(json.dumps(page["found"].to_dict()))
+    assert content["status"] == "converged"
+    assert content["rejected"] == [1, 0, 0, 0]
+    assert content["sigma"]["head[0].x"] == pytest.approx(page["found"].sigma("head[0].x"))
+
+
+def test_bad_starts_are_refused_in_one_line(page):
+    problem = page["problem"]
+    less = {name: x for name, x in problem.start.items() if name != "sphere"}
+    for start, words in (
+        ({**less, "sphere": np.zeros((1, 1, 3))}, "a start of shape"),
+        (less, "no start of the unknown"),
+        ({**less, "sphere": np.full((1, 1, 4), np.nan)}, "not finite"),
+        ({**less, "cone": np.zeros((1, 1, 4))}, "a family 'cone'"),
+    ):
+        wrong = hl.estimation.BlockProblem(problem.blocks, start, problem.unknown)
+        with pytest.raises(hl.InputError, match=words):
+            hl.calibrate(wrong)
+    with pytest.raises(hl.InputError, match="beside blocks"):
+        hl.calibrate(problem, hl.Noise())
+    with pytest.raises(hl.InputError, match="two families named sphere"):
+        register(Family("sphere", (Vector(2),), ("a", "b"), (0, 0)))
+
+
+def general(readings):
+    """Return the readings of beams before planes as a general block, one a group."""
+    R, t = readings.world_R_hand[:, None], readings.world_t_hand[:, None]
+    robot = GivenPoses.of(R, t)
+    return Ranges(
+        Beam(readings.beam), Plane(readings.plane), robot, readings.distance[None, :, None]
+    )
+
+
+def test_the_fused_rows_are_those_of_the_chain_rule():
+    """Beams on planes from given poses: two ways to write it."""
+    truth = bench(2)
+    readings = recording_of(truth, *motion("free", 24), [0] * 12 + [1] * 12, 1e-4).readings()
+    fused = BeamsOnPlanes([readings])
+    values = fused.centred(values_of([truth]))
+    mine = general(readings).evaluate(values).columns[:, 0, :, 0]
+    theirs = np.array([fused.gathered(c)[0] for c in fused.evaluate(values).columns])
+    assert np.abs(mine - theirs).max() < 1e-13
+
+
+@pytest.mark.parametrize("variable", ["beam", "plane", "pose", "head", "sphere"])
+def test_columns_are_derivatives(page, variable):
+    """Against differences of the residuals along every tangent coordinate."""
+    if variable in ("head", "sphere"):
+        block = page["blocks"][2]
+        values = {name: x[None] for name, x in page["found"].values.items()}
+    else:
+        truth = bench(2)
+        readings = recording_of(truth, *motion("free", 24), [0] * 12 + [1] * 12, 1e-4).readings()
+        values = dict(BeamsOnPlanes([readings]).centred(values_of([truth])))
+        turned = readings.world_R_hand.reshape(-1, 9)
+        values["pose"] = np.hstack((turned, readings.world_t_hand))[None]
+        poses = PoseVariables(np.arange(len(readings)))
+        block = Ranges(
+            Beam(readings.beam), Plane(readings.plane), poses, readings.distance[None, :, None]
+        )
+    slot = next(slot for slot in block.slots() if slot.family == variable)
+    columns = block.evaluate(values).columns
+    family, step = FAMILIES[variable], 1e-6
+    for c in range(family.dim):
+        delta = np.zeros((*values[variable].shape[:2], family.dim))
+        delta[..., c] = step
+        sides = [
+            block.evaluate({**values, variable: family.retract(values[variable], sign * delta)})
+            for sign in (1.0, -1.0)
+        ]
+        slope = (sides[0].columns[-1] - sides[1].columns[-1]) / (2.0 * step)
+        assert np.abs(columns[slot.columns.start + c] - slope).max() < 1e-7
