@@ -15,7 +15,7 @@ WHOLE_MODULES = {"scenes", "simulate", "starts"}
 
 
 def is_inside(kind: type) -> bool:
-    """Tell of what evaluations share and blocks are made of: whoever writes one imports it from there."""
+    """Tell of what evaluations share and blocks are made of: its users import it from there."""
     module = kind.__module__
     return ".factors." in module or module.endswith(("model.block", "model.ranges"))
 
