@@ -93,9 +93,11 @@ def select(
         before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
             used = _tested(readings, inside & ~flat, used, solution, noise)
-        steep = limits.within_incidence(readings, solution.parameters, options.sensor)
-        flat = inside.copy()
-        flat[steep] = False
+        flat = np.zeros(len(readings), dtype=bool)
+        if solution.observability.full:  # else the incidence is any
+            steep = limits.within_incidence(readings, solution.parameters, options.sensor)
+            flat = inside.copy()
+            flat[steep] = False
         used &= ~flat
         if (used == before).all():
             break
