@@ -13,9 +13,10 @@ import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR, cell, errors_of
 from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
+from handlaser_gtsam.model.families import BEAM
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
-from handlaser_gtsam.planning.belief import BEAM_SIZE, belief_of, transported
+from handlaser_gtsam.planning.belief import belief_of, transported
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, value
 from handlaser_gtsam.planning.information import outlook, station_rows, updated
@@ -116,14 +117,14 @@ def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
     joint = recorded[2].covariance
     for i, name in enumerate(joint.beam_names):
         own = belief.covariance[
-            BEAM_SIZE * i : BEAM_SIZE * i + 3, BEAM_SIZE * i : BEAM_SIZE * i + 3
+            BEAM.dim * i : BEAM.dim * i + 3, BEAM.dim * i : BEAM.dim * i + 3
         ]
         assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
     mounts = belief_of(Mounts.of(recorded[2]))
     count = belief.first_error
     # Other tangent bases: what does not depend on them is equal.
     for i in range(belief.beams):
-        at = BEAM_SIZE * i + np.arange(3, 5)
+        at = BEAM.dim * i + np.arange(3, 5)
         both = [np.linalg.eigvalsh(x.covariance[np.ix_(at, at)]) for x in (belief, mounts)]
         assert np.allclose(*both, rtol=1e-9)
     assert mounts.covariance.shape == (count, count)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..model.families import MOUNT_DIM
 from .range_error_grid import RangeErrorGrid, axes
 
 LEAST_ELONGATION = 3.0
@@ -38,7 +39,7 @@ class Contrasts:
     @classmethod
     def of(cls, beams: IntArray, terms: int, width: int, widest: float) -> "Contrasts":
         """Return the contrasts of `terms` range errors of some beams of `width` unknowns."""
-        places = (beams[:, None] * width + 5 + np.arange(terms)).ravel()
+        places = (beams[:, None] * width + MOUNT_DIM + np.arange(terms)).ravel()
         turn, is_mean = _contrasts(len(beams), terms)
         wide = np.full(len(places), np.sqrt(1.0 + len(beams)) * widest)
         return cls(places, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)

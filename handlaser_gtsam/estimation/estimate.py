@@ -13,25 +13,23 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtri
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block, Values, whitened
+from ..model.distributions import gaussian_quantile
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..observability.rank import ObservabilityOptions
-from ..quantities import MOST_ROUNDS, SINGULAR
+from ..quantities import MOST_ROUNDS, POWER, SINGULAR
 from ..solvers.sums import eliminated_sums
 
 SIGNIFICANCE = 0.01
 """Probability that a reading of a clean recording is rejected, or an effect found that is none."""
-POWER = 0.8
-"""Probability with which an effect of the detectable size is found."""
-NAMED = 0.1
+NAMED_SHARE = 0.1
 """Coordinates with at least this part of the largest one, in natural units, name a direction."""
 
 
@@ -190,7 +188,7 @@ def score_test(
     values = {name: x[None] for name, x in found.values.items()}
     J, e, _ = _dense(problem, blocks, values)
     effects = {}
-    cut = -float(ndtri(0.5 * SIGNIFICANCE / max(len(columns), 1)))
+    cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(columns), 1)))
     for name, of_blocks in columns.items():
         a = np.concatenate(
             [
@@ -204,7 +202,7 @@ def score_test(
             effects[name] = Effect(np.nan, np.inf, np.inf, False)
             continue
         size, sigma = float(rest @ e) / left, left**-0.5
-        detectable = (cut + float(ndtri(POWER))) * sigma
+        detectable = (cut + float(gaussian_quantile(POWER))) * sigma
         effects[name] = Effect(size, sigma, detectable, abs(size) > cut * sigma)
     return effects
 
@@ -307,7 +305,7 @@ def _without_worst(
         return None
     w = np.where(tested, np.abs(e) / np.sqrt(np.where(tested, free, 1.0)), 0.0)
     worst = int(w.argmax())
-    if w[worst] <= -float(ndtri(0.5 * SIGNIFICANCE / int(tested.sum()))):
+    if w[worst] <= -float(gaussian_quantile(0.5 * SIGNIFICANCE / int(tested.sum()))):
         return None
     rest = []
     for block, rows in zip(blocks, where, strict=True):
@@ -370,7 +368,7 @@ def _undetermined(
     words = []
     for direction in echelon:
         size = np.abs(direction)
-        moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED * size.max()]
+        moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED_SHARE * size.max()]
         words.append(", ".join(moving))
     return null, tuple(words)
 

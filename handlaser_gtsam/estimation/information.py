@@ -22,6 +22,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
+from ..model.families import BEAM, MOUNT_DIM
 from ..model.weighting import Variances, covariance_roots, noise_slopes, own_variances
 from ..quantities import NUMBERS_AT_ONCE
 
@@ -130,7 +131,7 @@ class LinearReadings:
         middle = self.centres[readings.plane]
         v_basis = model.tangent_basis(parameters.directions)[readings.beam]
         n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-        unit = np.array([length] * 3 + [1.0] * 3 + [1.0 / length])[: 5 + terms]
+        unit = BEAM.natural_units(length)[: MOUNT_DIM + terms]
         rows = model.tangent_columns(lin, v_basis, n_basis, middle, terms).T.copy()
         self.beam_rows = unit * rows[:, :-4]
         self.plane_rows = np.array([1.0, 1.0, length, 1.0]) * rows[:, -4:]

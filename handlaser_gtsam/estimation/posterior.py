@@ -11,6 +11,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
+from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, beams_lift
 from ..solvers.beam_problem import moved
 from .information import PlaneResponse
@@ -84,8 +85,8 @@ def posterior(
     known = (learned.mode, learned.range_error) if solved is None else solved
     learned = learned.along(problem.beams(learned.mode[None])[0].worst_known())
     beams, planes = problem.beams(learned.points)
-    unit = np.array([learned.length] * 3 + [1.0] * 3 + [1.0 / learned.length])
-    unit = np.tile(unit[: 5 + learned.terms], problem.readings.beams)
+    unit = BEAM.natural_units(learned.length)[: MOUNT_DIM + learned.terms]
+    unit = np.tile(unit, problem.readings.beams)
     bases = model.tangent_basis(problem.parameters.directions)
     lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
@@ -112,7 +113,7 @@ def _moved(
     """Return the parameters at the mean of the mixture, counted from a solution `away` of its own."""
     steps = planes.step - np.einsum("jpan,n->jpa", planes.response, mixture.mean)
     mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
-    plane = mean * np.array([1.0, 1.0, problem.length])
+    plane = mean * PLANE.natural_units(problem.length)
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
     return moved(problem.parameters, beam, plane, problem.rows.centres)
 
@@ -121,7 +122,7 @@ def _joint(
     problem: ScaleProblem, mixture: Mixture, planes: PlaneResponse, unit: FloatArray
 ) -> JointCovariance:
     """Return the joint covariance; planes for known beams averaged over the noise scales."""
-    plane_unit = np.array([1.0, 1.0, problem.length])
+    plane_unit = PLANE.natural_units(problem.length)
     response = np.einsum("j,jpan->pan", mixture.sets, planes.response)
     inverse = np.einsum("j,jpab->pab", mixture.sets, planes.inverse)
     off = planes.step - np.einsum("j,jpa->pa", mixture.sets, planes.step)

@@ -138,7 +138,7 @@ def _scale(readings: Readings, parameters: Parameters) -> float | None:
     """Return a standard deviation of the residuals [m] that outliers do not spoil."""
     e = np.abs(residuals(parameters, readings))
     total = len(e)
-    unknowns = 5 * readings.beams + 3 * readings.planes
+    unknowns = readings.unknowns(0)
     sigma = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
     return float(sigma) if np.isfinite(sigma) and sigma > 0.0 else None
 

@@ -9,6 +9,7 @@ The natural unit of a tangent coordinate is a power of the typical range L: L fo
 angle, 1 / L for a curvature of the range error.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from .geometry import tangent_basis
 
@@ -177,6 +178,8 @@ BEAM = register(
     )
 )
 """Location and direction in the hand, then the range error (k1, k2)."""
+MOUNT_DIM = 5
+"""Tangent coordinates of location and direction; range errors follow them."""
 PLANE = register(
     Family("plane", (Direction(), Vector(1), Constant(3)), ("n1", "n2", "offset"), (0, 0, 1))
 )
@@ -190,3 +193,9 @@ POSE = register(
     )
 )
 """A hand pose, world_T_hand."""
+
+
+def modelled(terms: Sequence[int]) -> BoolArray:
+    """Return which tangent coordinates (B, 7) of beams with some range-error terms are unknown."""
+    known: BoolArray = np.arange(BEAM.dim) < MOUNT_DIM + np.asarray(terms)[:, None]
+    return known

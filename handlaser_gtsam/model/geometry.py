@@ -6,9 +6,9 @@ from ..arrays import FloatArray, IntArray
 
 ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""
-AXES = np.eye(3)
+COORDINATE_AXES = np.eye(3)
 """The coordinate axes."""
-CROSS_WITH_AXIS = np.cross(AXES[None, :, None], AXES[:, None, None])[:, :, 0].swapaxes(1, 2)
+CROSS_WITH_AXIS = np.array([np.cross(COORDINATE_AXES, axis).T for axis in COORDINATE_AXES])
 """Matrices (3, 3, 3) that take a vector to its cross product with each axis."""
 
 
@@ -23,7 +23,9 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
     basis[..., 0] = (CROSS_WITH_AXIS[axis] @ unit[..., None])[..., 0] * scale
-    basis[..., 1] = (unit * along - AXES[axis]) * scale  # the vector times the first tangent
+    basis[..., 1] = (
+        unit * along - COORDINATE_AXES[axis]
+    ) * scale  # the vector times the first tangent
     return basis
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
+from .families import BEAM, MOUNT_DIM, modelled
 
 BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
 PLANE_COORDINATES = ("nx", "ny", "nz", "b")
@@ -157,15 +158,15 @@ class JointCovariance(Value):
     def beam_lifts(self) -> list[FloatArray]:
         """Return (8, 5 + terms) from tangent to ambient coordinates of every beam."""
         lifts = zip(beam_lifts(self.beam_bases), self.terms, strict=True)
-        return [lift[:, : 5 + terms] for lift, terms in lifts]
+        return [lift[:, : MOUNT_DIM + terms] for lift, terms in lifts]
 
     def plane_lifts(self) -> list[FloatArray]:
         """Return (4, 3) from (tangent of n, offset at its origin) to (n, b) of every plane."""
         return list(map(plane_lift, self.plane_bases, self.origins))
 
     def _columns(self, index: int) -> IntArray:
-        first = sum(5 + terms for terms in self.terms[:index])
-        return np.arange(first, first + 5 + self.terms[index])
+        first = sum(MOUNT_DIM + terms for terms in self.terms[:index])
+        return np.arange(first, first + MOUNT_DIM + self.terms[index])
 
 
 def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
@@ -177,7 +178,7 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
 
 def beam_lifts(bases: FloatArray) -> FloatArray:
     """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
-    lifts = np.zeros((len(bases), 8, 7))
+    lifts = np.zeros((len(bases), BEAM.size, BEAM.dim))
     lifts[:, :3, :3], lifts[:, 3:6, 3:5], lifts[:, 6:, 5:] = np.eye(3), bases, np.eye(2)
     return lifts
 
@@ -185,10 +186,10 @@ def beam_lifts(bases: FloatArray) -> FloatArray:
 def beams_lift(bases: FloatArray, terms: Sequence[int]) -> FloatArray:
     """Return (8 B, nb) from the tangent coordinates of all beams, 5 + terms each, to ambient ones."""
     count = len(bases)
-    each, lift = np.arange(count), np.zeros((count, 8, count, 7))
+    each, lift = np.arange(count), np.zeros((count, BEAM.size, count, BEAM.dim))
     lift[each, :, each] = beam_lifts(bases)
-    active = np.arange(7) < 5 + np.array(terms)[:, None]
-    return lift.reshape(8 * count, 7 * count)[:, active.ravel()]
+    active = modelled(terms).ravel()
+    return lift.reshape(BEAM.size * count, BEAM.dim * count)[:, active]
 
 
 def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:

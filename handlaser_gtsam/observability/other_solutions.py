@@ -22,6 +22,7 @@ import numpy as np
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
+from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..solvers.beam_problem import linearized
 from ..solvers.refine import refine, refine_many
 from ..starts import excerpt
@@ -75,8 +76,8 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     except GrazingBeamError:
         return False
     length = readings.typical_range()
-    beam_unit = np.tile([length] * 3 + [1.0] * 2, readings.beams)
-    step = normal.reduced(beam_unit, np.array([1.0, 1.0, length])).step()
+    beam_unit = np.tile(BEAM.natural_units(length)[:MOUNT_DIM], readings.beams)
+    step = normal.reduced(beam_unit, PLANE.natural_units(length)).step()
     before = normal.squares[0]
     left = before - float(step[2])
     return bool(left > IMAGE_LEFT * before and left > IMAGE_EXCESS * limit)

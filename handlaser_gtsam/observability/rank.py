@@ -17,6 +17,7 @@ from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
 from ..model.elimination import ReducedInformation, spectrum
+from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import Linearized, linearized
@@ -211,7 +212,7 @@ def observability(
         unknowns=size + 3 * planes,
         condition=float(np.sqrt(reduced.most / reduced.least if lost == 0 else np.inf)),
         null_space=NullSpace(
-            beams.reshape(readings.beams, 5 + max(counts), lost),
+            beams.reshape(readings.beams, MOUNT_DIM + max(counts), lost),
             np.concatenate((follow, plane_null), axis=2),
         ),
         length=readings.typical_range(),
@@ -232,14 +233,15 @@ def _reduced(
     """Return the reduced information, and what is open of planes (P, 3, L)."""
     most, normal = max(counts), at.normal
     unit, plane_unit = _units(readings, most, options, prior)
-    active = np.concatenate([np.arange(5 + most) < 5 + count for count in counts])
+    width = MOUNT_DIM + most
+    active = modelled(counts)[:, :width].ravel()
     diagonal = np.diagonal(normal.matrix[0]) * unit**2
     known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
     of_planes = float((np.einsum("pii->pi", normal.local[0]) * plane_unit**2).max())
     least_of_planes = max(_least_information(of_planes, range_sigma, options))
     information = normal.reduced(unit, plane_unit, active, known, least_of_planes)
     floors = _least_information(float((diagonal + known).max()), range_sigma, options)
-    beam = np.repeat(np.arange(readings.beams), 5 + most)[active]
+    beam = np.repeat(np.arange(readings.beams), width)[active]
     values, top, mean_log, axes = spectrum(information.matrix, max(floors))
     lost = open_axes(values, axes, beam, *floors)
     if lost.any() and len(values) < len(beam):
@@ -269,12 +271,12 @@ def _units(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the natural units of the beams' (B W,) and a plane's (3,) unknowns."""
     length = readings.typical_range()
-    error_unit = np.array([1.0, 1.0 / length])
+    mount, error_unit = np.split(BEAM.natural_units(length), [MOUNT_DIM])
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)
         error_unit = np.maximum(error_unit, WITHIN_PRIOR / options.most_sigma * sigma)
-    of_beam = [length] * 3 + [1.0] * 2 + error_unit[:terms].tolist()
-    return np.tile(of_beam, readings.beams), np.array([1.0, 1.0, length])
+    of_beam = np.concatenate((mount, error_unit[:terms]))
+    return np.tile(of_beam, readings.beams), PLANE.natural_units(length)
 
 
 def _prior_information(
@@ -290,9 +292,9 @@ def _prior_information(
     """
     known = np.zeros(len(beam_unit))
     if prior is not None:
-        rows = known.reshape(-1, 5 + terms)
-        sigma = prior.sigma[:, :terms] / beam_unit[5 : 5 + terms]
-        rows[:, 5:] = np.maximum((range_sigma / sigma) ** 2, SINGULAR * largest)
+        rows = known.reshape(-1, MOUNT_DIM + terms)
+        sigma = prior.sigma[:, :terms] / beam_unit[MOUNT_DIM : MOUNT_DIM + terms]
+        rows[:, MOUNT_DIM:] = np.maximum((range_sigma / sigma) ** 2, SINGULAR * largest)
     return known
 
 

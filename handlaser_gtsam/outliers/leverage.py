@@ -15,6 +15,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.families import MOUNT_DIM
 from ..observability.rank import Observability
 from ..quantities import NEGLIGIBLE
 from ..solvers.beam_problem import jacobian_columns
@@ -26,7 +27,7 @@ there, and the information takes too long to invert."""
 
 def negligible(readings: Readings, terms: int) -> bool:
     """Tell whether leverages are taken as zero."""
-    return len(readings) * readings.beams * (5 + terms) > LARGEST_LEVERAGES
+    return len(readings) * readings.beams * (MOUNT_DIM + terms) > LARGEST_LEVERAGES
 
 
 def leverages(

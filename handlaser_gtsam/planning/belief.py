@@ -10,16 +10,13 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..errors import InputError
+from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .plate import Plate, plate_of
 
-BEAM_SIZE = 7
-"""Unknowns of a beam: location, tangent of the direction, k1, k2."""
-PLANE_SIZE = 3
-"""Unknowns of a plane: tangent of the normal, offset."""
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say
 anything, and small enough that rounding does not matter."""
@@ -75,7 +72,7 @@ class Belief:
     @property
     def first_error(self) -> int:
         """The number of unknowns of all beams."""
-        return BEAM_SIZE * self.beams
+        return BEAM.dim * self.beams
 
     @property
     def first_plane(self) -> int:
@@ -91,8 +88,8 @@ class Belief:
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
-        beam = x[: self.first_error].reshape(-1, BEAM_SIZE)
-        plane = x[self.first_plane :].reshape(-1, PLANE_SIZE)
+        beam = x[: self.first_error].reshape(-1, BEAM.dim)
+        plane = x[self.first_plane :].reshape(-1, PLANE.dim)
         mean = self.mean
         turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, 3:5])
         tilted = np.einsum("pij,pj->pi", self.plane_bases, plane[:, :2])
@@ -118,7 +115,7 @@ class Belief:
     def before(self, plates: Mapping[str, Plate], *, only: bool = False) -> "Belief":
         """Return the belief with plates that nothing was read of yet; `only` with them, if asked."""
         keep = 0 if only else len(self.plane_names)
-        known = self.first_plane + PLANE_SIZE * keep
+        known = self.first_plane + PLANE.dim * keep
         n = np.array([plate.normal for plate in plates.values()]).reshape(-1, 3)
         points = np.array([plate.point for plate in plates.values()]).reshape(-1, 3)
         bounds = [(x.tilt, x.tilt, x.within) for x in plates.values()]
@@ -188,9 +185,9 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
     names = joint.plane_names[last]
     # Range errors that are not modelled have rows of zeros.
-    modelled = np.arange(BEAM_SIZE) < 5 + np.array(joint.terms)[:, None]
-    rows = np.flatnonzero(np.append(modelled, np.ones(PLANE_SIZE * len(names), dtype=bool)))
-    covariance = np.zeros((modelled.size + PLANE_SIZE * len(names),) * 2)
+    known = modelled(joint.terms)
+    rows = np.flatnonzero(np.append(known, np.ones(PLANE.dim * len(names), dtype=bool)))
+    covariance = np.zeros((known.size + PLANE.dim * len(names),) * 2)
     covariance[np.ix_(rows, rows)] = joint.matrix(planes=names, ambient=False)
     mean, learned = calibration.parameters(), calibration.variances
     given = Variances(np.full(len(joint.terms), calibration.fit.range_sigma))

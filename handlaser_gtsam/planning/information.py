@@ -17,10 +17,11 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
+from ..model.families import BEAM, PLANE
 from ..model.weighting import reading_sigmas, whitening
 from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..validation.simulate import Stations, read_back
-from .belief import BEAM_SIZE, PLANE_SIZE, Belief
+from .belief import Belief
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
     n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
     steeper = np.zeros_like(rows)  # derivatives of the cosines
     steeper[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
-    steeper[:, BEAM_SIZE : BEAM_SIZE + 2] = np.einsum(
+    steeper[:, BEAM.dim : BEAM.dim + 2] = np.einsum(
         "ni,nij->nj", v_world, belief.plane_bases[readings.plane]
     )
     variances, turn = belief.variances.for_stations(len(stations)), 0.0
@@ -82,11 +83,11 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     """
     count, beams = len(stations), belief.beams
     readings, x = _predicted(belief, stations)
-    J = _derivatives(belief, readings, x).reshape(count, beams, BEAM_SIZE + PLANE_SIZE)
+    J = _derivatives(belief, readings, x).reshape(count, beams, BEAM.dim + PLANE.dim)
     rows = np.zeros((count, beams, len(belief.covariance)))
     each = np.arange(beams)
-    by_beam = rows[..., : belief.first_error].reshape(count, beams, beams, BEAM_SIZE)
-    by_beam[:, each, each] = J[..., :BEAM_SIZE]
+    by_beam = rows[..., : belief.first_error].reshape(count, beams, beams, BEAM.dim)
+    by_beam[:, each, each] = J[..., : BEAM.dim]
     rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
         errors = errors_of_readings(belief.mean, readings, x, np.arange(beams))
@@ -94,8 +95,8 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
         by_errors = errors[:, wanted].reshape(count, beams, -1)
         rows[..., belief.first_error : belief.first_plane] = by_errors
     for plane in range(len(belief.plane_names)):
-        first, here = belief.first_plane + PLANE_SIZE * plane, stations.plane == plane
-        rows[here, :, first : first + PLANE_SIZE] = J[here, :, BEAM_SIZE:]
+        first, here = belief.first_plane + PLANE.dim * plane, stations.plane == plane
+        rows[here, :, first : first + PLANE.dim] = J[here, :, BEAM.dim :]
     how = whitening(belief.mean, readings, belief.variances.for_stations(count))
     white = how.apply_rows(rows.reshape(count * beams, -1)) / how.sigma
     return white.reshape(rows.shape)
@@ -187,11 +188,11 @@ def _derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArr
 
 def _spread(belief: Belief, stations: Stations, rows: FloatArray) -> FloatArray:
     """Return variances (M, B) of rows (N, 10) times the unknowns of each reading's beam and plane."""
-    rows = rows.reshape(-1, belief.beams, BEAM_SIZE + PLANE_SIZE)
+    rows = rows.reshape(-1, belief.beams, BEAM.dim + PLANE.dim)
     variance = np.empty(rows.shape[:2])
-    beam = np.arange(belief.first_error).reshape(belief.beams, BEAM_SIZE)
+    beam = np.arange(belief.first_error).reshape(belief.beams, BEAM.dim)
     for plane in np.unique(stations.plane):
-        columns = belief.first_plane + PLANE_SIZE * plane + np.arange(PLANE_SIZE)
+        columns = belief.first_plane + PLANE.dim * plane + np.arange(PLANE.dim)
         index = np.hstack((beam, np.tile(columns, (belief.beams, 1))))
         S = belief.spread[index[:, :, None], index[:, None]]
         here = stations.plane == plane

@@ -9,11 +9,12 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
+from ..model.families import BEAM, MOUNT_DIM
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spot_error import radius
-from .belief import BEAM_SIZE, Belief, belief_of
+from .belief import Belief, belief_of
 from .choice import Chosen, choose
 from .goal import Forecast, Goal
 from .information import updated, with_errors
@@ -71,7 +72,7 @@ class Task:
         for step in range(len(rows) + 1):
             C = updated(C, rows[max(step - 1, 0) : step])
             size = self.belief.first_error
-            blocks = C[:size, :size].reshape(beams, BEAM_SIZE, beams, BEAM_SIZE)[each, :, each]
+            blocks = C[:size, :size].reshape(beams, BEAM.dim, beams, BEAM.dim)[each, :, each]
             variances = (
                 np.diagonal(blocks, 0, 1, 2)[:, :3].max(),
                 np.linalg.eigvalsh(blocks[:, 3:5, 3:5]).max(),
@@ -126,7 +127,7 @@ def goal_rows(belief: Belief, goal: Goal, distance: float) -> FloatArray:
     if goal.criterion == "spot":
         return spot_rows(belief, distance)
     unit = np.repeat(goal.units, (3, 2))
-    rows = np.kron(np.eye(belief.beams), np.eye(5, BEAM_SIZE) / unit[:, None])
+    rows = np.kron(np.eye(belief.beams), np.eye(MOUNT_DIM, BEAM.dim) / unit[:, None])
     return np.pad(rows, ((0, 0), (0, len(belief.covariance) - rows.shape[1])))
 
 

@@ -35,7 +35,8 @@ from scipy.optimize import nnls
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from .projection import BEAM_UNKNOWNS, LinearRows, Projection
+from ..model.families import BEAM
+from .projection import LinearRows, Projection
 from .significance import FAR_SIGMAS
 
 LEAST_PAIRS = 20
@@ -165,7 +166,7 @@ def _growths(
     """Yield of every beam the largest ratio of a variance to that with independent noise."""
     planes = projection.response.reshape(-1, projection.beam_inverse.shape[0])
     for beam in range(rows.readings.beams):
-        x = projection.beam_inverse[:, BEAM_UNKNOWNS * beam : BEAM_UNKNOWNS * (beam + 1)]
+        x = projection.beam_inverse[:, BEAM.dim * beam : BEAM.dim * (beam + 1)]
         x = x[:, x.any(axis=0)]
         gain = rows.how.apply_rows(projection.J @ np.concatenate((x, -planes @ x)))
         alone = (gain**2).sum(axis=0)

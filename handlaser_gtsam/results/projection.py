@@ -11,12 +11,11 @@ from scipy.sparse import csr_array
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.reduction import Normal
 from ..model.weighting import Whitening
 from ..solvers.beam_problem import jacobian_columns, linearized
 
-BEAM_UNKNOWNS = 7
-"""Unknowns of a beam: location (3), direction (2), k1 and k2."""
 SQUARE_ROUNDING = 1e-14
 """Information, or a square, below this part of the whole is lost in rounding."""
 
@@ -59,10 +58,12 @@ class LinearRows:
     def sparse(self) -> csr_array:
         """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
         readings = self.readings
-        beam = BEAM_UNKNOWNS * readings.beam[:, None] + np.arange(BEAM_UNKNOWNS)
-        plane = BEAM_UNKNOWNS * readings.beams + 3 * readings.plane[:, None] + np.arange(3)
-        size = BEAM_UNKNOWNS * readings.beams + 3 * readings.planes
-        starts = (BEAM_UNKNOWNS + 3) * np.arange(len(readings) + 1)
+        beam = BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
+        plane = (
+            BEAM.dim * readings.beams + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
+        )
+        size = BEAM.dim * readings.beams + PLANE.dim * readings.planes
+        starts = (BEAM.dim + PLANE.dim) * np.arange(len(readings) + 1)
         columns = np.hstack((beam, plane)).ravel()
         return csr_array((self.J.ravel(), columns, starts), shape=(len(readings), size))
 
@@ -82,7 +83,7 @@ def linear_rows(
     channel = np.arange(readings.beams) if channel is None else channel
     columns = jacobian_columns(at, readings, 2)
     normal = linearized(at, readings, 2, how).normal
-    J = np.ascontiguousarray(columns[: BEAM_UNKNOWNS + 3].T)
+    J = np.ascontiguousarray(columns[: BEAM.dim + PLANE.dim].T)
     return LinearRows(at, readings, how, prior, position, channel, J, columns[-1], normal)
 
 
@@ -118,11 +119,11 @@ class Projection:
     def __init__(self, rows: LinearRows) -> None:
         self.J, self.how, prior = rows.sparse(), rows.how, rows.prior
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
-        self.pull = np.zeros((readings.beams, BEAM_UNKNOWNS))
+        self.pull = np.zeros((readings.beams, BEAM.dim))
         finite = np.isfinite(prior) & (prior > 0.0)
-        self.pull[:, 5:][finite] = self.how.sigma / prior[finite]
+        self.pull[:, MOUNT_DIM:][finite] = self.how.sigma / prior[finite]
         active = np.ones_like(self.pull, dtype=bool)
-        active[:, 5:] = prior > 0.0
+        active[:, MOUNT_DIM:] = prior > 0.0
         diagonal = np.diagonal(normal.matrix[0]) + self.pull.ravel() ** 2
         used = active.ravel() & (diagonal > 0.0)
         unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
@@ -133,7 +134,7 @@ class Projection:
         self.beam_inverse = np.zeros((len(unit), len(unit)))
         self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
         self.plane_inverse = reduced.plane_inverse * np.outer(plane_unit, plane_unit)
-        self.response = np.zeros((readings.planes, 3, len(unit)))
+        self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
         self.response[:, :, used] = plane_unit[:, None] * reduced.plane_response / unit[used]
 
     def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
@@ -148,7 +149,7 @@ class Projection:
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)
             beams, planes = np.split(gradient, [self.pull.size])
-            planes = planes.reshape(self.readings.planes, 3, -1)
+            planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
             beams = beams + pull * pulled - np.einsum("pij,piq->jq", self.response, planes)
             x = self.beam_inverse @ beams
             y = self.plane_inverse @ planes - self.response @ x
@@ -166,8 +167,8 @@ class Projection:
 
         `products` (m, B, 10), `squares` (m,) and `plane` (m,) are attributes of `PlaneErrors`.
         """
-        planes = products[:, :, BEAM_UNKNOWNS:].sum(axis=1)
-        beams = products[:, :, :BEAM_UNKNOWNS].reshape(len(products), self.pull.size)
+        planes = products[:, :, BEAM.dim :].sum(axis=1)
+        beams = products[:, :, : BEAM.dim].reshape(len(products), self.pull.size)
         beams = beams - np.einsum("mi,mij->mj", planes, self.response[plane])
         moved = beams @ self.beam_inverse
         left = squares - np.einsum("mi,mij,mj->m", planes, self.plane_inverse[plane], planes)

@@ -11,6 +11,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
+from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..observability.wording import BeamAndPlaneNames
@@ -93,7 +94,7 @@ def rival_warnings(
 
 def direction_sigmas(joint: JointCovariance) -> FloatArray:
     """Return the standard deviation (B,) of each direction, along its least certain axis [rad]."""
-    first = np.cumsum([0, *(5 + terms for terms in joint.terms[:-1])])
+    first = np.cumsum([0, *(MOUNT_DIM + terms for terms in joint.terms[:-1])])
     rows = first[:, None] + np.array([3, 4])
     blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
     return np.asarray(np.sqrt(np.linalg.eigvalsh(blocks)[:, -1]))

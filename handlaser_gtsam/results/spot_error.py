@@ -39,6 +39,7 @@ from ..checks import require_number
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
+from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
@@ -197,16 +198,14 @@ def _spot_variance(
     at = calibration.parameters()
     how = whitening(at, readings, variances)
     normal = linearized(at, readings, 2, how).normal
-    inverse = np.linalg.pinv(normal.local[0], rcond=SINGULAR, hermitian=True)
-    W = inverse @ normal.border[0]
-    S = normal.matrix[0] - np.einsum("pib,pic->bc", normal.border[0], W)
-    prior, learned = np.zeros((len(calibration.beams), 7)), calibration.range_error_scales
+    S = normal.reduced(np.ones(normal.gradient.shape[1]), np.ones(PLANE.dim)).matrix
+    prior, learned = np.zeros((len(calibration.beams), BEAM.dim)), calibration.range_error_scales
     if learned is not None:
-        prior[:, 5:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
+        prior[:, MOUNT_DIM:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
     S = S / how.sigma**2 + np.diag(prior.ravel())
     terms, length = [b.terms for b in calibration.beams.values()], calibration.fit.typical_range
-    active = np.concatenate([np.arange(7) < 5 + count for count in terms])
-    unit = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], len(calibration.beams))[active]
+    active = modelled(terms).ravel()
+    unit = np.tile(BEAM.natural_units(length), len(calibration.beams))[active]
     S = S[np.ix_(active, active)] * np.outer(unit, unit)
     A = J @ beams_lift(model.tangent_basis(at.directions), terms) * unit
     return float(np.trace(A @ np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ A.T))

@@ -20,14 +20,13 @@ from ..model.distributions import (
     student_quantile,
     student_sf,
 )
-from .projection import BEAM_UNKNOWNS, SQUARE_ROUNDING, LinearRows, Projection
+from ..model.families import BEAM
+from ..quantities import POWER
+from .projection import SQUARE_ROUNDING, LinearRows, Projection
 from .significance import CONFIDENCE, FAMILY_LEVEL, holm
 from .systematic_columns import systematic_columns
 from .systematic_words import WORDING
 
-POWER = 0.8
-"""Probability with which an error of the detectable size is found: the usual one in reliability
-theory."""
 CONFOUNDED_SHARE = 1e-6
 """An error is confounded where the unknowns explain all but this part of its column. Rounding makes up
 to 1e-11 of a member of a family; errors that a recording shows at all have 3e-5 or more."""
@@ -214,7 +213,7 @@ class ScoreTests:
         sizes = np.where(np.isfinite(sizes), sizes, np.nan)
         beams = len(self.rows.at.directions)
         return np.asarray(
-            -self.moved[members].reshape(len(members), beams, BEAM_UNKNOWNS) * sizes[:, None, None]
+            -self.moved[members].reshape(len(members), beams, BEAM.dim) * sizes[:, None, None]
         )
 
     def _turns(self, x: FloatArray) -> FloatArray:

@@ -24,8 +24,9 @@ from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
+from ..model.families import BEAM, MOUNT_DIM
 from ..quantities import KNOWN
-from .reference import MOUNT_UNKNOWNS, Reference
+from .reference import Reference
 
 FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
@@ -97,8 +98,8 @@ class DriftHistory:
         active = reference.active.tolist()
         basis = model.tangent_basis(reference.beams[1])
         for a, b, sigmas in links:
-            rows = [active.index(7 * a + i) for i in range(MOUNT_UNKNOWNS + reference.terms[a])]
-            other = [active.index(7 * b + i) for i in range(MOUNT_UNKNOWNS + reference.terms[b])]
+            rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + reference.terms[a])]
+            other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + reference.terms[b])]
             J = np.zeros((len(rows), size))
             J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
             J[3:5, other[3:5]] = basis[a].T @ basis[b]

@@ -15,7 +15,7 @@ from ..estimation.information import Information
 from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.errors_in_variables import weighed
-from ..model.families import BEAM
+from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
@@ -67,7 +67,7 @@ class FittedPlane:
 
     def determined(self) -> bool:
         """Tell whether the readings alone determine the plane, for known beams."""
-        unit = np.array([1.0, 1.0, self.readings.typical_range()])
+        unit = PLANE.natural_units(self.readings.typical_range())
         information = self.normal.local[0, 0] * np.outer(unit, unit) / self.whitening.sigma**2
         return bool(np.linalg.eigvalsh(information)[0] > KNOWN**-2)
 
@@ -149,14 +149,14 @@ class FittedPlane:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
         config, parameters, readings = self.config, self.parameters, self.readings
         columns = jacobian_columns(parameters, readings, 2)
-        active = np.flatnonzero(np.concatenate([np.arange(7) < 5 + k for k in config.terms]))
-        J = np.zeros((len(readings), len(config.names), 7))
-        J[np.arange(len(J)), readings.beam] = columns[:7].T
+        active = np.flatnonzero(modelled(config.terms))
+        J = np.zeros((len(readings), len(config.names), BEAM.dim))
+        J[np.arange(len(J)), readings.beam] = columns[: BEAM.dim].T
         lift = beams_lift(model.tangent_basis(parameters.directions), config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
         prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
-        return np.hstack((J.reshape(len(J), -1)[:, active], columns[7:10].T)), prior
+        return np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T)), prior
 
     def factors(
         self, number: int, stations: Mapping[str, int], recording: Recording
@@ -244,7 +244,7 @@ def _stepped(
 ) -> tuple[Parameters, Normal]:
     """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
     normal, beams = at.normal, len(parameters.locations)
-    unit = np.array([1.0, 1.0, readings.typical_range()])
+    unit = PLANE.natural_units(readings.typical_range())
     reduced = normal.reduced(np.ones(normal.gradient.shape[1]), unit)
     there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.plane_step, at.centres)
     none = np.zeros_like(normal.local_gradient)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..data.parameters import Beams
 from ..data.recording import Recording
+from ..model.families import MOUNT_DIM
 from ..model.sensor import FLAT, Rejected, within_incidence
 from ..outliers.snooping import price
 from ..solvers.beam_state import BeamState, PlaneFactors
@@ -14,7 +15,6 @@ from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
 from .drift import DriftHistory
 from .fitted import FittedPlane, fit_plane, outliers
-from .reference import MOUNT_UNKNOWNS
 
 GROSS_ERROR = 0.02
 """Prior probability that a reading is a gross error."""
@@ -215,5 +215,5 @@ def _rather_moved(
     gross = fitted.misfit(state) - again.misfit(state)
     gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
     beams = len(fitted.config.names)
-    move = moved.statistic - MOUNT_UNKNOWNS * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
+    move = moved.statistic - MOUNT_DIM * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
     return bool(move > gross)

@@ -8,10 +8,8 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..estimation.information import Information
+from ..model.families import BEAM, MOUNT_DIM, modelled
 from ..model.reduction import Normal
-
-MOUNT_UNKNOWNS = 5
-"""The first unknowns of a beam are its mount, which may move; its range error belongs to the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,7 @@ class Reference:
     @property
     def mask(self) -> BoolArray:
         """Whether each of 7 unknowns a beam is estimated."""
-        return np.concatenate([np.arange(7) < MOUNT_UNKNOWNS + terms for terms in self.terms])
+        return modelled(self.terms).ravel()
 
     @property
     def active(self) -> IntArray:
@@ -45,13 +43,12 @@ class Reference:
     @property
     def unit(self) -> FloatArray:
         """Natural units of the active unknowns."""
-        of_beam = [self.length] * 3 + [1.0] * 3 + [1.0 / self.length]
-        return np.tile(of_beam, len(self.terms))[self.active]
+        return np.tile(BEAM.natural_units(self.length), len(self.terms))[self.active]
 
     def moves(self) -> IntArray:
         """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
         active = self.active
-        return np.flatnonzero(active % 7 < MOUNT_UNKNOWNS).reshape(-1, MOUNT_UNKNOWNS)
+        return np.flatnonzero(active % BEAM.dim < MOUNT_DIM).reshape(-1, MOUNT_DIM)
 
     def coordinates(self, beams: Beams) -> FloatArray:
         """Return the unknowns of other beams."""
@@ -94,11 +91,11 @@ def plane_information(
 def turns(directions: FloatArray, reference: Reference) -> FloatArray:
     """Return the matrix from unknowns in the bases of the reference to unknowns in the bases here."""
     here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
-    turns = np.tile(np.eye(7), (len(directions), 1, 1))
+    turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
     turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
-    whole = np.zeros((len(directions), 7, len(directions), 7))
+    whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
     each = np.arange(len(directions))
     whole[each, :, each, :] = turns
-    size, active = 7 * len(directions), reference.active
+    size, active = BEAM.dim * len(directions), reference.active
     matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
     return matrix

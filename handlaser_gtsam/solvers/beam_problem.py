@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, whitened
-from ..model.families import BEAM, PLANE
+from ..model.families import BEAM, PLANE, modelled
 from ..model.losses import GAUSSIAN, Loss
 from ..model.priors import VectorPrior
 from ..model.reduction import Normal, Reduction, damped_step
@@ -70,13 +70,13 @@ def beam_problem(
         real[:] = block.spread(np.ones((1, block.size))).reshape(real.shape) > 0.0
         robust = RobustLoss(loss, scale or LossScale(float(unit[0])), limit, real[0])
     if local is None:
-        free = int(_free(terms).sum()) * block.beams, PLANE.dim * block.planes
+        free = int(modelled([terms])[0].sum()) * block.beams, PLANE.dim * block.planes
         apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]
         local = BEAM.name if apart else PLANE.name
     reduction = Reduction(
         blocks,
         block.counts,
-        {BEAM.name: _free(terms), PLANE.name: True},
+        {BEAM.name: modelled([terms])[0], PLANE.name: True},
         local,
     )
     dof = max(block.size - readings[0].unknowns(terms), 1)
@@ -112,7 +112,7 @@ def linearized(
     block = BeamsOnPlanes([readings], None if whitening is None else [whitening])
     values = block.centred(values_of([parameters]))
     require_steep(parameters, readings)
-    unknown: dict[str, BoolArray | bool] = {BEAM.name: _free(terms), PLANE.name: True}
+    unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
     rows = block.evaluate(values)
     normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
         [whitened(rows, block.weights)]
@@ -188,11 +188,6 @@ def require_steep(parameters: Parameters, readings: Readings) -> None:
     worst = float(cosine[np.argmin(np.abs(cosine))])
     if not abs(worst) >= GRAZING_LIMIT:
         raise GrazingBeamError(worst, GRAZING_LIMIT)
-
-
-def _free(terms: int) -> BoolArray:
-    """Return which tangent coordinates of a beam are unknown with some range-error terms."""
-    return np.arange(BEAM.dim) < BEAM.dim - 2 + terms
 
 
 def _prior(prior: RangeErrorPrior, terms: int, unit: FloatArray) -> VectorPrior:

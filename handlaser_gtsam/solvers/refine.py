@@ -21,7 +21,7 @@ MOST_DAMPING = 1e6
 MOST_RESIDUAL = 2.0
 """Under a robust loss residuals end at this many times the upper quartile of the readings: a beam that
 grazes its plane has one beyond bounds, which is no reason to drop a candidate."""
-TOLERANCE = 3e-5
+CANDIDATE_TOLERANCE = 3e-5
 """Candidates have arrived where this part of the spread of all readings together is left to go: what
 they would still save of their cost, 1e-9 of it, does not change their order."""
 
@@ -85,7 +85,7 @@ def refine_many(
         problem, block = beam_problem(
             [readings], terms, 1.0, len(some), loss=loss, scale=scale, limit=limit
         )
-        tolerance = TOLERANCE * float(np.sqrt(problem.dof))
+        tolerance = CANDIDATE_TOLERANCE * float(np.sqrt(problem.dof))
         options = LevenbergOptions(
             iterations, tolerance, LEAST_DAMPING, LEAST_DAMPING, 10.0, MOST_DAMPING
         )

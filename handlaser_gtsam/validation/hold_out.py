@@ -24,6 +24,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
+from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..progress import tell
@@ -150,8 +151,8 @@ def fit_planes(
     """Return the planes that fit `readings` best for fixed beams (r, v, k), and the whitening there."""
     r, v, k = beams
     at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
-    unit = np.array([1.0, 1.0, readings.typical_range()])
-    still = np.zeros((readings.beams, 7))
+    unit = PLANE.natural_units(readings.typical_range())
+    still = np.zeros((readings.beams, BEAM.dim))
     for _ in range(MOST_PLANE_STEPS):
         how = whitening(at, readings, variances)
         here = linearized(at, readings, 2, how)
@@ -202,10 +203,10 @@ class _Quadratic:
         """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
         normal = linearized(at, readings, 2, how).normal
         length = readings.typical_range()
-        active = np.concatenate([np.arange(7) < 5 + terms for terms in mounts.terms])
-        every = np.tile([length] * 3 + [1.0] * 3 + [1.0 / length], readings.beams)
+        active = modelled(mounts.terms).ravel()
+        every = np.tile(BEAM.natural_units(length), readings.beams)
         unit = every[active]
-        reduced = normal.reduced(every, np.array([1.0, 1.0, length]), active)
+        reduced = normal.reduced(every, PLANE.natural_units(length), active)
         e = how.apply(model.residuals(model.scene(at, readings), readings.distance))
         cost = float(e @ e) / how.sigma**2
         values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
@@ -228,7 +229,7 @@ class _Quadratic:
             (axes * values) @ axes.T,
             _root(P),
             unit,
-            np.repeat(np.arange(readings.beams), 7)[active],
+            np.repeat(np.arange(readings.beams), BEAM.dim)[active],
             int(keep.sum()),
             free - int(keep.sum()),
             known,
