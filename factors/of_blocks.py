@@ -1,7 +1,7 @@
 """Blocks of rows of any sensor, target or relation as GTSAM factors on native variables.
 
 A family becomes one variable for each of its parts: a vector, a `Unit3` or a `Pose3`. Tangent
-coordinates are those of GTSAM, so that the columns of a block are the Jacobians as they are.
+coordinates agree with GTSAM's, so that the columns of a block are its Jacobians.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from handlaser_gtsam.model.block import Block, Values, whitened
 from handlaser_gtsam.model.families import FAMILIES, Constant, Direction, Motion, Part
 
 FIRST_LETTER = ord("a")
-"""Keys of the parts of the first family begin with this letter, those of the next with the next."""
+"""Keys of the first part of the first family begin with this letter, further parts with the next."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,9 +116,7 @@ def test_predicted_covariances_are_those_of_dense_differences(belief, pool):
 def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
     joint = recorded[2].covariance
     for i, name in enumerate(joint.beam_names):
-        own = belief.covariance[
-            BEAM.dim * i : BEAM.dim * i + 3, BEAM.dim * i : BEAM.dim * i + 3
-        ]
+        own = belief.covariance[BEAM.dim * i : BEAM.dim * i + 3, BEAM.dim * i : BEAM.dim * i + 3]
         assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
     mounts = belief_of(Mounts.of(recorded[2]))
     count = belief.first_error

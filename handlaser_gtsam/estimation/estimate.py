@@ -407,7 +407,7 @@ def _finished(
 
 
 def _out(block: Block, left: Block) -> BoolArray:
-    """Return which readings of a block were left out."""
+    """Return which readings of a block are rejected."""
     if not isinstance(block, Ranges) or left.weights.root is None:
         return np.zeros((1, 1), dtype=bool)
     before = True if block.weights.root is None else block.weights.root[0] > 0.0

@@ -37,8 +37,8 @@ STEPS_SETTLED = 1e-3
 MOST_INCREASE = 4.0
 """A linear step to other weights may raise the squares by this factor: beyond, it leads nowhere."""
 MOST_NUMBERS = 200_000
-"""Derivatives in the factors of a graph; beyond, their sums go to GTSAM. At so many the graph takes as
-long as all steps of the reduction."""
+"""Derivatives in the factors of a graph; beyond, their sums go to GTSAM. A graph of this size takes
+as long as all steps of the reduction."""
 COARSE_TOLERANCE = 1e-2
 """Standard deviations that an equally weighted solution may be off where another follows it."""
 

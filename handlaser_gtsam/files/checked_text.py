@@ -25,7 +25,7 @@ class FileRecord(BaseModel):
 
     @classmethod
     def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
-        """Return the schema of a file of this content, which may import those of rare tables."""
+        """Return the schema of a file of this content, which may import the schemas of rare tables."""
         return cls
 
 

@@ -15,17 +15,16 @@ CROSS_WITH_AXIS = np.array([np.cross(COORDINATE_AXES, axis).T for axis in COORDI
 def tangent_basis(unit: FloatArray) -> FloatArray:
     """Return an orthonormal basis (N, 3, 2) of the tangent planes at unit vectors (N, 3).
 
-    It is that of `gtsam.Unit3`: its first vector is at right angles to the axis that is farthest from
-    the unit vector. A test compares the two.
+    It is the basis of `gtsam.Unit3`: its first vector is at right angles to the axis that is farthest
+    from the unit vector. A test compares the two.
     """
     axis = np.abs(unit).argmin(axis=1)
     along = unit[np.arange(len(unit)), axis, None]
     scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
     basis[..., 0] = (CROSS_WITH_AXIS[axis] @ unit[..., None])[..., 0] * scale
-    basis[..., 1] = (
-        unit * along - COORDINATE_AXES[axis]
-    ) * scale  # the vector times the first tangent
+    # The cross product of the vector and its first tangent.
+    basis[..., 1] = (unit * along - COORDINATE_AXES[axis]) * scale
     return basis
 
 

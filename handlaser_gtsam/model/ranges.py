@@ -1,6 +1,6 @@
 r"""Ranges of any sensor to any target from any robot, as one block: the chain rule, written once.
 
-A reading d is that of a ray with origin o and direction u in the hand, which meets a target at the
+A reading d belongs to a ray with origin o and direction u in the hand, which meets a target at the
 range s; its residual is e = s - g(d), with g(d) the true range that the sensor means. In the hand, let
 a = ds/do be the covector of the range. Everything on the near side of the target follows by pulling it
 back, because a direction acts as an origin that is s times as far:
@@ -206,7 +206,7 @@ class GivenPoses:
         return columns[:0]
 
     def picked(self, problems: IntArray) -> "GivenPoses":
-        """Return those of some problems."""
+        """Return the poses of some problems."""
         if self.R.shape[2] == 1:
             return self
         return GivenPoses(self.R[:, :, problems], self.t[:, problems])

@@ -222,7 +222,7 @@ class Structure:
         self.plans = [plan for i, block in enumerate(blocks) for plan in self._plans(i, block)]
 
     def gathered(self, name: str, step: FloatArray, local_step: FloatArray) -> FloatArray:
-        """Return the steps (K, members, unknown coordinates) of a family, from those of all."""
+        """Return the steps (K, members, unknown coordinates) of a family, given all steps."""
         place, number, width = self.place[name], self.number[name], len(self.free[name])
         stays = place >= 0
         shape = len(step), -1, width

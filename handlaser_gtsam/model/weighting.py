@@ -153,7 +153,7 @@ class Whitening(Value):
         return np.asarray(rows - E @ (E.T @ rows))
 
     def _sparse(self, common: FloatArray) -> csr_array:
-        """Return E (N, 6 S) with the columns of each station beside those of the others."""
+        """Return E (N, 6 S) as a sparse matrix, in which each station has six columns of its own."""
         count, width = common.shape
         columns = (width * self.station[:, None] + np.arange(width)).ravel()
         shape = count, width * (int(self.station.max()) + 1)

@@ -2,7 +2,7 @@ r"""Levenberg-Marquardt on a factor graph whose Values belong to Python.
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
 the square of the problem. Here each step evaluates all readings at once, the factors hand out their
-rows of it, and GTSAM eliminates. Damping and its rules are those of `model.search`.
+rows of it, and GTSAM eliminates. Damping follows the rules of `model.search`.
 """
 
 from collections.abc import Callable
