@@ -13,7 +13,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..model import sensor as limits
-from ..model.distributions import gaussian_sf, student_quantile
+from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
@@ -23,6 +23,9 @@ from ..starts import find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .solve import Solved, settle
+
+FITS = 1e-3
+"""Readings fit where chance alone gives a larger chi2 with at least this probability."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +86,16 @@ def select(
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
-    def solved(start: Parameters) -> Solved:
+    def solved(start: Parameters, used: BoolArray) -> Solved:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
         return settle(chosen, start, noise, options, first.scale)
 
-    settled = solved(first.parameters)
+    settled = solved(first.parameters, used)
+    if (used != inside).any() and not settled.solution.observability.full:
+        whole = solved(first.parameters, inside)
+        if _needs_what_was_rejected(whole.solution, settled.solution, noise):
+            used, settled = inside.copy(), whole
     for _ in range(MOST_ROUNDS):
         before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
@@ -101,8 +108,22 @@ def select(
         used &= ~flat
         if (used == before).all():
             break
-        settled = solved(solution.parameters)
+        again = solved(solution.parameters, used)
+        if _needs_what_was_rejected(solution, again.solution, noise):
+            used = before
+            break
+        settled = again
     return Selection(used, ~inside, flat, first.method, first.tried, settled.finished())
+
+
+def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) -> bool:
+    """Tell whether a rejection leaves something undetermined that readings which fit had determined.
+
+    Of a few readings, one that decides alone is soon a little far from the others.
+    """
+    if noise.range_sigma is None or not before.observability.full or after.observability.full:
+        return False
+    return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > FITS
 
 
 @dataclass(frozen=True, slots=True)
