@@ -11,8 +11,8 @@ import gtsam
 import numpy as np
 
 from handlaser_gtsam.arrays import BoolArray, FloatArray
-from handlaser_gtsam.errors import GrazingBeamError, InputError
-from handlaser_gtsam.model.block import Block, Values, whitened
+from handlaser_gtsam.errors import InputError, SolverError
+from handlaser_gtsam.model.block import Block, Values, impossible, whitened
 from handlaser_gtsam.model.families import FAMILIES, Constant, Direction, Motion, Part
 
 FIRST_LETTER = ord("a")
@@ -104,8 +104,10 @@ class _BlockError:
             part, numbers, _ = list(_parts(family))[index]
             now[family][0, member, numbers] = _numbers(part, values, key)
         rows = self.block.evaluate(now)
-        if rows.impossible is not None:
-            raise GrazingBeamError(0.0, 0.0)
+        if impossible(rows, self.block).any():
+            raise SolverError(
+                "rows of a block are impossible here, as of a ray that misses its target"
+            )
         columns = whitened(rows, self.block.weights)[:, 0]
         if jacobians is not None:
             for slot_index, variable in enumerate(self.variables):

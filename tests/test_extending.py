@@ -11,6 +11,7 @@ from helpers import ROOT, bench, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.estimate import _dense, _kept
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
+from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
 from handlaser_gtsam.model.ranges import GivenPoses, PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.beam import Beam
@@ -99,25 +100,169 @@ def test_a_systematic_error_is_found_where_there_is_one_only(page):
     assert size.size == pytest.approx(2.0 * effect.detectable, abs=4.0 * size.sigma)
 
 
-def test_what_is_not_determined_is_named(page):
-    """One plane alone, from hands that hardly turn: nothing says where the head is along the plane."""
+def test_what_is_not_determined_is_named_and_the_rest_keeps_its_sigma(page):
+    """Nothing reads the second plane; the first one determines the head all the same."""
     problem = page["problem"]
-    few = hl.estimation.BlockProblem(
-        problem.blocks[:1],
-        {name: x[None] for name, x in page["found"].values.items()},
-        {"head": True, "plane": True},
-        problem.length,
+    found = hl.calibrate(
+        hl.estimation.BlockProblem(
+            problem.blocks[:1], at(page), {"head": True, "plane": True}, problem.length
+        )
     )
-    found = hl.calibrate(few)
     assert found.status == "undetermined"
-    assert any("plane[1]" in one for one in found.undetermined)
-    assert np.isnan(found.covariance).all()
+    assert all("plane[1]" in one and "head" not in one for one in found.undetermined)
+    assert len(found.undetermined) == 3
+    assert np.isnan(found.marginal("plane", 1)).all()
+    assert np.isfinite(found.marginal("head", 0)).all()
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_hands_that_do_not_turn_leave_the_shift_of_the_head_open(page):
+    """Then the head may move along the plane, and with the plane's height: three translations."""
+    problem = page["problem"]
+    block = problem.blocks[0]
+    R = np.broadcast_to(block.robot.R[:, :, :, :, :1], block.robot.R.shape)
+    still = Ranges(
+        block.sensor, block.target, GivenPoses(R, block.robot.t), block.reading, block.weights
+    )
+    start = {name: x[:, :1] for name, x in at(page).items() if name != "sphere"}
+    unknown = {"head": True, "plane": True}
+    found = hl.calibrate(hl.estimation.BlockProblem([still], start, unknown, problem.length))
+    assert found.status in ("undetermined", "contradicted", "not_converged")
+    assert found.status != "converged"
+
+
+def at(page):
+    """The page's solution as a start."""
+    return {name: x[None] for name, x in page["found"].values.items()}
+
+
+@pytest.mark.parametrize("known", [("plane", "sphere"), ("head", "sphere"), ("head", "plane")])
+def test_one_family_alone_may_be_unknown(page, known):
+    problem = page["problem"]
+    unknown = {name: True for name in ("head", "plane", "sphere") if name not in known}
+    found = hl.calibrate(
+        hl.estimation.BlockProblem(problem.blocks, at(page), unknown, problem.length)
+    )
+    assert found.status == "converged"
+    J, _, _ = _dense(
+        hl.estimation.BlockProblem(problem.blocks, at(page), unknown),
+        [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)],
+        {name: x[None] for name, x in found.values.items()},
+    )
+    scale = np.sqrt(np.diagonal(found.covariance))
+    inverse = np.linalg.inv((J * scale).T @ (J * scale))
+    assert np.abs(found.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
+
+
+def test_a_part_of_a_family_may_be_known(page):
+    """A mask with a gap: the sphere's radius and its y are known."""
+    problem = page["problem"]
+    mask = np.array([True, False, True, False])
+    unknown = {"head": True, "plane": True, "sphere": mask}
+    start = at(page)
+    found = hl.calibrate(hl.estimation.BlockProblem(problem.blocks, start, unknown, 0.5))
+    assert found.status == "converged"
+    assert found.values["sphere"][0, [1, 3]].tolist() == start["sphere"][0, 0, [1, 3]].tolist()
+    assert "sphere[0].y" not in found.names
+
+
+def test_readings_that_are_nan_are_none(page):
+    problem = page["problem"]
+    blocks = list(problem.blocks)
+    reading = blocks[0].reading.copy()
+    reading[0, 0, 3] = np.nan  # the wrong one
+    blocks[0] = Ranges(
+        blocks[0].sensor, blocks[0].target, blocks[0].robot, reading, blocks[0].weights
+    )
+    found = hl.calibrate(
+        hl.estimation.BlockProblem(blocks, at(page), problem.unknown, problem.length)
+    )
+    assert found.status == "converged"
+    assert sum(int(rows.sum()) for rows in found.rejected) == 0
+    assert found.dof == page["found"].dof
+
+
+def test_many_wrong_readings_or_a_wrong_sigma_contradict(page):
+    """No number goes out as `converged` that the rows contradict."""
+    problem = page["problem"]
+    rng = np.random.default_rng(0)
+    for wrong in ("readings", "sigma"):
+        blocks = []
+        for b in problem.blocks:
+            if isinstance(b, Ranges):
+                off = rng.normal(scale=0.01, size=b.reading.shape) if wrong == "readings" else 0.0
+                root = b.weights.root * (10.0 if wrong == "sigma" else 1.0)
+                b = Ranges(b.sensor, b.target, b.robot, b.reading + off, Weights(root))
+            blocks.append(b)
+        found = hl.calibrate(
+            hl.estimation.BlockProblem(blocks, at(page), problem.unknown, problem.length)
+        )
+        assert found.status in ("contradicted", "not_converged"), wrong
+        assert found.message
+
+
+def test_the_rows_of_a_relation_are_derivatives(page):
+    relation, values = page["blocks"][3], at(page)
+    columns = relation.evaluate(values).columns[:, 0, 0, 0]
+    for slot in relation.slots():
+        for c in range(2):
+            delta = np.zeros((1, 2, 3))
+            delta[0, slot.member[0], c] = 1e-6
+            sides = [
+                relation.evaluate(
+                    {**values, "plane": FAMILIES["plane"].retract(values["plane"], sign * delta)}
+                ).columns[-1, 0, 0, 0]
+                for sign in (1.0, -1.0)
+            ]
+            slope = (sides[0] - sides[1]) / 2e-6
+            assert columns[slot.columns.start + c] == pytest.approx(slope, abs=1e-3, rel=1e-5)
+
+
+BAD = {
+    "no blocks": (lambda _: [], "no blocks"),
+    "no block": (lambda _: [3], "int as block 0"),
+    "a family without a start": (lambda page: page["blocks"], "no start of sphere"),
+    "a member that is not there": (
+        lambda page: [
+            Ranges(page["blocks"][0].sensor, Plane(np.array([0, 9])), *parts(page["blocks"][0]))
+        ],
+        "members",
+    ),
+    "weights of another shape": (
+        lambda page: [Ranges(*parts(page["blocks"][0], 3), Weights(np.ones((1, 2, 5))))],
+        "weights of shape",
+    ),
+    "weights below zero": (
+        lambda page: [
+            Ranges(*parts(page["blocks"][0], 3), Weights(-page["blocks"][0].weights.root))
+        ],
+        "weights below zero",
+    ),
+    "one member twice": (lambda page: [page["angle_between"](1, 1, 1.5, 1e-3)], "twice"),
+}
+
+
+def parts(block, first=2):
+    """The arguments of a block."""
+    every = (block.sensor, block.target, block.robot, block.reading)
+    return (block.robot, block.reading, block.weights) if first == 2 else every
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_blocks_that_do_not_fit_are_refused_in_one_line(page, case):
+    make, words = BAD[case]
+    start = at(page)
+    if case == "a family without a start":
+        start.pop("sphere")
+    with pytest.raises(hl.InputError, match=words) as caught:
+        hl.calibrate(hl.estimation.BlockProblem(make(page), start, {"head": True}, 0.5))
+    assert "\n" not in str(caught.value)
 
 
 def test_it_is_written_as_json(page):
-    content = json.loads(json.dumps(page["found"].to_dict()))
+    content = json.loads(json.dumps(page["found"].to_dict(), allow_nan=False))
     assert content["status"] == "converged"
-    assert content["rejected"] == [1, 0, 0, 0]
+    assert content["rejected"] == [[0, 0, 3]]
     assert content["sigma"]["head[0].x"] == pytest.approx(page["found"].sigma("head[0].x"))
 
 

@@ -8,6 +8,7 @@ Rows are in standard deviations. The derivatives of all rows are formed as one d
 tests, so that a problem may have some thousand rows and some hundred unknowns.
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -17,18 +18,23 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
-from ..model.block import Block, Values, whitened
-from ..model.distributions import gaussian_quantile
+from ..model.block import Block, Values, impossible, whitened
+from ..model.distributions import chi2_sf, gaussian_quantile
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..observability.rank import ObservabilityOptions
-from ..quantities import MOST_ROUNDS, POWER, SINGULAR
+from ..quantities import POWER, ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
+from .block_checks import require_blocks, require_start
 
 SIGNIFICANCE = 0.01
 """Probability that a reading of a clean recording is rejected, or an effect found that is none."""
+CONTRADICTED = 1e-6
+"""Rows contradict each other where chance gives a larger chi2 with less than this probability."""
+MOST_REJECTED = 0.3
+"""Largest part of the readings that may be rejected: beyond, not they but the model is at fault."""
 NAMED_SHARE = 0.1
 """Coordinates with at least this part of the largest one, in natural units, name a direction."""
 
@@ -47,6 +53,10 @@ class BlockProblem(Value):
         For each unknown family, which of its tangent coordinates are unknown, or True for all.
     length : float
         Typical range [m], for natural units.
+
+    Notes
+    -----
+    What is in `start` and not in `unknown` is known. A reading that is NaN, or has no weight, is none.
     """
 
     blocks: Sequence[Block]
@@ -80,14 +90,15 @@ class Estimate(Value):
 
     Attributes
     ----------
-    status : str
-        `converged`, `undetermined` or `not_converged`.
+    status, message : str
+        `converged`, `undetermined`, `contradicted` (the rows do not fit each other) or `not_converged`,
+        and the same in words.
     values : mapping
         Members (n, size) of each family.
     names : tuple of str
         Of the unknowns: family, member and coordinate, as `beam[0].x`.
     covariance : (N, N)
-        Of the unknowns in the order of the names; NaN where they are not determined.
+        Of the unknowns in the order of the names; NaN for those that an undetermined direction moves.
     undetermined : tuple of str
         Each direction that the rows do not determine, as the unknowns that move along it.
     chi2, dof : float, int
@@ -95,7 +106,8 @@ class Estimate(Value):
         For each block, the readings that the others contradict.
     """
 
-    status: Literal["converged", "undetermined", "not_converged"]
+    status: Literal["converged", "undetermined", "contradicted", "not_converged"]
+    message: str
     values: Mapping[str, FloatArray]
     names: tuple[str, ...]
     covariance: FloatArray
@@ -120,52 +132,69 @@ class Estimate(Value):
         return float(np.sqrt(self.covariance[index, index]))
 
     def marginal(self, family: str, member: int) -> FloatArray:
-        """Return the covariance of the unknown coordinates of one member."""
+        """Return the covariance of the unknown coordinates of one member.
+
+        Raises
+        ------
+        InputError
+            It has none.
+        """
         first = f"{family}[{member}]."
         rows = [i for i, name in enumerate(self.names) if name.startswith(first)]
+        if not rows:
+            raise InputError(
+                f"no unknowns of {first[:-1]}", f"one of {', '.join(self.names[:8])} ..."
+            )
         return np.asarray(self.covariance[np.ix_(rows, rows)])
 
     def to_dict(self) -> dict[str, object]:
-        """Return what JSON can hold: status, values by family, and every unknown with its sigma."""
+        """Return what JSON can hold; what is not known is None.
+
+        `rejected` are block, group and reading of each.
+        """
         known = np.sqrt(np.diagonal(self.covariance))
         return {
             "status": self.status,
+            "message": self.message,
             "values": {name: x.tolist() for name, x in self.values.items()},
             "sigma": {
                 name: None if np.isnan(s) else float(s)
                 for name, s in zip(self.names, known, strict=True)
             },
             "undetermined": list(self.undetermined),
-            "chi2": self.chi2,
+            "covariance": [
+                [None if np.isnan(x) else x for x in row] for row in self.covariance.tolist()
+            ],
+            "chi2": self.chi2 if np.isfinite(self.chi2) else None,
             "dof": self.dof,
-            "rejected": [int(rows.sum()) for rows in self.rejected],
+            "rejected": [
+                [b, *place]
+                for b, rows in enumerate(self.rejected)
+                for place in np.argwhere(rows).tolist()
+            ],
         }
 
 
-def estimate(problem: BlockProblem, options: LevenbergOptions | None = None) -> Estimate:
+def estimate(problem: BlockProblem) -> Estimate:
     """Estimate the unknowns of any blocks.
-
-    Parameters
-    ----------
-    problem : BlockProblem
-    options : LevenbergOptions, optional
 
     Raises
     ------
     InputError
-        A start with numbers that are not finite, or members of another size than their family has.
+        A start that is none; blocks whose members, readings or weights do not belong to it.
     """
-    options = options or LevenbergOptions()
-    _require_start(problem)
-    blocks = list(problem.blocks)
-    ended = _solved(problem, blocks, problem.start, options)
+    require_start(problem)
+    blocks = [_read(block) for block in problem.blocks]
+    require_blocks(problem, blocks)
+    ended = _solved(problem, blocks, problem.start)
     if ended is None:
         return _failed(problem, blocks)
-    for _ in range(MOST_ROUNDS):
+    total = sum(_rows(block, ended) for block in blocks if isinstance(block, Ranges))
+    for _ in range(int(MOST_REJECTED * total)):
         rest = _without_worst(problem, blocks, ended)
         if rest is None:
             break
-        again = _solved(problem, rest, ended, options)
+        again = _solved(problem, rest, ended)
         if again is None:
             break
         blocks, ended = rest, again
@@ -183,8 +212,21 @@ def score_test(
     found : Estimate
     columns : mapping
         For each error, by how much one of size 1 changes the residuals (G, S) of every block.
+
+    Raises
+    ------
+    InputError
+        An estimate that is not a minimum, or columns of other shapes than the residuals.
     """
-    blocks = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
+    if found.status == "not_converged":
+        raise InputError("an estimate that has not converged", "a minimum to test at")
+    shapes = [out.shape for out in found.rejected]
+    for name, of_blocks in columns.items():
+        given = [np.shape(column) for column in of_blocks]
+        if given != shapes:
+            raise InputError(f"columns of {name} of shapes {given}", f"{shapes}, one a block")
+    read = [_read(block) for block in problem.blocks]
+    blocks = [_kept(b, out) for b, out in zip(read, found.rejected, strict=True)]
     values = {name: x[None] for name, x in found.values.items()}
     J, e, _ = _dense(problem, blocks, values)
     effects = {}
@@ -208,34 +250,48 @@ def score_test(
 
 
 def _solved(
-    problem: BlockProblem, blocks: Sequence[Block], start: Values, options: LevenbergOptions
+    problem: BlockProblem, blocks: Sequence[Block], start: Values
 ) -> dict[str, FloatArray] | None:
     """Return the values (1, n, size) at the best minimum, or None where no start leads to one."""
     K = max(len(x) for x in start.values())
-    task = _least_squares(problem, blocks, K)
-    damped = replace(options, least_damping=max(options.least_damping, SINGULAR))
-    ended = search(task, start, damped)
-    if not ended.converged.any():
-        return None
-    best = int(np.where(ended.converged, ended.cost, np.inf).argmin())
-    return {name: x[best : best + 1] for name, x in ended.values.items()}
+    first = {name: x[:1] for name, x in start.items()}
+    share = max(ROWS_AT_ONCE // max(sum(_rows(block, first) for block in blocks), 1), 1)
+    best, least = None, np.inf
+    for a in range(0, K, share):
+        some = {name: x if len(x) == 1 else x[a : a + share] for name, x in start.items()}
+        task = _least_squares(problem, blocks, min(share, K - a), first)
+        ended = search(task, some, LevenbergOptions(least_damping=SINGULAR))
+        cost = np.where(ended.converged, ended.cost, np.inf)
+        here = int(cost.argmin())
+        if cost[here] < least:
+            least = float(cost[here])
+            best = {name: x[here : here + 1] for name, x in ended.values.items()}
+    return best
 
 
-def _least_squares(problem: BlockProblem, blocks: Sequence[Block], K: int) -> LeastSquares:
+def _least_squares(
+    problem: BlockProblem, blocks: Sequence[Block], K: int, values: Values
+) -> LeastSquares:
     counts = {name: x.shape[1] for name, x in problem.start.items()}
     reduction = Reduction(blocks, counts, problem.unknown)
     size = reduction.structure.size + reduction.structure.members * reduction.structure.width
-    dof = max(sum(_rows(block) for block in blocks) - size, 1)
+    dof = max(sum(_rows(block, values) for block in blocks) - size, 1)
     return LeastSquares(tuple(blocks), reduction, np.ones(K), np.zeros(K), dof)
 
 
-def _rows(block: Block) -> int:
+def _rows(block: Block, values: Values) -> int:
     """Return how many rows of a block weigh anything."""
+    shape = block.evaluate(values).columns.shape[2:]
     root = block.weights.root
-    if root is not None:
-        return int((root[0] > 0.0).sum())
-    shape = block.reading.shape[1:] if isinstance(block, Ranges) else (1,)
-    return int(np.prod(shape))
+    return int(np.prod(shape) if root is None else (np.broadcast_to(root[0], shape) > 0.0).sum())
+
+
+def _read(block: Block) -> Block:
+    """Return a block in which a reading that is NaN has no weight."""
+    if not isinstance(block, Ranges) or not np.isnan(block.reading).any():
+        return block
+    none = np.asarray(np.isnan(block.reading).any(axis=0))
+    return _kept(replace(block, reading=np.nan_to_num(block.reading)), none)
 
 
 def _places(problem: BlockProblem) -> tuple[dict[str, IntArray], dict[str, IntArray], list[str]]:
@@ -320,29 +376,43 @@ def _without_worst(
 def _judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:
     """Return the estimate at a minimum, GTSAM's last step taken where everything is determined."""
     names = _places(problem)[2]
-    open_axes, undetermined = _undetermined(problem, blocks, values, names)
-    covariance = np.full((len(names), len(names)), np.nan)
-    if not open_axes.shape[1]:
-        values, covariance = _finished(problem, blocks, values)
+    open_axes, undetermined, covariance = _undetermined(problem, blocks, values, names)
+    if not undetermined:
+        # Where GTSAM calls it indeterminate the covariance of the dense rows stands.
+        with contextlib.suppress(RuntimeError, np.linalg.LinAlgError):
+            values, covariance = _finished(problem, blocks, values)
     _, e, _ = _dense(problem, blocks, values)
-    rows = sum(_rows(block) for block in blocks)
+    chi2, open_ = float(e @ e), open_axes.shape[1]
+    dof = sum(_rows(block, values) for block in blocks) - len(names) + open_
+    out = tuple(_out(b, left, values) for b, left in zip(problem.blocks, blocks, strict=True))
+    readings = sum(_rows(_read(b), values) for b in problem.blocks if isinstance(b, Ranges))
+    many = sum(int(rows.sum()) for rows in out) >= int(MOST_REJECTED * readings) > 0
+    status: Literal["converged", "undetermined", "contradicted"] = "converged"
+    message = f"chi2 {chi2:.4g} at {dof} degrees of freedom"
+    if undetermined:
+        status, message = "undetermined", f"the rows do not determine {'; '.join(undetermined)}"
+    elif many or (dof > 0 and float(chi2_sf(chi2, dof)) < CONTRADICTED):
+        status = "contradicted"
+        message = f"the rows do not fit each other: {message}"
     return Estimate(
-        "undetermined" if undetermined else "converged",
+        status,
+        message,
         {name: x[0] for name, x in values.items()},
         tuple(names),
         covariance,
         undetermined,
-        float(e @ e),
-        rows - len(names) + open_axes.shape[1],
-        tuple(_out(b, left) for b, left in zip(problem.blocks, blocks, strict=True)),
+        chi2,
+        dof,
+        out,
     )
 
 
 def _undetermined(
     problem: BlockProblem, blocks: Sequence[Block], values: Values, names: Sequence[str]
-) -> tuple[FloatArray, tuple[str, ...]]:
+) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
     """Return the directions (N, q) that the rows do not determine, and what moves along each.
 
+    The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
     A direction is undetermined where its standard deviation in natural units exceeds
     `ObservabilityOptions.most_sigma`, or where its information is rounding.
     """
@@ -355,8 +425,12 @@ def _undetermined(
         ]
     )
     options = ObservabilityOptions()
-    information, axes = np.linalg.eigh((J * unit).T @ (J * unit))
-    least = max(options.most_sigma**-2, options.least_information * float(information[-1]))
+    # By singular values, which keep twice the digits of the information.
+    _, singular, axes = np.linalg.svd(J * unit, full_matrices=True)
+    information = np.zeros(len(names))
+    information[: len(singular)] = singular**2
+    axes = axes.T
+    least = max(options.most_sigma**-2, SINGULAR**2 * float(information.max()))
     null = axes[:, information < least]
     echelon = null.T.copy()
     for r in range(len(echelon)):  # each direction gets a coordinate that the others do not have
@@ -370,7 +444,11 @@ def _undetermined(
         size = np.abs(direction)
         moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED_SHARE * size.max()]
         words.append(", ".join(moving))
-    return null, tuple(words)
+    known = information >= least
+    covariance = (axes[:, known] / information[known]) @ axes[:, known].T * np.outer(unit, unit)
+    moves = (null**2).sum(axis=1) > SINGULAR**0.5
+    covariance[moves], covariance[:, moves] = np.nan, np.nan
+    return null, tuple(words), covariance
 
 
 def _finished(
@@ -383,13 +461,13 @@ def _finished(
     RuntimeError, numpy.linalg.LinAlgError
         GTSAM calls the system indeterminate.
     """
-    task = _least_squares(problem, blocks, 1)
+    task = _least_squares(problem, blocks, 1, values)
     of = task.reduction.structure
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
     n, d = of.size, of.width
     whole = np.zeros((n + of.members * d,) * 2)
-    follow = -sums.response.reshape(-1, n)
+    follow = -sums.response.reshape(of.members * d, n)
     whole[:n, :n] = sums.covariance
     whole[n:, :n] = follow @ sums.covariance
     whole[:n, n:] = whole[n:, :n].T
@@ -406,39 +484,37 @@ def _finished(
     return moved, whole[np.ix_(index, index)]
 
 
-def _out(block: Block, left: Block) -> BoolArray:
-    """Return which readings of a block are rejected."""
-    if not isinstance(block, Ranges) or left.weights.root is None:
-        return np.zeros((1, 1), dtype=bool)
-    before = True if block.weights.root is None else block.weights.root[0] > 0.0
-    return np.asarray(before & (left.weights.root[0] == 0.0))
+def _out(block: Block, left: Block, values: Values) -> BoolArray:
+    """Return which readings (G, S) of a block are rejected."""
+    shape = left.evaluate(values).columns.shape[2:]
+    read = _read(block)
+    if not isinstance(read, Ranges) or left.weights.root is None:
+        return np.zeros(shape, dtype=bool)
+    root = np.ones(shape) if read.weights.root is None else read.weights.root[0]
+    return np.asarray((np.broadcast_to(root, shape) > 0.0) & (left.weights.root[0] == 0.0))
 
 
 def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
-    """Return that no start led to a minimum."""
+    """Return that no start led to a minimum, and why."""
     names = _places(problem)[2]
+    first = {name: x[:1] for name, x in problem.start.items()}
+    starts = max(len(x) for x in problem.start.values())
+    never = [
+        str(i)
+        for i, block in enumerate(blocks)
+        if impossible(block.evaluate(problem.start), block).all()
+    ]
+    message = f"none of {starts} starts leads to a minimum"
+    if never:
+        message += f": at each, rows of block {', '.join(never)} are impossible"
     return Estimate(
         "not_converged",
+        message,
         {name: x[0] for name, x in problem.start.items()},
         tuple(names),
         np.full((len(names), len(names)), np.nan),
         (),
         np.inf,
-        sum(_rows(block) for block in blocks) - len(names),
-        tuple(_out(block, block) for block in blocks),
+        sum(_rows(block, first) for block in blocks) - len(names),
+        tuple(_out(block, block, first) for block in blocks),
     )
-
-
-def _require_start(problem: BlockProblem) -> None:
-    """Refuse starts that are none."""
-    for name, x in problem.start.items():
-        if name not in FAMILIES:
-            raise InputError(f"a family {name!r}", f"one of {', '.join(FAMILIES)}; `register` it")
-        if x.ndim != 3 or x.shape[2] != FAMILIES[name].size:
-            expected = f"(starts, members, {FAMILIES[name].size})"
-            raise InputError(f"a start of shape {x.shape} for {name}", expected)
-        if not np.isfinite(x).all():
-            raise InputError(f"a start of {name} that is not finite", "finite numbers")
-    for name in problem.unknown:
-        if name not in problem.start:
-            raise InputError(f"no start of the unknown {name}", "one for each unknown family")

@@ -114,3 +114,12 @@ def whitened(rows: Rows, weights: Weights, more: FloatArray | None = None) -> Fl
     if weights.root is not None:
         columns = columns * weights.root
     return columns if more is None else np.asarray(columns * more)
+
+
+def impossible(rows: Rows, block: Block) -> BoolArray:
+    """Tell which problems (K,) have an impossible row that weighs anything."""
+    if rows.impossible is None:
+        return np.zeros(rows.columns.shape[1], dtype=bool)
+    root = block.weights.root
+    lost = rows.impossible if root is None else rows.impossible & (root > 0.0)
+    return np.asarray(lost.any(axis=(1, 2)))

@@ -36,15 +36,12 @@ class Rays:
         d [m].
     true : (K, G, S)
         g(d) [m].
-    slope : (K, G, S)
-        g'(d): what an error of a reading does to the residual.
     """
 
     origin: FloatArray
     direction: FloatArray
     reading: FloatArray
     true: FloatArray
-    slope: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

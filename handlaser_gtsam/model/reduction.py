@@ -146,7 +146,7 @@ class _GroupPlan:
         Groups that see the same of what stays.
     places : list of Index
         Rows of H of each such pattern.
-    own : slice or None
+    own : Index or None
         Columns by the local member.
     by_member : SumsByKey, optional
         Groups of one local member.
@@ -165,7 +165,7 @@ class _GroupPlan:
     columns: Index
     by_pattern: SumsByKey
     places: list[Index]
-    own: slice | None
+    own: Index | None
     by_member: SumsByKey | None
     by_both: SumsByKey | None
     pairs: list[tuple[slice, Index]]
@@ -253,7 +253,8 @@ class Structure:
         self, index: int, slots: Sequence[Slot], which: BoolArray, station: IntArray | None
     ) -> _GroupPlan:
         """Return the plan of some groups, all with a local member of their own or all without."""
-        own, member = None, None
+        own: Index | None = None
+        member: IntArray | None = None
         columns: list[IntArray] = []
         places: list[IntArray] = []
         key = np.zeros(int(which.sum()), dtype=np.intp)
@@ -286,7 +287,6 @@ class Structure:
             seen_by_station = np.full(int(station.max()) + 1, -1)
             if member is not None:
                 seen_by_station[station[groups]] = member[:, None]
-        assert own is None or isinstance(own, slice)
         return _GroupPlan(
             index,
             slice(None) if which.all() else groups,
@@ -329,6 +329,7 @@ class Reduction:
         free = {
             name: np.flatnonzero(np.broadcast_to(mask, FAMILIES[name].dim))
             for name, mask in unknown.items()
+            if np.any(mask)
         }
         key = (
             tuple(structure_of(block) for block in blocks),
@@ -395,7 +396,7 @@ def damped_step(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatA
     S = normal.matrix - taken[..., :n]
     if damped:
         np.einsum("kii->ki", S)[:] += _lift(damping, diagonal)
-    step = solve_definite(S, taken[..., n] - normal.gradient)
+    step = solve_definite(S, taken[..., n] - normal.gradient) if n else normal.gradient
     moved = answer[..., n] + (answer[..., :n] @ step[..., None])[..., 0]
     return step, -moved.reshape(normal.local_gradient.shape)
 

@@ -17,7 +17,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_number
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, TINY
-from .block import Block, Rows, Values, whitened
+from .block import Block, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
 from .stopping import COST_RESOLUTION, LEVEL_STEPS
@@ -302,7 +302,7 @@ class _Search:
             normal = problem.reduction.normal(white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
-                cost[_impossible(r, block)] = np.inf
+                cost[impossible(r, block)] = np.inf
             cost = np.where(np.isfinite(cost), cost, np.inf)
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)
@@ -493,12 +493,3 @@ def _chosen(
     if which.all():
         return dict(new)
     return {name: np.where(which[:, None, None], x, old[name]) for name, x in new.items()}
-
-
-def _impossible(rows: Rows, block: Block) -> BoolArray | slice:
-    """Tell which problems have an impossible row that weighs anything."""
-    if rows.impossible is None:
-        return slice(0, 0)
-    root = block.weights.root
-    lost = rows.impossible if root is None else rows.impossible & (root > 0.0)
-    return np.asarray(lost.any(axis=(1, 2)))

@@ -14,6 +14,7 @@ from gtsam.symbol_shorthand import L, X
 from ..arrays import FloatArray
 from ..model.elimination import inverse_of
 from ..model.reduction import Normal
+from ..quantities import TINY
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +56,37 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
     """
     H, g, local, border, own = (array[0] / unit**2 for array in normal.arrays()[:5])
     n, m = len(g), len(local)
-    graph = gtsam.GaussianFactorGraph()
-    graph.push_back(gtsam.HessianFactor(X(0), H, -g, 0.0))
+    # GTSAM compares pivots: every unknown in the unit of its own information.
+    u = 1.0 / np.sqrt(np.maximum(np.diagonal(H), TINY))
+    w = 1.0 / np.sqrt(np.maximum(np.einsum("mii->mi", local), TINY))
+    H, g = H * u[:, None] * u, g * u
+    local, own = local * w[:, :, None] * w[:, None], own * w
+    border = border * w[..., None] * u
+    graph, order = gtsam.GaussianFactorGraph(), [L(i) for i in range(m)]
+    if n:
+        graph.push_back(gtsam.HessianFactor(X(0), H, -g, 0.0))
     nothing, zero = np.zeros((n, n)), np.zeros(n)
     for i in range(m):
-        E = np.asfortranarray(border[i].T)
-        graph.push_back(gtsam.HessianFactor(X(0), L(i), nothing, E, zero, local[i], -own[i], 0.0))
-    net, rest = graph.eliminatePartialSequential(gtsam.Ordering([L(i) for i in range(m)]))
+        if n:
+            E = np.asfortranarray(border[i].T)
+            factor = gtsam.HessianFactor(X(0), L(i), nothing, E, zero, local[i], -own[i], 0.0)
+        else:
+            factor = gtsam.HessianFactor(L(i), local[i], -own[i], 0.0)
+        graph.push_back(factor)
+    net, rest = graph.eliminatePartialSequential(gtsam.Ordering(order))
     conditionals = [net.at(i) for i in range(net.size())]
-    root = np.linalg.inv(np.array([conditional.R() for conditional in conditionals]))
-    response = root @ np.array([conditional.S() for conditional in conditionals])
-    alone = (root @ np.array([conditional.d() for conditional in conditionals])[..., None])[..., 0]
-    information, vector = rest.hessian(gtsam.Ordering([X(0)]))
-    covariance = inverse_of(information)
-    step = covariance @ vector
+    d = local.shape[1]
+    root = np.array([conditional.R() for conditional in conditionals]).reshape(m, d, d)
+    root = w[..., None] * np.linalg.inv(root)
+    S = np.array([conditional.S() for conditional in conditionals]).reshape(m, d, n)
+    alone = np.array([conditional.d() for conditional in conditionals]).reshape(m, d, 1)
+    response, alone = root @ S / u, (root @ alone)[..., 0]
+    covariance = np.zeros((n, n))
+    step = np.zeros(n)
+    if n:
+        information, vector = rest.hessian(gtsam.Ordering([X(0)]))
+        inverse = inverse_of(information)
+        covariance, step = inverse * u[:, None] * u, u * (inverse @ vector)
     return EliminatedSums(
         step, alone - response @ step, covariance, root @ root.swapaxes(1, 2), response
     )

@@ -14,7 +14,7 @@ from ..families import BEAM, bases
 from ..ranges import Rays, members
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Beam:
     """Beams; `member` (G,) says of which beam each group of readings is."""
 
@@ -26,7 +26,7 @@ class Beam:
         x = members(values, self.family, self.member)
         k1, k2 = x[6], x[7]
         true = reading * (1.0 + k1 + k2 * reading)
-        return Rays(x[:3], x[3:6], reading, true, 1.0 + k1 + 2.0 * k2 * reading)
+        return Rays(x[:3], x[3:6], reading, true)
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return de by location, direction and range error."""

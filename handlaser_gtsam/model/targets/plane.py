@@ -11,7 +11,7 @@ from ..families import PLANE, bases
 from ..ranges import Hits, dot, members
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """Planes; `member` (G,) says which plane each group of readings sees.
 
