@@ -118,13 +118,13 @@ def covariance_of_determined(
     """
     reduced, variance = observability.reduced, sigma**2
     planes = reduced.information
-    inverse = planes.plane_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
+    inverse = planes.local_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
     return JointCovariance(
         tuple(map(str, range(len(parameters.locations)))),
         tuple(map(str, range(len(parameters.offsets)))),
         observability.terms,
         variance * reduced.covariance() * np.outer(reduced.beam_unit, reduced.beam_unit),
-        reduced.plane_unit[:, None] * planes.plane_response / reduced.beam_unit,
+        reduced.plane_unit[:, None] * planes.local_response / reduced.beam_unit,
         variance * inverse,
         model.tangent_basis(parameters.directions),
         model.tangent_basis(parameters.normals),

@@ -46,9 +46,10 @@ class BeamsOnPlanes:
     Attributes
     ----------
     weights : Weights
-    place : (stations,)
-        The cell of each station of the readings.
+    beams, planes, cells : int
+        Cells are the slots of stations, chunk after chunk.
     plane : (cells,)
+        The plane of each cell.
     read : (B, cells) of bool, or None
         Where there are readings; None where everywhere.
     """

@@ -23,37 +23,37 @@ PIVOT_MARGIN = 1e3
 
 @dataclass(frozen=True, slots=True)
 class ReducedInformation:
-    """What readings say of the beams once planes are eliminated; leading axes are copies.
+    """What rows say of what stays once local members are eliminated; leading axes are copies.
 
     Attributes
     ----------
     matrix : (..., n, n)
-        Information of the beams, S.
+        Information of what stays, S.
     gradient : (..., n)
-        Gradient of half the sum of squares at the linearisation: the step of the beams is
+        Gradient of half the sum of squares at the linearisation: the step of what stays is
         -inv(S) gradient.
-    plane_values : (..., P, 3)
-        Information of the planes along their own axes, ascending.
-    plane_axes : (..., P, 3, 3)
+    local_values : (..., m, d)
+        Information of the local members along their own axes, ascending.
+    local_axes : (..., m, d, d)
         These axes, as columns.
-    plane_inverse : (..., P, 3, 3)
-        Covariances of the planes for known beams; zero along what the readings do not determine.
-    plane_response : (..., P, 3, n)
-        A step x of the beams moves a plane by -plane_response x.
-    plane_step : (..., P, 3)
-        Steps of the planes for beams that stay.
-    plane_saved : (...)
+    local_inverse : (..., m, d, d)
+        Covariances of the local members, were all else known; zero along what rows do not determine.
+    local_response : (..., m, d, n)
+        A step x of what stays moves a local member by -local_response x.
+    local_step : (..., m, d)
+        Steps of the local members while all else stays.
+    local_saved : (...)
         By how much these lower the sum of squares.
     """
 
     matrix: FloatArray
     gradient: FloatArray
-    plane_values: FloatArray
-    plane_axes: FloatArray
-    plane_inverse: FloatArray
-    plane_response: FloatArray
-    plane_step: FloatArray
-    plane_saved: FloatArray
+    local_values: FloatArray
+    local_axes: FloatArray
+    local_inverse: FloatArray
+    local_response: FloatArray
+    local_step: FloatArray
+    local_saved: FloatArray
 
     def covariance(self, floor: float, least: float = 0.0) -> FloatArray:
         """Return the inverse (n, n) of the only copy, along axes of at least `floor` information.
@@ -72,15 +72,15 @@ class ReducedInformation:
         return inverse
 
     def step(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the steps of beams (..., n) and planes (..., P, 3), and the decrement -g' delta.
+        """Return the steps (..., n) and (..., m, d), and the decrement -g' delta.
 
         The decrement is the decrease of the sum of squares by the step.
         """
         unit = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", self.matrix), TINY))
         scaled = self.matrix * unit[..., :, None] * unit[..., None, :]
         beam = -unit * solve_stack(scaled, (self.gradient * unit)[..., None])[..., 0]
-        plane = self.plane_step - np.einsum("...pij,...j->...pi", self.plane_response, beam)
-        return beam, plane, self.plane_saved - (self.gradient * beam).sum(axis=-1)
+        plane = self.local_step - np.einsum("...pij,...j->...pi", self.local_response, beam)
+        return beam, plane, self.local_saved - (self.gradient * beam).sum(axis=-1)
 
 
 def eliminated(

@@ -46,4 +46,4 @@ class VectorPrior:
     def picked(self, problems: IntArray) -> "VectorPrior":
         """Return the priors of some problems."""
         root = self.root if len(self.root) == 1 else self.root[problems]
-        return VectorPrior(self.family, root, self.mean)
+        return VectorPrior(self.family, root, self.mean, self.weights.picked(problems))

@@ -205,7 +205,7 @@ def observability(
     at = linearized(parameters, readings, max(counts), whitening)
     reduced, plane_null = _reduced(at, readings, counts, range_sigma, options, prior)
     size, lost = len(reduced.beam_unit), reduced.open.shape[1] + plane_null.shape[2]
-    follow = -reduced.information.plane_response @ reduced.open
+    follow = -reduced.information.local_response @ reduced.open
     beams = reduced.padded(np.hstack((reduced.open, np.zeros((size, plane_null.shape[2])))))
     return Observability(
         rank=size + 3 * planes - lost,
@@ -260,9 +260,9 @@ def _reduced(
         axes[:, 0],
     )
     # Undetermined directions of the planes, one a column.
-    which, column = np.nonzero(information.plane_values < least_of_planes)
+    which, column = np.nonzero(information.local_values < least_of_planes)
     null = np.zeros((readings.planes, 3, len(which)))
-    null[which, :, np.arange(len(which))] = information.plane_axes[which, :, column]
+    null[which, :, np.arange(len(which))] = information.local_axes[which, :, column]
     return reduced, null
 
 

@@ -132,7 +132,7 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     reduced = observed.reduced
     axis = reduced.weakest[:, None]
     beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
-    space = NullSpace(beams, -(reduced.information.plane_response @ axis))
+    space = NullSpace(beams, -(reduced.information.local_response @ axis))
     lengths = map(_lengths, _rows(space, parameters).values())
     parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
     words = undetermined(parts)

@@ -41,9 +41,9 @@ def leverages(
     unit = reduced.padded(reduced.beam_unit[:, None]).reshape(active.shape)
     rows_of_beams = columns[:width].T * unit[readings.beam]
     plane = columns[width : width + 3].T * reduced.plane_unit
-    S, W = reduced.covariance(), reduced.information.plane_response
+    S, W = reduced.covariance(), reduced.information.local_response
     follow = S @ np.swapaxes(W, 1, 2)
-    rest = reduced.information.plane_inverse + W @ follow
+    rest = reduced.information.local_inverse + W @ follow
     beams = np.zeros((readings.beams, width, width))
     across = np.zeros((readings.planes, readings.beams, width, 3))
     ends = np.cumsum(active.sum(axis=1))

@@ -133,9 +133,9 @@ class Projection:
         inverse = reduced.covariance(SQUARE_ROUNDING * float(used.sum()))
         self.beam_inverse = np.zeros((len(unit), len(unit)))
         self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
-        self.plane_inverse = reduced.plane_inverse * np.outer(plane_unit, plane_unit)
+        self.plane_inverse = reduced.local_inverse * np.outer(plane_unit, plane_unit)
         self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
-        self.response[:, :, used] = plane_unit[:, None] * reduced.plane_response / unit[used]
+        self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
 
     def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
         """Return columns (N, q), and `pulled` (7 B, q) in the prior, without what the unknowns explain.

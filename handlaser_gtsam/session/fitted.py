@@ -246,7 +246,7 @@ def _stepped(
     normal, beams = at.normal, len(parameters.locations)
     unit = PLANE.natural_units(readings.typical_range())
     reduced = normal.reduced(np.ones(normal.gradient.shape[1]), unit)
-    there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.plane_step, at.centres)
+    there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.local_step, at.centres)
     none = np.zeros_like(normal.local_gradient)
     return there, replace(normal, gradient=reduced.gradient[None], local_gradient=none)
 

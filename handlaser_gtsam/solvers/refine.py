@@ -87,7 +87,11 @@ def refine_many(
         )
         tolerance = CANDIDATE_TOLERANCE * float(np.sqrt(problem.dof))
         options = LevenbergOptions(
-            iterations, tolerance, LEAST_DAMPING, LEAST_DAMPING, 10.0, MOST_DAMPING
+            iterations,
+            tolerance,
+            least_damping=LEAST_DAMPING,
+            first_damping=LEAST_DAMPING,
+            most_damping=MOST_DAMPING,
         )
         ended = search(problem, block.begun(some), options)
         parameters = parameters_of(block.facing(ended.values))  # a beam may have come from behind

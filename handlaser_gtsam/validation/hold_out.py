@@ -156,7 +156,7 @@ def fit_planes(
     for _ in range(MOST_PLANE_STEPS):
         how = whitening(at, readings, variances)
         here = linearized(at, readings, 2, how)
-        step = here.normal.reduced(np.ones(still.size), unit).plane_step * unit
+        step = here.normal.reduced(np.ones(still.size), unit).local_step * unit
         at = moved(at, still, step, here.centres)
         if np.abs(step).max() < EXACT_STEP:
             break
