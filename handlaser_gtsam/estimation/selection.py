@@ -24,7 +24,7 @@ from .options import CalibrationOptions
 from .solution import Solution
 from .solve import Solved, settle
 
-FITS = 1e-3
+FITS_BY_CHANCE = 1e-3
 """Readings fit where chance alone gives a larger chi2 with at least this probability."""
 
 
@@ -123,7 +123,7 @@ def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) ->
     """
     if noise.range_sigma is None or not before.observability.full or after.observability.full:
         return False
-    return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > FITS
+    return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > FITS_BY_CHANCE
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,9 @@ from .weighting import Whitening
 
 CHUNK_SLOTS = 32
 """Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
-LOCATION, UNIT, ERRORS = slice(0, 3), slice(3, 6), slice(6, 8)
+OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = slice(0, 3), slice(3, 6), slice(6, 8)
 """Parts of a beam's numbers."""
-NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
+OF_NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
 """Parts of a plane's numbers."""
 
 
@@ -132,12 +132,12 @@ class BeamsOnPlanes:
         """Return the rows of all readings [m]."""
         beams, planes = values[BEAM.name], values[PLANE.name]
         K = max(len(beams), len(self.poses))
-        v_basis, n_basis = bases(beams[..., UNIT]), bases(planes[..., NORMAL])
-        axes = np.concatenate((planes[..., NORMAL, None], n_basis), axis=3)
+        v_basis, n_basis = bases(beams[..., OF_DIRECTION]), bases(planes[..., OF_NORMAL])
+        axes = np.concatenate((planes[..., OF_NORMAL, None], n_basis), axis=3)
         turned = self._turned(planes, axes)
         arms = np.zeros((len(beams), 4, self.beams, 4))
-        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., LOCATION], 1.0
-        arms[:, 1, :, :3] = beams[..., UNIT]
+        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., OF_LOCATION], 1.0
+        arms[:, 1, :, :3] = beams[..., OF_DIRECTION]
         arms[:, 2:, :, :3] = v_basis.transpose(0, 3, 1, 2)
         along = arms.reshape(len(beams), 1, -1, 4) @ turned
         along = along.reshape(K, 3, 4, self.beams, self.cells)
@@ -150,7 +150,10 @@ class BeamsOnPlanes:
         spot = s[:, None] * along[:, 1:, 1]
         spot += along[:, 1:, 0]
         np.multiply(c, spot.transpose(1, 0, 2, 3), out=columns[BEAM.dim : BEAM.dim + 2])
-        columns[-2], columns[-1] = c, s - corrected(self.measured, beams[:, :, None, ERRORS])
+        columns[-2], columns[-1] = (
+            c,
+            s - corrected(self.measured, beams[:, :, None, OF_RANGE_ERROR]),
+        )
         if self.read is not None:
             columns *= self.read
         shape = K, -1, self.slots_of_chunk
@@ -163,20 +166,20 @@ class BeamsOnPlanes:
         planes = values[PLANE.name]
         hands = np.add.reduceat(self.poses[:, :, 3], self.first, axis=2) / self._stations
         planes[..., CENTRE] = hands.transpose(0, 2, 1)
-        planes[..., HEIGHT] += np.einsum("kpi,kpi->kp", planes[..., NORMAL], planes[..., CENTRE])
-        planes[..., CENTRE] -= planes[..., [HEIGHT]] * planes[..., NORMAL]
+        planes[..., HEIGHT] += np.einsum("kpi,kpi->kp", planes[..., OF_NORMAL], planes[..., CENTRE])
+        planes[..., CENTRE] -= planes[..., [HEIGHT]] * planes[..., OF_NORMAL]
         planes[..., HEIGHT] = 0.0
         return values
 
     def centred(self, values: Values) -> Values:
         """Return the same planes about centres amid their laser spots, where offsets are well known."""
         beams, planes = values[BEAM.name], values[PLANE.name]
-        basis = bases(planes[..., NORMAL])
-        axes = np.concatenate((planes[..., NORMAL, None], basis), axis=3)
+        basis = bases(planes[..., OF_NORMAL])
+        axes = np.concatenate((planes[..., OF_NORMAL, None], basis), axis=3)
         turned = self._turned(planes, axes)
         arms = np.zeros((len(beams), 2, self.beams, 4))
-        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., LOCATION], 1.0
-        arms[:, 1, :, :3] = beams[..., UNIT]
+        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., OF_LOCATION], 1.0
+        arms[:, 1, :, :3] = beams[..., OF_DIRECTION]
         along = arms.reshape(len(beams), 1, -1, 4) @ turned
         along = along.reshape(len(turned), 3, 2, self.beams, self.cells)
         c, grazing = self._stretch(along[:, 0, 1])
@@ -189,7 +192,9 @@ class BeamsOnPlanes:
         size = np.add.reduceat(np.broadcast_to(counted, s.shape).sum(axis=1), self.first, axis=1)
         middle = (sums / np.maximum(size, 1)).transpose(1, 2, 0)[..., None]
         moved = planes.copy()
-        moved[..., CENTRE] += (basis @ middle)[..., 0] - planes[..., [HEIGHT]] * planes[..., NORMAL]
+        moved[..., CENTRE] += (basis @ middle)[..., 0] - planes[..., [HEIGHT]] * planes[
+            ..., OF_NORMAL
+        ]
         moved[..., HEIGHT] = 0.0
         return {**values, PLANE.name: moved}
 
@@ -197,9 +202,9 @@ class BeamsOnPlanes:
         """Return values with the normals of all planes away from the sensors."""
         beams, planes = values[BEAM.name], values[PLANE.name]
         turned = np.einsum(
-            "kjic,kjc->kic", self.poses[:, :, :3], self._by_cell(planes[..., NORMAL])
+            "kjic,kjc->kic", self.poses[:, :, :3], self._by_cell(planes[..., OF_NORMAL])
         )
-        cosine = np.einsum("kic,kbi->kbc", turned, beams[..., UNIT])
+        cosine = np.einsum("kic,kbi->kbc", turned, beams[..., OF_DIRECTION])
         cosine = cosine if self.read is None else cosine * self.read
         ahead = np.add.reduceat(cosine.sum(axis=1), self.first, axis=1)
         sign = np.where(ahead < 0.0, -1.0, 1.0)[..., None]
@@ -253,7 +258,7 @@ def values_of(problems: Sequence[Parameters]) -> dict[str, FloatArray]:
     """Return the beams and planes of K problems of one shape as values, planes about the origin."""
     beams = np.stack([np.hstack(p.beams) for p in problems])
     planes = np.zeros((len(problems), len(problems[0].offsets), PLANE.size))
-    planes[..., NORMAL] = [p.normals for p in problems]
+    planes[..., OF_NORMAL] = [p.normals for p in problems]
     planes[..., HEIGHT] = [p.offsets for p in problems]
     return {BEAM.name: beams, PLANE.name: planes}
 
@@ -262,10 +267,13 @@ def parameters_of(values: Values) -> list[Parameters]:
     """Return the beams and planes of every problem."""
     beams, planes = values[BEAM.name], values[PLANE.name]
     offsets = planes[..., HEIGHT] - np.einsum(
-        "kpi,kpi->kp", planes[..., NORMAL], planes[..., CENTRE]
+        "kpi,kpi->kp", planes[..., OF_NORMAL], planes[..., CENTRE]
     )
-    r, v, k = (np.ascontiguousarray(beams[..., part]) for part in (LOCATION, UNIT, ERRORS))
-    n = np.ascontiguousarray(planes[..., NORMAL])
+    r, v, k = (
+        np.ascontiguousarray(beams[..., part])
+        for part in (OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR)
+    )
+    n = np.ascontiguousarray(planes[..., OF_NORMAL])
     return [Parameters.unchecked(*arrays) for arrays in zip(r, v, k, n, offsets, strict=True)]
 
 

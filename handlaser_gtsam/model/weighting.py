@@ -29,9 +29,8 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
 from . import equation
+from .families import POSE
 
-POSE = 6
-"""Coordinates of a hand pose: three of its rotation, three of its translation."""
 LEAST_OWN = 1e-8
 """Least part of a reading's variance that is its own: readings of a station that the hand alone moves
 would be known relative to each other without any noise."""
@@ -140,9 +139,9 @@ class Whitening(Value):
     def one_pass(self) -> FloatArray:
         """Return U (N, 6) with I - U U' = (I - E E')^2: what a weight matrix takes out at once."""
         if self.common is None:
-            return np.zeros((len(self.root), POSE))
+            return np.zeros((len(self.root), POSE.dim))
         E = self._sparse(self.common)
-        length = np.asarray(E.multiply(E).sum(axis=0)).reshape(-1, POSE)
+        length = np.asarray(E.multiply(E).sum(axis=0)).reshape(-1, POSE.dim)
         return np.asarray(self.common * np.sqrt(2.0 - length)[self.station])
 
     def _uncoupled(self, rows: FloatArray) -> FloatArray:
@@ -167,7 +166,7 @@ def joined(whitenings: Sequence[Whitening]) -> Whitening:
     for part in whitenings:
         station.append(first + part.station)
         first += int(part.station.max()) + 1
-        common.append(np.zeros((len(part.root), POSE)) if part.common is None else part.common)
+        common.append(np.zeros((len(part.root), POSE.dim)) if part.common is None else part.common)
     coupled = any(part.is_coupled for part in whitenings)
     return Whitening(
         np.concatenate([part.root for part in whitenings]),
