@@ -165,3 +165,9 @@ def degenerate(case: str, range_sigma: float = 1e-4) -> Recording:
 
 
 DEGENERATE = ("pure translations", "one plane, one axis", "two planes, no rotation")
+
+
+def by_reading(block, columns):
+    """Return columns (q, 1, G, S) of a block of beams on planes by reading, (q, N)."""
+    places = block.spread(np.arange(1.0, block.size + 1)[None]).ravel()
+    return columns.reshape(len(columns), -1)[:, np.argsort(places)[places.size - block.size :]]

@@ -6,7 +6,7 @@ import re
 import gtsam
 import numpy as np
 import pytest
-from helpers import ROOT, bench, motion, recording_of
+from helpers import ROOT, bench, by_reading, motion, recording_of
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.estimate import _dense, _kept
@@ -300,7 +300,7 @@ def test_the_fused_rows_are_those_of_the_chain_rule():
     fused = BeamsOnPlanes([readings])
     values = fused.centred(values_of([truth]))
     mine = general(readings).evaluate(values).columns[:, 0, :, 0]
-    theirs = np.array([fused.gathered(c)[0] for c in fused.evaluate(values).columns])
+    theirs = by_reading(fused, fused.evaluate(values).columns)
     assert np.abs(mine - theirs).max() < 1e-13
 
 

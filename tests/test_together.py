@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import bench, motion, recording_of
+from helpers import bench, by_reading, motion, recording_of
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
@@ -159,7 +159,7 @@ def test_rows_on_the_grid_are_those_of_the_model():
     columns = jacobian_columns(at, readings, 2)
     block = BeamsOnPlanes([readings])
     rows = block.evaluate(block.centred(values_of([at])))
-    mine = np.array([block.gathered(column)[0] for column in rows.columns])
+    mine = by_reading(block, rows.columns)
     assert np.abs(mine - columns).max() < 1e-13
     assert rows.impossible is None
     lin = model.linearize(model.scene(at, readings), readings.distance)

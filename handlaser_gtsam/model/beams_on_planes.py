@@ -123,11 +123,6 @@ class BeamsOnPlanes:
         grid[:, self._index] = values
         return grid.reshape(len(values), self.beams, -1)
 
-    def gathered(self, by_cell: FloatArray) -> FloatArray:
-        """Return the values (K, N) of the readings from values by beam and cell, in any shape."""
-        values: FloatArray = by_cell.reshape(len(by_cell), -1)[:, self._index]
-        return values
-
     def evaluate(self, values: Values) -> Rows:
         """Return the rows of all readings [m]."""
         beams, planes = values[BEAM.name], values[PLANE.name]
