@@ -243,22 +243,31 @@ class SolutionTask:
         return replace(solution, at=at, joint=joint)
 
     def _finished_on_sums(self, solution: Solution, noise: float | Whitening) -> Solution:
-        """Return the solution after a step that GTSAM makes from the sums of the reduction."""
+        """Return the solution after a step that GTSAM makes from the sums of the reduction.
+
+        A step that is not short means that GTSAM sees another system: the solution stays as it is.
+        """
         at, how = solution.at, noise if isinstance(noise, float) else [noise]
         problem, block = beam_problem(
             [at.readings], self.terms, how, prior=solution.prior, local=PLANE.name
         )
         values = block.centred(values_of([at.parameters]))
+        normal = problem.normal(values)
         try:
-            sums = eliminated_sums(problem.normal(values), at.sigma)
+            sums = eliminated_sums(normal, at.sigma)
         except (RuntimeError, np.linalg.LinAlgError):
+            return solution
+        saved = -float(normal.gradient[0] @ sums.step)
+        saved -= float((normal.local_gradient[0] * sums.local_step).sum())
+        if not saved / at.sigma**2 <= STEPS_SETTLED**2:
             return solution
         there = problem.reduction.moved(values, sums.step[None], sums.local_step[None])
         parameters = parameters_of(there)[0]
         joint = covariance_of_sums(parameters, at.terms, sums, there[PLANE.name][0, :, CENTRE])
         e = residuals(scene(parameters, at.readings), at.readings.measured)
         white = e if isinstance(noise, float) else noise.apply(e)
-        at = replace(at, parameters=parameters, residual=e, white=white)
+        cost = at.cost - 0.5 * max(saved, 0.0) / at.sigma**2
+        at = replace(at, parameters=parameters, cost=cost, residual=e, white=white)
         return replace(solution, at=at, joint=joint)
 
     def _by_gtsam(
