@@ -9,7 +9,7 @@ import pytest
 from helpers import ROOT, bench, by_reading, motion, recording_of
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation.estimate import _dense, _kept
+from handlaser_gtsam.estimation.estimate import _kept
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
@@ -60,7 +60,7 @@ def test_the_wrong_reading_and_no_other_is_rejected(page):
 def test_the_covariance_is_the_dense_inverse(page):
     problem, found = page["problem"], page["found"]
     kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
-    J, _, _ = _dense(problem, kept, {name: x[None] for name, x in found.values.items()})
+    J = problem.rows(kept, {name: x[None] for name, x in found.values.items()}).derivatives
     scale = np.sqrt(np.diagonal(found.covariance))
     inverse = np.linalg.inv((J * scale).T @ (J * scale))
     assert np.abs(found.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
@@ -146,11 +146,9 @@ def test_one_family_alone_may_be_unknown(page, known):
         hl.estimation.BlockProblem(problem.blocks, at(page), unknown, problem.length)
     )
     assert found.status == "converged"
-    J, _, _ = _dense(
-        hl.estimation.BlockProblem(problem.blocks, at(page), unknown),
-        [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)],
-        {name: x[None] for name, x in found.values.items()},
-    )
+    own = hl.estimation.BlockProblem(problem.blocks, at(page), unknown)
+    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
+    J = own.rows(kept, {name: x[None] for name, x in found.values.items()}).derivatives
     scale = np.sqrt(np.diagonal(found.covariance))
     inverse = np.linalg.inv((J * scale).T @ (J * scale))
     assert np.abs(found.covariance / np.outer(scale, scale) - inverse).max() < 1e-6

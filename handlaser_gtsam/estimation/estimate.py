@@ -15,10 +15,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
 from ..errors import InputError
-from ..model.block import Block, Values, impossible, whitened
+from ..model.block import Block, Values, impossible
 from ..model.distributions import chi2_sf, gaussian_quantile
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
@@ -28,6 +28,7 @@ from ..observability.rank import ObservabilityOptions
 from ..quantities import POWER, ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
+from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 
 SIGNIFICANCE = 0.01
 """Probability that a reading of a clean recording is rejected, or an effect found that is none."""
@@ -63,6 +64,18 @@ class BlockProblem(Value):
     start: Values
     unknown: Mapping[str, BoolArray | bool]
     length: float = 1.0
+
+    def counts(self) -> dict[str, int]:
+        """Return the members of each family."""
+        return {name: x.shape[1] for name, x in self.start.items()}
+
+    def places(self) -> Unknowns:
+        """Return where the unknowns stand."""
+        return unknowns_of(self.counts(), self.unknown)
+
+    def rows(self, blocks: Sequence[Block], values: Values) -> DenseRows:
+        """Return the rows of blocks as one dense matrix."""
+        return dense_rows(blocks, values, self.places())
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -186,7 +199,7 @@ def estimate(problem: BlockProblem) -> Estimate:
     require_start(problem)
     blocks = [_read(block) for block in problem.blocks]
     require_blocks(problem, blocks)
-    ended = _solved(problem, blocks, problem.start)
+    ended = minimum(problem, blocks, problem.start)
     if ended is None:
         return _failed(problem, blocks)
     total = sum(_rows(block, ended) for block in blocks if isinstance(block, Ranges))
@@ -194,11 +207,11 @@ def estimate(problem: BlockProblem) -> Estimate:
         rest = _without_worst(problem, blocks, ended)
         if rest is None:
             break
-        again = _solved(problem, rest, ended)
+        again = minimum(problem, rest, ended)
         if again is None:
             break
         blocks, ended = rest, again
-    return _judged(problem, blocks, ended)
+    return judged(problem, blocks, ended)
 
 
 def score_test(
@@ -228,7 +241,7 @@ def score_test(
     read = [_read(block) for block in problem.blocks]
     blocks = [_kept(b, out) for b, out in zip(read, found.rejected, strict=True)]
     values = {name: x[None] for name, x in found.values.items()}
-    J, e, _ = _dense(problem, blocks, values)
+    J, e = problem.rows(blocks, values).whitened()
     effects = {}
     cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(columns), 1)))
     for name, of_blocks in columns.items():
@@ -249,10 +262,10 @@ def score_test(
     return effects
 
 
-def _solved(
+def minimum(
     problem: BlockProblem, blocks: Sequence[Block], start: Values
 ) -> dict[str, FloatArray] | None:
-    """Return the values (1, n, size) at the best minimum, or None where no start leads to one."""
+    """Return the values (1, n, size) at the best minimum from a start, or None where none leads to one."""
     K = max(len(x) for x in start.values())
     first = {name: x[:1] for name, x in start.items()}
     share = max(ROWS_AT_ONCE // max(sum(_rows(block, first) for block in blocks), 1), 1)
@@ -272,8 +285,7 @@ def _solved(
 def _least_squares(
     problem: BlockProblem, blocks: Sequence[Block], K: int, values: Values
 ) -> LeastSquares:
-    counts = {name: x.shape[1] for name, x in problem.start.items()}
-    reduction = Reduction(blocks, counts, problem.unknown)
+    reduction = Reduction(blocks, problem.counts(), problem.unknown)
     size = reduction.structure.size + reduction.structure.members * reduction.structure.width
     dof = max(sum(_rows(block, values) for block in blocks) - size, 1)
     return LeastSquares(tuple(blocks), reduction, np.ones(K), np.zeros(K), dof)
@@ -294,45 +306,6 @@ def _read(block: Block) -> Block:
     return _kept(replace(block, reading=np.nan_to_num(block.reading)), none)
 
 
-def _places(problem: BlockProblem) -> tuple[dict[str, IntArray], dict[str, IntArray], list[str]]:
-    """Return where each member begins among all unknowns, its unknown coordinates, and all names."""
-    place: dict[str, IntArray] = {}
-    free: dict[str, IntArray] = {}
-    names: list[str] = []
-    for family, mask in problem.unknown.items():
-        known = FAMILIES[family]
-        free[family] = np.flatnonzero(np.broadcast_to(mask, known.dim))
-        count = problem.start[family].shape[1]
-        place[family] = len(names) + len(free[family]) * np.arange(count)
-        names += [
-            f"{family}[{i}].{known.coordinates[c]}" for i in range(count) for c in free[family]
-        ]
-    return place, free, names
-
-
-def _dense(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values
-) -> tuple[FloatArray, FloatArray, list[slice]]:
-    """Return the whitened derivatives (R, N) and residuals (R,), and the rows of each block."""
-    place, free, names = _places(problem)
-    parts, residuals, where, first = [], [], [], 0
-    for block in blocks:
-        columns = whitened(block.evaluate(values), block.weights)[:, 0]
-        G, S = columns.shape[1:]
-        J = np.zeros((G, S, len(names)))
-        for slot in block.slots():
-            if slot.family not in place:
-                continue
-            for c, coordinate in enumerate(free[slot.family]):
-                at = place[slot.family][slot.member] + c
-                J[np.arange(G), :, at] += columns[slot.columns.start + coordinate]
-        parts.append(J.reshape(G * S, -1))
-        residuals.append(columns[-1].ravel())
-        where.append(slice(first, first + G * S))
-        first += G * S
-    return np.concatenate(parts), np.concatenate(residuals), where
-
-
 def _kept(block: Block, out: BoolArray) -> Block:
     """Return a block without some readings."""
     if not isinstance(block, Ranges) or not out.any():
@@ -349,39 +322,38 @@ def _without_worst(
     A reading is judged by its residual over the standard deviation that it should have, with the
     reading itself in the estimate (Baarda's w); the bound counts how many are judged.
     """
-    J, e, where = _dense(problem, blocks, values)
-    scale = np.sqrt((J**2).sum(axis=0))
-    Q = np.linalg.qr(J / np.where(scale > 0.0, scale, 1.0))[0]
-    free = 1.0 - (Q**2).sum(axis=1)
-    tested = np.zeros(len(e), dtype=bool)
-    for block, rows in zip(blocks, where, strict=True):
-        tested[rows] = isinstance(block, Ranges)
-    tested &= (free > SINGULAR**0.5) & (e != 0.0)
+    rows = problem.rows(blocks, values)
+    tested = np.zeros(len(rows.residuals), dtype=bool)
+    for block, part in zip(blocks, rows.where, strict=True):
+        tested[part] = isinstance(block, Ranges)
+    tested &= rows.residuals != 0.0
     if not tested.any():
         return None
-    w = np.where(tested, np.abs(e) / np.sqrt(np.where(tested, free, 1.0)), 0.0)
-    worst = int(w.argmax())
-    if w[worst] <= -float(gaussian_quantile(0.5 * SIGNIFICANCE / int(tested.sum()))):
+    number = np.where(tested, np.cumsum(tested) - 1, -1)
+    found, _ = tests_of(rows, number)
+    worst = int(found.argmax())
+    if np.sqrt(found[worst]) <= -float(gaussian_quantile(0.5 * SIGNIFICANCE / len(found))):
         return None
+    worst = int(np.flatnonzero(tested)[worst])
     rest = []
-    for block, rows in zip(blocks, where, strict=True):
-        if rows.start <= worst < rows.stop and isinstance(block, Ranges):
-            out = np.zeros(rows.stop - rows.start, dtype=bool)
-            out[worst - rows.start] = True
+    for block, part in zip(blocks, rows.where, strict=True):
+        if part.start <= worst < part.stop and isinstance(block, Ranges):
+            out = np.zeros(part.stop - part.start, dtype=bool)
+            out[worst - part.start] = True
             block = _kept(block, out.reshape(block.reading.shape[1:]))
         rest.append(block)
     return rest
 
 
-def _judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:
+def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:
     """Return the estimate at a minimum, GTSAM's last step taken where everything is determined."""
-    names = _places(problem)[2]
+    names = problem.places().names
     open_axes, undetermined, covariance = _undetermined(problem, blocks, values, names)
     if not undetermined:
         # Where GTSAM calls it indeterminate the covariance of the dense rows stands.
         with contextlib.suppress(RuntimeError, np.linalg.LinAlgError):
             values, covariance = _finished(problem, blocks, values)
-    _, e, _ = _dense(problem, blocks, values)
+    _, e = problem.rows(blocks, values).whitened()
     chi2, open_ = float(e @ e), open_axes.shape[1]
     dof = sum(_rows(block, values) for block in blocks) - len(names) + open_
     out = tuple(_out(b, left, values) for b, left in zip(problem.blocks, blocks, strict=True))
@@ -416,12 +388,12 @@ def _undetermined(
     A direction is undetermined where its standard deviation in natural units exceeds
     `ObservabilityOptions.most_sigma`, or where its information is rounding.
     """
-    J, _, _ = _dense(problem, blocks, values)
-    place, free, _ = _places(problem)
+    J, _ = problem.rows(blocks, values).whitened()
+    of = problem.places()
     unit = np.concatenate(
         [
-            np.tile(FAMILIES[f].natural_units(problem.length)[free[f]], len(at))
-            for f, at in place.items()
+            np.tile(FAMILIES[f].natural_units(problem.length)[of.free[f]], len(at))
+            for f, at in of.place.items()
         ]
     )
     options = ObservabilityOptions()
@@ -496,7 +468,7 @@ def _out(block: Block, left: Block, values: Values) -> BoolArray:
 
 def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
     """Return that no start led to a minimum, and why."""
-    names = _places(problem)[2]
+    names = problem.places().names
     first = {name: x[:1] for name, x in problem.start.items()}
     starts = max(len(x) for x in problem.start.values())
     never = [

@@ -33,6 +33,14 @@ def rotation_cells(R: FloatArray) -> IntArray:
     return np.floor(R.reshape(-1, 9) / ROTATION_CELL + 0.377).astype(np.int64)
 
 
+def skew(vectors: FloatArray) -> FloatArray:
+    """Return the matrices (..., 3, 3) that multiply by vectors (..., 3) crosswise."""
+    matrices = np.zeros((*vectors.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., i, j], matrices[..., j, i] = -vectors[..., k], vectors[..., k]
+    return matrices
+
+
 def normalized(vectors: FloatArray) -> FloatArray:
     """Return vectors (..., 3) divided by their lengths."""
     lengths: FloatArray = np.linalg.norm(vectors, axis=-1, keepdims=True)

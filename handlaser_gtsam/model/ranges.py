@@ -36,12 +36,16 @@ class Rays:
         d [m].
     true : (K, G, S)
         g(d) [m].
+    by_error : (q, K, G, S), optional
+        dg by the range-error coordinates, which are the last of the sensor's variable; none where not
+        given.
     """
 
     origin: FloatArray
     direction: FloatArray
     reading: FloatArray
     true: FloatArray
+    by_error: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +85,10 @@ class Sensor(Protocol):
         """Return the rays of readings (K, G, S)."""
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
-        """Return de by its tangent coordinates (q, K, G, S), for covectors a in the hand."""
+        """Return ds by its tangent coordinates (q, K, G, S), for covectors a in the hand.
+
+        Those of a range error, which move no ray, are left out: `Rays.by_error` has them.
+        """
 
 
 class Target(Protocol):
@@ -154,10 +161,13 @@ class Ranges:
         d = self.reading
         rays = self.sensor.rays(values, d)
         R, t = self.robot.pose(values)
-        hits = self.target.hit(values, _turned(R, rays.origin) + t, _turned(R, rays.direction))
-        a = _turned(np.swapaxes(R, 0, 1), hits.covector)
+        hits = self.target.hit(values, turned(R, rays.origin) + t, turned(R, rays.direction))
+        a = turned_back(R, hits.covector)
         s = hits.range
-        columns = [self.sensor.pull(values, a, rays, s), hits.columns]
+        columns = [self.sensor.pull(values, a, rays, s)]
+        if rays.by_error is not None:
+            columns.append(-rays.by_error)
+        columns.append(hits.columns)
         if self.robot.family:
             spot = rays.origin + s * rays.direction
             spot, covector = np.broadcast_arrays(spot, a)
@@ -242,7 +252,12 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def _turned(R: FloatArray, x: FloatArray) -> FloatArray:
+def turned(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R x for rotations (3, 3, ...) and vectors (3, ...)."""
-    turned: FloatArray = R[:, 0] * x[0] + R[:, 1] * x[1] + R[:, 2] * x[2]
-    return turned
+    product: FloatArray = R[:, 0] * x[0] + R[:, 1] * x[1] + R[:, 2] * x[2]
+    return product
+
+
+def turned_back(R: FloatArray, x: FloatArray) -> FloatArray:
+    """Return R' x for rotations (3, 3, ...) and vectors (3, ...)."""
+    return turned(np.swapaxes(R, 0, 1), x)

@@ -26,14 +26,12 @@ class Beam:
         x = members(values, self.family, self.member)
         k1, k2 = x[6], x[7]
         true = reading * (1.0 + k1 + k2 * reading)
-        return Rays(x[:3], x[3:6], reading, true)
+        return Rays(x[:3], x[3:6], reading, true, np.stack((reading, reading**2)))
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
-        """Return de by location, direction and range error."""
+        """Return ds by location and direction."""
+        del rays
         basis = np.moveaxis(bases(values[self.family][..., 3:6])[:, self.member], (2, 3), (0, 1))
         turned = s * np.einsum("ijkg,ikgs->jkgs", basis, a)
-        d = rays.reading
-        shape = np.broadcast_shapes(d.shape, s.shape)
-        by_error = np.stack((-d, -d * d))
-        parts = (a, turned, by_error)
-        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in parts])
+        shape = np.broadcast_shapes(a.shape[1:], s.shape)
+        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])

@@ -1,0 +1,349 @@
+"""What sensors of many rays measured, before planes, spheres and points, together with single beams.
+
+A survey has stations of a hand, each with the label of its target; what every sensor read there; and
+relations that are known. Labels say what kind of target it is: `plane:A`, `sphere:S1`, `point:tip`, or
+`groove:G` for the two planes of a V; without a kind it is a plane.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray, IntArray, frozen, frozen_indices
+from ..checks import number_array, require_kind, require_number, require_word
+from ..errors import InputError
+from ..quantities import LARGEST_LENGTH
+from ..text import shown, some
+from .recording_checks import names_of, require_once
+from .station_list import StationList
+from .value import Value
+
+TARGETS = ("plane", "sphere", "point", "groove")
+"""Kinds of targets, as labels have them before a colon."""
+ERRORS = {
+    "profiler": ("k1", "k2", "scale"),
+    "scanner": ("k0", "k1", "k2", "scale"),
+    "array": ("k0", "k1", "k2", "scale"),
+    "points": ("k0", "k1", "k2", "scale"),
+}
+"""Range errors that may be unknown, by the kind of the sensor: k0 + k1 d + k2 d^2, and the scale of x,
+of the angles, or of the tangents of the directions."""
+RELATIONS = {
+    "angle": 2,
+    "parallel": 2,
+    "along": 1,
+    "upright": 1,
+    "plane": 1,
+    "radius": 1,
+    "position": 1,
+    "distance": 2,
+    "body": 0,
+    "mount": 1,
+    "mounts": 2,
+}
+"""Relations, with how many variables each is of; zero for any number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Shots(Value):
+    """What one sensor of many rays read.
+
+    Attributes
+    ----------
+    name : str
+    kind : "profiler", "scanner", "array" or "points"
+    station : (N,)
+        Which station each reading is of, from 0.
+    across : (N, c)
+        What tells the rays apart: x [m] of a profiler, the angle [rad] of a scanner, of arrays and
+        cameras the direction of the ray.
+    reading : (N,)
+        z [m] of a profiler; else the distance along the ray.
+    sigma : float, optional
+        Standard deviation of a reading [m]; learned where it is not given.
+    sigma_across : float
+        Of x [m], for a profiler; where `sigma` is not given, it is taken as much larger or smaller as
+        that turns out than it was given here.
+    free : tuple of str
+        Range errors that are unknown: `k0`, `k1`, `k2`, `scale`; all others are tested for.
+
+    Raises
+    ------
+    InputError
+        Columns of different lengths, numbers that are not finite, or words that mean nothing.
+    """
+
+    name: str
+    kind: Literal["profiler", "scanner", "array", "points"]
+    station: IntArray
+    across: FloatArray
+    reading: FloatArray
+    sigma: float | None = None
+    sigma_across: float = 0.0
+    free: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        names_of("the name of a sensor", (self.name,))
+        require_word("kind", self.kind, ERRORS)
+        store = object.__setattr__
+        reading = number_array("readings", self.reading)
+        across = number_array("across", self.across)
+        columns = 3 if self.kind in ("array", "points") else 1
+        if across.ndim == 1:
+            across = across[:, None]
+        if reading.ndim != 1 or across.shape != (len(reading), columns) or not len(reading):
+            raise InputError(
+                f"columns of shapes {across.shape} and {reading.shape} of {self.name}",
+                f"(N, {columns}) and (N,)",
+            )
+        if not (np.isfinite(reading).all() and np.isfinite(across).all()):
+            raise InputError(f"readings of {self.name} that are not finite", "no such rows")
+        station = np.asarray(self.station)
+        if station.shape != reading.shape or station.dtype.kind not in "iu":
+            raise InputError(
+                f"stations of shape {station.shape} of {self.name}", "(N,) whole numbers, from 0"
+            )
+        if self.kind != "profiler" and not (reading > 0.0).all():
+            raise InputError(f"ranges of {self.name} that are not above zero", "no such rows")
+        store(self, "station", frozen_indices(station))
+        store(self, "across", frozen(across))
+        store(self, "reading", frozen(reading))
+        if self.sigma is not None:
+            require_number("sigma", self.sigma, 0.0, LARGEST_LENGTH, above=True)
+        require_number("sigma_across", self.sigma_across, 0.0, LARGEST_LENGTH)
+        if self.sigma_across and self.kind != "profiler":
+            raise InputError(f"sigma_across of a {self.kind}", "it for a profiler only")
+        object.__setattr__(self, "free", tuple(self.free))
+        for error in self.free:
+            require_word("a range error", error, ERRORS[self.kind])
+
+    @classmethod
+    def profiler(
+        cls, name: str, station: ArrayLike, x: ArrayLike, z: ArrayLike, **noise: float | None
+    ) -> "Shots":
+        """Return points (x, z) [m] of a line profiler, in its plane y = 0."""
+        return cls(name, "profiler", _indices(station), _numbers(x), _numbers(z), **noise)  # type: ignore[arg-type]
+
+    @classmethod
+    def scanner(
+        cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: float
+    ) -> "Shots":
+        """Return ranges [m] at angles [rad] of a 2-D scanner: along (sin, 0, cos)."""
+        return cls(name, "scanner", _indices(station), _numbers(angle), _numbers(reading), **noise)  # type: ignore[arg-type]
+
+    @classmethod
+    def array(
+        cls,
+        name: str,
+        station: ArrayLike,
+        directions: ArrayLike,
+        reading: ArrayLike,
+        convention: Literal["radial", "perpendicular"] = "radial",
+        **noise: float,
+    ) -> "Shots":
+        """Return ranges [m] along directions (N, 3); perpendicular ones are along the z axis."""
+        require_word("convention", convention, ("radial", "perpendicular"))
+        u, d = _numbers(directions), _numbers(reading)
+        if u.ndim != 2 or u.shape[1:] != (3,) or not (u[:, 2] > 0.0).all():
+            raise InputError(f"directions of shape {u.shape}", "(N, 3), all with z above zero")
+        u = u / np.linalg.norm(u, axis=1)[:, None]
+        if convention == "perpendicular":
+            d = d / u[:, 2]
+        return cls(name, "array", _indices(station), u, d, **noise)  # type: ignore[arg-type]
+
+    @classmethod
+    def points(cls, name: str, station: ArrayLike, xyz: ArrayLike, **noise: float) -> "Shots":
+        """Return points (N, 3) [m] of a depth camera, in its frame; noise is along the ray."""
+        p = _numbers(xyz)
+        if p.ndim != 2 or p.shape[1:] != (3,):
+            raise InputError(f"points of shape {p.shape}", "(N, 3)")
+        d = np.linalg.norm(p, axis=1)
+        if not (d > 0.0).all():
+            raise InputError("points at the origin of the sensor", "no such rows")
+        return cls(name, "points", _indices(station), p / d[:, None], d, **noise)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Known(Value):
+    """A relation that is known, with how well.
+
+    Attributes
+    ----------
+    relation : str
+        `angle` of two planes or two beams (`value`, rad); `parallel` planes at a distance (`value`, m);
+        the normal of a plane `along`, or a plane `upright` to, a `direction`; a `plane` where
+        direction . x + value = 0; the `radius` of a sphere (`value`); the `position` of a point or of
+        the centre of a sphere (`direction` holds it); the `distance` of two of them (`value`); a
+        `body`: planes with `faces` (outward normal, offset) in one frame; the `mount` of a sensor or a
+        beam as in a drawing (`pose`); two `mounts` to each other (`pose`).
+    of : tuple of str
+        Labels of targets (`plane:A`) or names of sensors and beams (`sensor:scanner`, `beam:1`).
+    value : float
+        [m] or [rad]
+    sigma : float
+        Standard deviation of lengths [m].
+    sigma_angle : float
+        Of angles [rad].
+    direction : (3,), optional
+    pose : (4, 4), optional
+        hand_T_sensor, or first_T_second.
+    faces : (F, 4), optional
+        Normal and offset [m] of each face: normal . x = offset in the frame of the body.
+
+    Raises
+    ------
+    InputError
+        A relation that is none, or not of these variables.
+    """
+
+    relation: str
+    of: tuple[str, ...]
+    value: float = 0.0
+    sigma: float = 0.0
+    sigma_angle: float = 0.0
+    direction: FloatArray | None = None
+    pose: FloatArray | None = None
+    faces: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        require_word("relation", self.relation, RELATIONS)
+        names_of("a label", self.of)
+        object.__setattr__(self, "of", tuple(self.of))
+        count = RELATIONS[self.relation]
+        if count and len(self.of) != count:
+            raise InputError(f"{self.relation} of {', '.join(self.of)}", f"of {count}")
+        require_number("value", self.value, -LARGEST_LENGTH, LARGEST_LENGTH)
+        lengths = self.relation not in ("angle", "along", "upright")
+        angles = self.relation not in ("radius", "position", "distance")
+        for name, needed in (("sigma", lengths), ("sigma_angle", angles)):
+            require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
+            if needed and not getattr(self, name) > 0.0:
+                raise InputError(f"no {name} of {self.words}", "how well it is known")
+        shapes = {
+            "direction": ((3,), ("along", "upright", "plane", "position")),
+            "pose": ((4, 4), ("mount", "mounts")),
+            "faces": ((len(self.of), 4), ("body",)),
+        }
+        for name, (shape, relations) in shapes.items():
+            given = getattr(self, name)
+            if (given is None) == (self.relation in relations):
+                raise InputError(
+                    f"{'no' if given is None else 'a'} {name} with {self.words}",
+                    f"it with {', '.join(relations)} only",
+                )
+            if given is not None:
+                array = number_array(name, given)
+                if array.shape != shape or not np.isfinite(array).all():
+                    raise InputError(f"{name} of shape {array.shape} of {self.words}", f"{shape}")
+                object.__setattr__(self, name, frozen(array))
+
+    @property
+    def words(self) -> str:
+        """What it is of, in words."""
+        return f"{self.relation} of {' and '.join(self.of)}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Survey(Value):
+    """Stations, what sensors and beams read there, and what is known.
+
+    Attributes
+    ----------
+    stations : StationList
+        Their labels are those of targets.
+    shots : tuple of Shots
+    ranges : (M, B), optional
+        What single beams read [m], NaN for nothing.
+    beam_names : B strings
+    known : tuple of Known
+
+    Raises
+    ------
+    InputError
+        Stations that are not there, names that stand twice, labels of kinds that are none, or nothing
+        that was read.
+    """
+
+    stations: StationList
+    shots: tuple[Shots, ...] = ()
+    ranges: FloatArray | None = None
+    beam_names: tuple[str, ...] = ()
+    known: tuple[Known, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_kind("stations", self.stations, StationList)
+        object.__setattr__(self, "shots", _tuple_of("shots", self.shots, Shots))
+        object.__setattr__(self, "known", _tuple_of("known", self.known, Known))
+        count = len(self.stations)
+        for shots in self.shots:
+            if not ((shots.station >= 0) & (shots.station < count)).all():
+                raise InputError(
+                    f"station {int(shots.station.max())} of {shots.name}", f"0 to {count - 1}"
+                )
+        object.__setattr__(self, "beam_names", names_of("the name of a beam", self.beam_names))
+        if self.ranges is not None:
+            ranges = number_array("ranges", self.ranges)
+            if ranges.shape != (count, len(self.beam_names)):
+                expected = f"({count}, {len(self.beam_names)}): stations and beams"
+                raise InputError(f"ranges of shape {ranges.shape}", expected)
+            object.__setattr__(self, "ranges", frozen(ranges))
+        require_once("sensor", (*(shots.name for shots in self.shots), *self.beam_names))
+        if not self.shots and not self.beam_names:
+            raise InputError("a survey without readings", "shots, or ranges of beams")
+        self._check_labels()
+
+    def _check_labels(self) -> None:
+        for label in dict.fromkeys(self.stations.plane_labels):
+            kind_of(label)
+        targets = set(map(normal_label, self.stations.plane_labels))
+        grooves = {label for label in targets if label.startswith("groove:")}
+        for groove in grooves:
+            name = groove.partition(":")[2]
+            targets |= {f"plane:{name}.left", f"plane:{name}.right"}
+        names = {f"sensor:{shots.name}" for shots in self.shots}
+        names |= {f"beam:{name}" for name in self.beam_names}
+        for known in self.known:
+            for label in known.of:
+                if label not in names and normal_label(label) not in targets - grooves:
+                    listed = some(sorted(targets - grooves | names), 8)
+                    raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
+
+
+def kind_of(label: str) -> str:
+    """Return the kind of target of a label.
+
+    Raises
+    ------
+    InputError
+        There is no such kind.
+    """
+    kind, colon, name = label.partition(":")
+    if not colon:
+        return "plane"
+    if kind not in TARGETS or not name:
+        expected = f"{', '.join(f'{k}:NAME' for k in TARGETS)}, or a name without a colon"
+        raise InputError(f"the label {shown(label)}", expected)
+    return kind
+
+
+def normal_label(label: str) -> str:
+    """Return a label with its kind."""
+    return label if ":" in label else f"plane:{label}"
+
+
+def _tuple_of(name: str, given: object, kind: type) -> tuple[object, ...]:
+    parts = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+    for part in parts:
+        require_kind(name, part, kind)
+    return parts
+
+
+def _numbers(values: ArrayLike) -> FloatArray:
+    return number_array("readings", values)
+
+
+def _indices(values: ArrayLike) -> IntArray:
+    return np.asarray(values)

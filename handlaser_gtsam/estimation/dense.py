@@ -1,0 +1,221 @@
+r"""All rows of some blocks as one dense matrix, for tests and for scales of noise.
+
+Rows are multiplied by the roots of their weights. Where rows of a station have columns U in common
+(`Weights.common`), their weight matrix is I - U U'; `whitened` multiplies them by its square root.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..model.block import Block, Values, whitened
+from ..model.families import FAMILIES, POSE
+from ..quantities import SINGULAR, TINY
+
+LEAST_SHARE = 1e-12
+"""Part of the weight of a station's rows that common errors leave at least: rounding below it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """Where the unknowns stand.
+
+    Attributes
+    ----------
+    place : mapping
+        For each family, where each member begins among all unknowns.
+    free : mapping
+        Its unknown tangent coordinates.
+    names : list of str
+        Of all unknowns: family, member and coordinate, as `beam[0].x`.
+    """
+
+    place: Mapping[str, IntArray]
+    free: Mapping[str, IntArray]
+    names: list[str]
+
+
+def unknowns_of(counts: Mapping[str, int], unknown: Mapping[str, BoolArray | bool]) -> Unknowns:
+    """Return where the unknowns of families with so many members stand."""
+    place: dict[str, IntArray] = {}
+    free: dict[str, IntArray] = {}
+    names: list[str] = []
+    for family, mask in unknown.items():
+        known = FAMILIES[family]
+        free[family] = np.flatnonzero(np.broadcast_to(mask, known.dim))
+        place[family] = len(names) + len(free[family]) * np.arange(counts[family])
+        names += [
+            f"{family}[{i}].{known.coordinates[c]}"
+            for i in range(counts[family])
+            for c in free[family]
+        ]
+    return Unknowns(place, free, names)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseRows:
+    """Rows of all blocks, times the roots of their weights.
+
+    Attributes
+    ----------
+    derivatives : (R, N)
+    residuals : (R,)
+    by_pose : (R, 6)
+        Derivatives by the pose of each row's station; zero where it has none.
+    common : (R, c)
+        U; no columns where nothing is common.
+    station : (R,)
+        Of each row; a number of its own where it has none.
+    where : list of slice
+        The rows of each block.
+    shapes : list of (G, S)
+    """
+
+    derivatives: FloatArray
+    residuals: FloatArray
+    by_pose: FloatArray
+    common: FloatArray
+    station: IntArray
+    where: list[slice]
+    shapes: list[tuple[int, int]]
+
+    def weighted(self, rows: FloatArray) -> FloatArray:
+        """Return rows (R, q) times the weight matrix I - U U'."""
+        if not self.common.shape[1]:
+            return rows
+        sums = self._sums(self.common[:, :, None] * rows[:, None])
+        return rows - np.einsum("rc,rcq->rq", self.common, sums[self.station])
+
+    def whitened(self) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives and residuals of rows that are independent, of one unit."""
+        U, rows = self.common, np.column_stack((self.derivatives, self.residuals))
+        if U.shape[1]:
+            squares = self._sums(U[:, :, None] * U[:, None])
+            values, axes = np.linalg.eigh(squares)
+            left = np.sqrt(np.clip(1.0 - values, LEAST_SHARE, 1.0))
+            part = np.where(values > LEAST_SHARE, (1.0 - left) / np.maximum(values, LEAST_SHARE), 0)
+            U = np.einsum("rc,rcd->rd", U, axes[self.station])
+            sums = self._sums(U[:, :, None] * rows[:, None]) * part[..., None]
+            rows = rows - np.einsum("rc,rcq->rq", U, sums[self.station])
+        return rows[:, :-1], rows[:, -1]
+
+    def _sums(self, products: FloatArray) -> FloatArray:
+        """Return sums over the rows of each station."""
+        sums = np.zeros((int(self.station.max()) + 1, *products.shape[1:]))
+        np.add.at(sums, self.station, products)
+        return sums
+
+
+def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRows:
+    """Return the rows of blocks at the values of one problem."""
+    parts: list[tuple[FloatArray, ...]] = []
+    where: list[slice] = []
+    shapes: list[tuple[int, int]] = []
+    first, own = 0, 1 + max(
+        (int(b.weights.station.max()) for b in blocks if b.weights.station is not None), default=-1
+    )
+    width = max((len(b.weights.common) for b in blocks if b.weights.common is not None), default=0)
+    for block in blocks:
+        columns = whitened(block.evaluate(values), block.weights)[:, 0]
+        G, S = columns.shape[1:]
+        J, P, U = np.zeros((G, S, len(of.names))), np.zeros((G, S, 6)), np.zeros((G, S, width))
+        for slot in block.slots():
+            if slot.family == POSE.name:
+                P = np.moveaxis(columns[slot.columns], 0, 2)
+            if slot.family not in of.place:
+                continue
+            for c, coordinate in enumerate(of.free[slot.family]):
+                at = of.place[slot.family][slot.member] + c
+                J[np.arange(G), :, at] += columns[slot.columns.start + coordinate]
+        if block.weights.common is not None:
+            U = np.moveaxis(np.broadcast_to(block.weights.common[:, 0], (width, G, S)), 0, 2)
+        station = block.weights.station
+        if station is None:
+            station = own + np.arange(G * S).reshape(G, S)
+            own += G * S
+        parts.append(tuple(a.reshape(G * S, -1) for a in (J, columns[-1], P, U, station)))
+        where.append(slice(first, first + G * S))
+        shapes.append((G, S))
+        first += G * S
+    J, e, P, U, station = (np.concatenate(some) for some in zip(*parts, strict=True))
+    _, station = np.unique(station[:, 0], return_inverse=True)
+    return DenseRows(J, e[:, 0], P, U, station.ravel(), where, shapes)
+
+
+def with_pose_errors(
+    blocks: Sequence[Block], values: Values, covariance: FloatArray
+) -> list[Block]:
+    """Return blocks whose rows count errors of the hand poses (M, 6, 6), which a station's rows share.
+
+    With A the derivatives by a pose times a root of its covariance, in standard deviations of the
+    readings, the weight matrix of the station's rows is I - A inv(I + A'A) A'.
+    """
+    if not covariance.any():
+        return list(blocks)
+    root = pose_roots(covariance)
+    found: list[tuple[int, FloatArray, IntArray]] = []
+    sums = np.broadcast_to(np.eye(6), (len(covariance), 6, 6)).copy()
+    for index, block in enumerate(blocks):
+        slot = next((slot for slot in block.slots() if slot.family == POSE.name), None)
+        if slot is None:
+            continue
+        columns = whitened(block.evaluate(values), block.weights)[slot.columns, 0]
+        A = np.einsum("cgs,gcd->gsd", columns, root[slot.member])
+        np.add.at(sums, slot.member, np.swapaxes(A, 1, 2) @ A)
+        found.append((index, A, slot.member))
+    inverse = np.linalg.inv(np.linalg.cholesky(sums))
+    new = list(blocks)
+    for index, A, member in found:
+        U = np.einsum("gsd,gcd->cgs", A, inverse[member])[:, None]
+        new[index] = replace(
+            blocks[index], weights=replace(blocks[index].weights, common=U)  # type: ignore[type-var]
+        )
+    return new
+
+
+def pose_roots(covariance: FloatArray) -> FloatArray:
+    """Return roots (M, 6, 6) of covariances, which may be singular: root root' is the covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(values, 0.0))[:, None])
+
+
+def tests_of(rows: DenseRows, group: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return how far each group of rows is from what all others say, chi2 with its degrees of freedom.
+
+    With M = W - W A inv(A' W A) A' W, the sum of squares that the others save where the rows r are left
+    out is (M e)_r' inv(M_rr) (M e)_r; for one row it is the square of Baarda's w.
+
+    Parameters
+    ----------
+    rows : DenseRows
+    group : (R,)
+        The number of each row's group, -1 for rows that are not tested. Rows of a group are of one
+        station where there are common columns.
+    """
+    A, scale = rows.derivatives, np.sqrt((rows.derivatives**2).sum(axis=0))
+    A = A / np.where(scale > 0.0, scale, 1.0)
+    B = rows.weighted(np.column_stack((A, rows.residuals)))
+    information = A.T @ B[:, :-1]
+    values, axes = np.linalg.eigh(information)
+    some = values > SINGULAR * max(float(values.max()), TINY)
+    root = axes[:, some] / np.sqrt(values[some])
+    C = B[:, :-1] @ root
+    left = B[:, -1] - C @ (root.T @ (A.T @ B[:, -1]))
+    count = np.bincount(group[group >= 0])
+    order = np.flatnonzero(group >= 0)[np.argsort(group[group >= 0], kind="stable")]
+    place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    at, shape = (group[order], place), (len(count), int(count.max()))
+    parts = [np.zeros((*shape, x.shape[1])) for x in (C, rows.common, left[:, None])]
+    for part, x in zip(parts, (C, rows.common, left[:, None]), strict=True):
+        part[at] = x[order]
+    C, U, left = parts
+    M = np.eye(shape[1]) - U @ np.swapaxes(U, 1, 2) - C @ np.swapaxes(C, 1, 2)
+    values, axes = np.linalg.eigh(M)
+    # Rows that fill up have nothing left; rows that alone decide something have no more than rounding.
+    free = values > SINGULAR**0.5
+    along = np.einsum("gij,gi->gj", axes, left[..., 0])
+    chi2 = np.where(free, along**2 / np.where(free, values, 1.0), 0.0).sum(axis=1)
+    dof = free.sum(axis=1) - (shape[1] - count)
+    return chi2, dof

@@ -1,0 +1,325 @@
+r"""The estimate of a survey: sensors of many rays and beams, before planes, spheres and points.
+
+From a start without a guess, shots that the others contradict are left out, sizes of the noise that are
+not stated are learned, and the whole is judged as any blocks are: rank, covariances that GTSAM
+eliminates, chi2. Shots are tested as wholes, because their points share what made them wrong; points
+within a shot were sorted out when it was condensed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..data.noise import Noise
+from ..data.survey import Known, Survey
+from ..errors import InputError
+from ..model.block import Block
+from ..model.distributions import chi2_quantile, chi2_sf
+from ..model.families import BEAM, POSE
+from ..model.relations import Relation
+from ..model.sensors.mounted import SENSOR
+from ..quantities import MM, MOST_ROUNDS
+from .components import Components, Inside, components
+from .dense import dense_rows, pose_roots, tests_of, with_pose_errors
+from .estimate import SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
+from .survey_rows import Item, Rows, blocks_of, priors_of, relations_of, rows_of
+from .survey_starts import start_of
+
+GROSS = 6.0
+"""Shots farther than this many times the typical misfit are left out before anything is learned."""
+ROBUST_ROUNDS = 8
+"""Rounds of leaving out gross shots; most settle within three."""
+SETTLED = 0.01
+"""Sizes of the noise that change by less than this part have settled."""
+MOST_LEFT_OUT = 0.4
+"""Largest part of the shots that may be left out."""
+FIRST_SIGMA = 0.1 * MM
+"""A reading has this standard deviation [m] where nothing is stated and no shot tells."""
+LEAST_SIGMA = 1e-9
+"""Readings that fit better than this [m] are made up, or rounded."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelationTest:
+    """How a relation agrees with the readings and all other relations.
+
+    Attributes
+    ----------
+    known : Known
+    p_value : float
+        Probability of a larger contradiction by chance.
+    contradicted : bool
+    """
+
+    known: Known
+    p_value: float
+    contradicted: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurveyEstimate:
+    """What a survey says.
+
+    Attributes
+    ----------
+    rows : Rows
+    problem : BlockProblem
+        Of the shots that were used, in their standard deviations, errors of the hand counted.
+    estimate : Estimate
+    noise : Components
+        Its pose sizes are 1 where covariances of the poses are stated.
+    stated : Components
+        NaN where it was learned.
+    used : (items,) of bool
+    tests : tuple of RelationTest
+    """
+
+    rows: Rows
+    problem: BlockProblem
+    estimate: Estimate
+    noise: Components
+    stated: Components
+    used: BoolArray
+    tests: tuple[RelationTest, ...]
+
+
+@dataclass(slots=True)
+class _State:
+    """The values and sizes so far, and which items count."""
+
+    rows: Rows
+    noise: Noise
+    values: dict[str, FloatArray]
+    sizes: Components
+    used: BoolArray
+    relations: Sequence[tuple[Known, Relation]]
+    linearity: float
+
+    def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, list[list[Item]]]:
+        """Return the problem of the items that count, and the items of the groups of its blocks."""
+        items = [i for i, used in zip(self.rows.items, self.used, strict=True) if used]
+        blocks, groups = blocks_of(items, self.sigmas(), self.values)
+        if pose_errors:
+            blocks = with_pose_errors(blocks, self.values, self.pose_covariance())
+        more: list[Block] = [*priors_of(self.rows, self.linearity)]
+        more += [relation for _, relation in self.relations]
+        unknown = self.rows.unknown()
+        return BlockProblem([*blocks, *more], self.values, unknown, self.rows.length), groups
+
+    def sigmas(self) -> dict[tuple[str, int], float]:
+        """Return the standard deviation of a reading of each sensor and beam."""
+        sensors = len(self.rows.survey.shots)
+        return {
+            (SENSOR.name, i) if i < sensors else (BEAM.name, i - sensors): float(s)
+            for i, s in enumerate(self.sizes.sigma)
+        }
+
+    def pose_covariance(self) -> FloatArray:
+        """Return the covariance (M, 6, 6) of the hand poses."""
+        count = len(self.rows.survey.stations)
+        if self.noise.pose_covariance is not None:
+            return self.noise.pose_covariances(count)
+        turn, shift = self.sizes.pose
+        S = np.diag([turn**2] * 3 + [shift**2] * 3)
+        return np.broadcast_to(S, (count, 6, 6))
+
+    def source(self, item: Item) -> int:
+        """Return the number of the sensor or beam of an item."""
+        return item.member + (len(self.rows.survey.shots) if item.family == BEAM.name else 0)
+
+
+def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> SurveyEstimate:
+    """Estimate all mounts and targets of a survey.
+
+    Raises
+    ------
+    InputError
+        No shot has enough points on a target; a sensor, or a beam, that nothing leads to a start of.
+    """
+    rows = rows_of(survey)
+    if not rows.items:
+        raise InputError("no shot with enough points on its target", "a few points a shot")
+    inside = _inside(rows)
+    stated = _stated(rows, noise)
+    sizes = _first_sizes(stated, inside, noise)
+    used = np.ones(len(rows.items), dtype=bool)
+    state = _State(rows, noise, {}, sizes, used, relations_of(rows), linearity)
+    started = start_of(rows, state.sigmas())
+    if started.values is None:
+        names = ", ".join(_name(rows, *entity) for entity in started.without)
+        raise InputError(f"no start of {names}", "more stations, or other turns between them")
+    state.values = started.values
+    _leave_out_gross(state)
+    _settle(state, inside, stated)
+    problem, _ = state.problem()
+    found = judged(problem, list(problem.blocks), dict(state.values))
+    return SurveyEstimate(
+        rows, problem, found, state.sizes, stated, state.used, _tested(state, problem)
+    )
+
+
+def _name(rows: Rows, family: str, member: int) -> str:
+    if family == BEAM.name:
+        return f"beam {rows.survey.beam_names[member]}"
+    return f"sensor {rows.survey.shots[member].name}"
+
+
+def _inside(rows: Rows) -> Inside:
+    """Return what the shots of each sensor tell of the noise inside them; beams tell nothing."""
+    count = len(rows.survey.shots) + len(rows.survey.beam_names)
+    squares, dof = np.zeros((2, count))
+    for member in range(len(rows.survey.shots)):
+        shots = [i.shot for i in rows.items if i.family == SENSOR.name and i.member == member]
+        each = np.array([(s.squares, s.dof) for s in shots if s is not None and s.dof > 0])
+        if len(each):
+            # A shot of something rough must not speak for the others: by the median of the shots.
+            level = np.median(each[:, 0] / each[:, 1])
+            good = each[:, 0] <= GROSS * level * each[:, 1]
+            squares[member], dof[member] = each[good].sum(axis=0)
+    return Inside(squares, dof)
+
+
+def _stated(rows: Rows, noise: Noise) -> Components:
+    """Return what is stated of the noise, NaN for what is not."""
+    sigma = [np.nan if shots.sigma is None else shots.sigma for shots in rows.survey.shots]
+    beams = np.nan if noise.range_sigma is None else noise.range_sigma
+    sigma += [beams] * len(rows.survey.beam_names)
+    turn, shift = noise.pose_rotation_sigma, noise.pose_translation_sigma
+    if noise.pose_covariance is not None:
+        turn = shift = 1.0
+    pose = np.nan if turn is None else turn, np.nan if shift is None else shift
+    return Components(np.array(sigma), pose)
+
+
+def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components:
+    own = np.sqrt(inside.squares / np.maximum(inside.dof, 1.0))
+    own = np.where(inside.dof > 0.0, np.maximum(own, LEAST_SIGMA), FIRST_SIGMA)
+    sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
+    prior = noise.pose_rotation_prior, noise.pose_translation_prior
+    turn, shift = (
+        p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True)
+    )
+    return Components(sigma, (turn, shift))
+
+
+def _leave_out_gross(state: _State) -> None:
+    """Leave out shots that are far from what most agree on, before sizes are learned."""
+    for _ in range(ROBUST_ROUNDS):
+        problem, groups = state.problem()
+        again = minimum(problem, list(problem.blocks), state.values)
+        if again is None:
+            return
+        state.values = again
+        misfit = _misfits(state)
+        typical = float(np.median(misfit[state.used]))
+        kept = misfit <= GROSS * max(typical, 1.0)
+        if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
+            return
+        del groups
+        state.used = kept
+
+
+def _misfits(state: _State) -> FloatArray:
+    """Return the root mean square misfit of every item, used or not, in standard deviations."""
+    blocks, groups = blocks_of(state.rows.items, state.sigmas(), state.values)
+    of = {id(item): i for i, item in enumerate(state.rows.items)}
+    blocks = with_pose_errors(blocks, state.values, state.pose_covariance())
+    rows = dense_rows(blocks, state.values, BlockProblem([], state.values, {}).places())
+    _, e = rows.whitened()
+    squares, count = np.zeros((2, len(state.rows.items)))
+    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=True):
+        index = [of[id(item)] for item in some]
+        square = e[part].reshape(shape) ** 2
+        np.add.at(squares, index, square.sum(axis=1))
+        np.add.at(count, index, (square > 0.0).sum(axis=1))
+    return np.sqrt(squares / np.maximum(count, 1.0))
+
+
+def _settle(state: _State, inside: Inside, stated: Components) -> None:
+    """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes."""
+    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
+    for _ in range(MOST_ROUNDS * 4):
+        problem, groups = state.problem()
+        again = minimum(problem, list(problem.blocks), state.values)
+        if again is None:
+            return
+        state.values = again
+        if _learned(state, inside, stated, prior):
+            continue
+        if not _worst_changed(state):
+            return
+
+
+def _learned(
+    state: _State, inside: Inside, stated: Components, prior: tuple[float, float]
+) -> bool:
+    """Learn the sizes of the noise at the values; tell whether one has changed."""
+    if not np.isnan([*stated.sigma, *stated.pose]).any():
+        return False
+    problem, groups = state.problem(pose_errors=False)
+    rows = problem.rows(problem.blocks, state.values)
+    source = np.full(len(rows.residuals), -1)
+    by_pose = rows.by_pose
+    root = pose_roots(state.pose_covariance())
+    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
+        source[part] = np.repeat([state.source(item) for item in some], shape[1])
+        if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
+            station = np.repeat([item.station for item in some], shape[1])
+            by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
+    new = components(rows, source, inside, state.sizes, stated, prior)
+    new = Components(np.maximum(new.sigma, LEAST_SIGMA), new.pose)
+    before = np.array([*state.sizes.sigma, *state.sizes.pose])
+    after = np.array([*new.sigma, *new.pose])
+    state.sizes = new
+    return bool((np.abs(after - before) > SETTLED * np.maximum(after, before)).any())
+
+
+def _worst_changed(state: _State) -> bool:
+    """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
+    problem, groups = state.problem()
+    rows = problem.rows(problem.blocks, state.values)
+    numbers = {id(item): i for i, item in enumerate(state.rows.items)}
+    group = np.full(len(rows.residuals), -1)
+    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
+        group[part] = np.repeat([numbers[id(item)] for item in some], shape[1])
+    tested, number = np.unique(group[group >= 0], return_inverse=True)
+    group[group >= 0] = number
+    chi2, dof = tests_of(rows, group)
+    p = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
+    worst = int(p.argmin())
+    if p[worst] < SIGNIFICANCE / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
+        state.used = state.used.copy()
+        state.used[tested[worst]] = False
+        return True
+    out = np.flatnonzero(~state.used)
+    if not len(out):
+        return False
+    misfit = _misfits(state)[out]
+    best = int(misfit.argmin())
+    size = 2 if state.rows.items[out[best]].shot is not None else 1
+    if misfit[best] ** 2 * size > chi2_quantile(1.0 - 0.5, size):
+        return False
+    state.used = state.used.copy()
+    state.used[out[best]] = True
+    return True
+
+
+def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
+    """Test each relation against everything else."""
+    if not state.relations:
+        return ()
+    rows = problem.rows(problem.blocks, state.values)
+    group = np.full(len(rows.residuals), -1)
+    first = len(rows.where) - len(state.relations)
+    number = {}
+    for part, (known, _) in zip(rows.where[first:], state.relations, strict=True):
+        group[part] = number.setdefault(id(known), len(number))
+    chi2, dof = tests_of(rows, group)
+    p = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
+    different = list({id(known): known for known, _ in state.relations}.values())
+    return tuple(
+        RelationTest(known, float(x), bool(x < SIGNIFICANCE / len(different)))
+        for known, x in zip(different, p, strict=True)
+    )

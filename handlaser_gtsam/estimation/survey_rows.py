@@ -1,0 +1,353 @@
+"""A survey as rows: shots condensed, targets and sensors numbered, blocks put together."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..data.survey import Known, Shots, Survey, kind_of, normal_label
+from ..model import known as relations
+from ..model.block import Block, Values, Weights
+from ..model.condensed import Mixed, Unexplained
+from ..model.families import BEAM, PLANE
+from ..model.priors import VectorPrior
+from ..model.ranges import PoseVariables, Ranges
+from ..model.relations import Relation
+from ..model.sensors.beam import Beam
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
+from ..model.shots import Condensed, condensed
+from ..model.targets.plane import Plane
+from ..model.targets.point import POINT, SpotsOnPoints, axes_along
+from ..model.targets.sphere import SPHERE, Sphere
+from ..quantities import MM
+
+TARGETS = {PLANE.name: Plane, SPHERE.name: Sphere}
+"""Targets that rays meet, by family."""
+LEAST_SEGMENT = 5
+"""Points of a profile that each side of a groove has at least."""
+RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
+"""Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
+HELD = 1e9
+"""Inverse of a standard deviation that holds a range error at zero."""
+AIMING_SIGMA = 0.5 * MM
+"""Standard deviation of a spot across its ray, where it is aimed at a point [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Item:
+    """One shot of a sensor, or one reading of a beam.
+
+    Attributes
+    ----------
+    family, member
+        `sensor` or `beam`, and its number.
+    station : int
+    target : (family, number)
+    shot : Condensed, optional
+        Of a sensor.
+    reading : float
+        Of a beam [m].
+    rows : (n,), optional
+        Of the sensor's table, that are of this shot.
+    """
+
+    family: str
+    member: int
+    station: int
+    target: tuple[str, int]
+    shot: Condensed | None = None
+    reading: float = np.nan
+    rows: IntArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A survey as items, with the numbers of its variables.
+
+    Attributes
+    ----------
+    survey : Survey
+    items : tuple of Item
+    targets : mapping
+        Labels of the targets of each family, in their order.
+    bodies : tuple of Known
+        Relations of whole bodies, one a body.
+    lost : tuple of (sensor, station)
+        Shots with too few points on their target.
+    length : float
+        Typical range [m].
+    """
+
+    survey: Survey
+    items: tuple[Item, ...]
+    targets: Mapping[str, tuple[str, ...]]
+    bodies: tuple[Known, ...]
+    lost: tuple[tuple[int, int], ...]
+    length: float
+
+    def counts(self) -> dict[str, int]:
+        """Return the members of each family."""
+        counts = {name: len(labels) for name, labels in self.targets.items()}
+        counts[SENSOR.name] = len(self.survey.shots)
+        counts[BEAM.name] = len(self.survey.beam_names)
+        counts[relations.BODY.name] = len(self.bodies)
+        return {name: number for name, number in counts.items() if number}
+
+    def unknown(self) -> dict[str, bool | np.ndarray]:
+        """Return which coordinates of each family are unknown: of sensors all that any has free."""
+        unknown: dict[str, bool | np.ndarray] = dict.fromkeys(self.counts(), True)
+        if self.survey.shots:
+            free = {error for shots in self.survey.shots for error in shots.free}
+            mask = np.ones(SENSOR.dim, dtype=bool)
+            mask[-len(ERRORS) :] = [error in free for error in ERRORS]
+            unknown[SENSOR.name] = mask
+        return unknown
+
+    def poses(self) -> FloatArray:
+        """Return the hand poses as values (1, M, 12)."""
+        of = self.survey.stations
+        return np.hstack((of.world_R_hand.reshape(-1, 9), of.world_t_hand))[None]
+
+    def label(self, target: tuple[str, int]) -> str:
+        """Return the label of a target."""
+        return self.targets[target[0]][target[1]]
+
+
+def rows_of(survey: Survey) -> Rows:
+    """Return a survey as rows."""
+    labels = survey.stations.plane_labels
+    targets: dict[str, dict[str, int]] = defaultdict(dict)
+    items: list[Item] = []
+    lost: list[tuple[int, int]] = []
+
+    def number(label: str) -> tuple[str, int]:
+        family = kind_of(label)
+        return family, targets[family].setdefault(normal_label(label), len(targets[family]))
+
+    for member, shots in enumerate(survey.shots):
+        order = np.argsort(shots.station, kind="stable")
+        stations, first = np.unique(shots.station[order], return_index=True)
+        for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True):
+            found = [
+                (label, part, _condensed(shots, part, kind_of(label)))
+                for label, part in _parts(shots, rows, labels[station])
+            ]
+            for label, part, shot in found:
+                if shot is None:
+                    lost.append((member, station))
+                    continue
+                at = number(label)
+                items.append(Item(SENSOR.name, member, station, at, shot, rows=part))
+    if survey.ranges is not None:
+        for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
+            at, d = number(labels[station]), float(survey.ranges[station, member])
+            items.append(Item(BEAM.name, member, station, at, reading=d))
+    bodies = tuple(known for known in survey.known if known.relation == "body")
+    ranges = [
+        item.reading if item.shot is None else float(np.abs(item.shot.reading).mean())
+        for item in items
+    ]
+    return Rows(
+        survey,
+        tuple(items),
+        {family: tuple(names) for family, names in targets.items()},
+        bodies,
+        tuple(lost),
+        float(np.median(ranges)) if ranges else 1.0,
+    )
+
+
+def _condensed(shots: Shots, rows: IntArray, target: str) -> Condensed | None:
+    ratio = shots.sigma_across / shots.sigma if shots.sigma else float(shots.sigma_across > 0.0)
+    if target not in TARGETS:
+        return None
+    return condensed(
+        KINDS[shots.kind], target, shots.across[rows], shots.reading[rows], ratio, shots.sigma
+    )
+
+
+def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray]]:
+    """Return the targets that a shot sees with its rows: one, or the two sides of a groove."""
+    if kind_of(label) != "groove":
+        return [(label, rows)]
+    name = label.partition(":")[2]
+    rows = rows[np.argsort(shots.across[rows, 0])]
+    x, z = shots.across[rows, 0], shots.reading[rows]
+    best, cut = np.inf, 0
+    for i in range(LEAST_SEGMENT, len(rows) - LEAST_SEGMENT + 1):
+        squares = 0.0
+        for side in (slice(None, i), slice(i, None)):
+            A = np.column_stack((np.ones_like(x[side]), x[side]))
+            e = z[side] - A @ np.linalg.lstsq(A, z[side], rcond=None)[0]
+            squares += float(np.abs(e).sum())
+        if squares < best:
+            best, cut = squares, i
+    if not cut:
+        return []
+    # A point at the edge may be of either side, or of both.
+    return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
+
+
+def blocks_of(
+    items: Sequence[Item], sigmas: Mapping[tuple[str, int], float], values: Values
+) -> tuple[list[Block], list[list[Item]]]:
+    """Return the blocks of some items, and the item of each of their groups.
+
+    Parameters
+    ----------
+    items : sequence of Item
+    sigmas : mapping
+        Standard deviation of a reading of each sensor and beam [m].
+    values : mapping
+        Where spots on points are seen along their rays.
+    """
+    alike: dict[tuple[str, str, int], list[Item]] = defaultdict(list)
+    for item in items:
+        size = 1 if item.shot is None else len(item.shot.shape)
+        alike[item.family, item.target[0], size].append(item)
+    blocks: list[Block] = []
+    groups: list[list[Item]] = []
+    for (family, target, _), some in alike.items():
+        member = np.array([item.member for item in some])
+        station = np.array([item.station for item in some])
+        seen = np.array([item.target[1] for item in some])
+        sigma = np.array([sigmas[item.family, item.member] for item in some])
+        robot = PoseVariables(station)
+        if family == BEAM.name:
+            reading = np.array([item.reading for item in some])[None, :, None]
+            sensor = Beam(member)
+            if target == POINT.name:
+                blocks.append(_on_points(sensor, robot, seen, reading, sigma, station, values))
+            else:
+                weights = _weights(sigma, station, 1)
+                blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights))
+            groups.append(some)
+            continue
+        blocks += _of_shots(some, member, station, seen, sigma, robot, TARGETS[target])
+        groups.append(some)
+        if isinstance(blocks[-1], Unexplained):
+            groups.append([item for item in some if item.shot is not None and item.shot.rest.size])
+    return blocks, groups
+
+
+def _of_shots(
+    some: Sequence[Item],
+    member: IntArray,
+    station: IntArray,
+    seen: IntArray,
+    sigma: FloatArray,
+    robot: PoseVariables,
+    target: type[Plane] | type[Sphere],
+) -> list[Block]:
+    shots = [item.shot for item in some if item.shot is not None]
+    origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
+    direction = np.stack([s.rays.direction for s in shots])
+    by_error = np.stack([s.by_error for s in shots], axis=1)[:, None]
+    sensor = Mounted(
+        member, np.moveaxis(origin, 2, 0)[:, None], np.moveaxis(direction, 2, 0)[:, None], by_error
+    )
+    reading = np.stack([s.reading for s in shots])[None]
+    mix = np.stack([s.mix for s in shots])
+    ranges = Ranges(sensor, target(seen), robot, reading)
+    blocks: list[Block] = [Mixed(ranges, mix, _weights(sigma, station, mix.shape[2]))]
+    many = np.array([len(s.rest) for s in shots])
+    if many.any():
+        few = np.flatnonzero(many)
+        residual = np.zeros((len(few), many.max()))
+        beside = np.zeros((*residual.shape, len(ERRORS)))
+        root = np.zeros((1, *residual.shape))
+        for g, i in enumerate(few):
+            residual[g, : many[i]] = shots[i].rest
+            beside[g, : many[i]] = shots[i].rest_by_error
+            root[0, g, : many[i]] = 1.0 / sigma[i]
+        blocks.append(Unexplained(member[few], residual, beside, Weights(root)))
+    return blocks
+
+
+def _on_points(
+    sensor: Beam,
+    robot: PoseVariables,
+    seen: IntArray,
+    reading: FloatArray,
+    sigma: FloatArray,
+    station: IntArray,
+    values: Values,
+) -> SpotsOnPoints:
+    directions = values[BEAM.name][0, sensor.member, 3:6]
+    root = np.stack((1.0 / sigma, *[np.full(len(sigma), 1.0 / AIMING_SIGMA)] * 2), axis=1)[None]
+    weights = Weights(root, None, np.repeat(station[:, None], 3, axis=1))
+    return SpotsOnPoints(sensor, robot, seen, reading, axes_along(directions), weights)
+
+
+def _weights(sigma: FloatArray, station: IntArray, rows: int) -> Weights:
+    root = np.repeat(1.0 / sigma[:, None], rows, axis=1)[None]
+    return Weights(root, None, np.repeat(station[:, None], rows, axis=1))
+
+
+def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:
+    """Return the relations of a survey, each face of a body as one."""
+    numbers = {
+        label: (family, i)
+        for family, labels in rows.targets.items()
+        for i, label in enumerate(labels)
+    }
+    numbers |= {
+        f"sensor:{shots.name}": (SENSOR.name, i) for i, shots in enumerate(rows.survey.shots)
+    }
+    numbers |= {f"beam:{name}": (BEAM.name, i) for i, name in enumerate(rows.survey.beam_names)}
+    found = []
+    for known in rows.survey.known:
+        of = [numbers.get(label) or numbers[normal_label(label)] for label in known.of]
+        if known.relation == "body":
+            body = rows.bodies.index(known)
+            assert known.faces is not None
+            for (_, plane), row in zip(of, known.faces, strict=True):
+                face = relations.face(
+                    plane, body, row[:3], float(row[3]), known.sigma, known.sigma_angle
+                )
+                found.append((known, face))
+        else:
+            found.append((known, _relation(known, of)))
+    return found
+
+
+def _relation(known: Known, of: Sequence[tuple[str, int]]) -> Relation:
+    """Return one relation of given variables."""
+    (family, first), second = of[0], of[-1][1]
+    value, sigma, turn = known.value, known.sigma, known.sigma_angle
+    direction = np.zeros(3) if known.direction is None else known.direction
+    pose = np.eye(4) if known.pose is None else known.pose
+    if known.relation == "mount" and family == BEAM.name:
+        return relations.beam_at(first, pose[:3, 3], pose[:3, 2], sigma, turn)
+    make = {
+        "angle": lambda: relations.at_an_angle(family, first, second, value, turn),
+        "parallel": lambda: relations.parallel(first, second, value, sigma, turn),
+        "along": lambda: relations.along(first, direction, turn),
+        "upright": lambda: relations.upright(first, direction, turn),
+        "plane": lambda: relations.plane_at(first, direction, value, sigma, turn),
+        "radius": lambda: relations.radius(first, value, sigma),
+        "position": lambda: relations.position(family, first, direction, sigma),
+        "distance": lambda: relations.distance(of[0], of[1], value, sigma),
+        "mount": lambda: relations.mounted_at(first, pose, sigma, turn),
+        "mounts": lambda: relations.mounted_together(first, second, pose, sigma, turn),
+    }
+    return make[known.relation]()
+
+
+def priors_of(rows: Rows, linearity: float) -> list[Block]:
+    """Return what is known of range errors before any reading: Gaussians about zero."""
+    priors: list[Block] = []
+    beams, shots = len(rows.survey.beam_names), rows.survey.shots
+    if beams:
+        root = np.broadcast_to([1.0 / linearity, rows.length / linearity], (1, beams, 2))
+        priors.append(VectorPrior(BEAM.name, root, np.zeros((beams, 2))))
+    if any(one.free for one in shots):
+        free = np.array([[error in one.free for error in ERRORS] for one in shots])
+        # Where another sensor has it free, an error that this one has not is held at zero.
+        root = np.where(free, 1.0 / RANGE_ERRORS, HELD) * free.any(axis=0)
+        weights = Weights((root > 0.0).astype(float)[None])
+        priors.append(VectorPrior(SENSOR.name, root[None], np.zeros(free.shape), weights))
+    return priors

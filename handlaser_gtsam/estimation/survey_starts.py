@@ -1,0 +1,533 @@
+r"""Starts of sensors of many rays, and of beams on spheres and points, without a guess.
+
+Before planes, a few rays of a sensor are beams: their readings, from the shape of each shot, go through
+the ordinary search for a start, and two points on each ray tell the mount (Kabsch). Where that may have
+too few stations, the normal of one plane is tried in all directions: for each, mount and offset follow
+from a linear system of all rays. Before spheres, the centre that a shot shows gives
+R (R_X m + t_X) + t = C, linear in the mount and the centres; a profile's circle leaves the sign of its
+distance from the centre open, so that signs and the linear solution alternate. A beam on a point is
+linear, and one on a sphere is tried in random directions.
+
+Each sensor, and each beam, is searched by itself from all its starts together; best ends are joined.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, frozen, frozen_indices, gathered
+from ..data.parameters import Parameters
+from ..data.readings import Readings
+from ..errors import HandlaserError
+from ..model.families import BEAM, FAMILIES, PLANE, POSE
+from ..model.geometry import tangent_basis
+from ..model.reduction import Reduction
+from ..model.search import LeastSquares, LevenbergOptions, search
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
+from ..model.shots import shape_of
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
+from ..outliers.consensus import find_consensus
+from ..quantities import SINGULAR
+from .dense import dense_rows, unknowns_of
+from .survey_rows import Item, Rows, blocks_of, priors_of, relations_of
+
+VIRTUAL = 3
+"""Rays of a flat sensor that serve as beams; a sensor in space has one more."""
+SWEPT = 400
+"""Normals that are tried."""
+BEST = 40
+"""Of these, starts that are searched: those whose linear system fits best."""
+SIGNS = 24
+"""First signs of a profile's distance from the centre of a sphere that are tried."""
+ALTERNATIONS = 30
+"""Signs and linear solutions alternate at most so often; most settle within ten."""
+RADII = (1.0, 1.02, 1.06, 1.12, 1.25, 1.5)
+"""An unknown radius is tried at these times the second largest circle of the shots."""
+RANDOM = 300
+"""Random directions of a beam that sees spheres only."""
+TRIMMED = 0.75
+"""Part of the shots, those that fit best, by which the ends of searches are compared."""
+MET = 0.95
+"""Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
+FAR_AND_NEAR = (0.1, 0.9)
+"""Quantiles of readings between which points on a virtual beam stand for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Started:
+    """Where a survey starts.
+
+    Attributes
+    ----------
+    values : Values, or None
+        None where some sensor has no start.
+    without : tuple of (family, member)
+        Sensors and beams that have none.
+    """
+
+    values: dict[str, FloatArray] | None
+    without: tuple[tuple[str, int], ...]
+
+
+def start_of(rows: Rows, sigmas: Mapping[tuple[str, int], float]) -> Started:
+    """Return the best start of all sensors, beams and targets of a survey."""
+    entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
+    from_planes = _from_planes(rows)
+    best: dict[tuple[str, int], FloatArray] = {}
+    ends: dict[tuple[str, int], tuple[float, dict[tuple[str, int], FloatArray]]] = {}
+    for entity in entities:
+        own = [item for item in rows.items if (item.family, item.member) == entity]
+        candidates = [from_planes[entity]] if entity in from_planes else []
+        candidates += _others(rows, entity, own)
+        found = _searched(rows, entity, own, candidates, sigmas)
+        if found is not None:
+            best[entity], cost, targets = found
+            ends[entity] = cost, targets
+    without = tuple(entity for entity in entities if entity not in best)
+    if without:
+        return Started(None, without)
+    values = _empty(rows)
+    for (family, member), x in best.items():
+        values[family][0, member] = x
+    # Each target as the sensor has it that fits best for its size.
+    for _, (_, targets) in sorted(ends.items(), key=lambda end: -end[1][0]):
+        for (family, member), x in targets.items():
+            values[family][0, member] = x
+    _complete_bodies(rows, values)
+    return Started(values, ())
+
+
+def _empty(rows: Rows) -> dict[str, FloatArray]:
+    values = {
+        name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()
+    }
+    values[POSE.name] = rows.poses()
+    if SENSOR.name in values:
+        values[SENSOR.name][..., :9] = np.eye(3).ravel()
+    if BEAM.name in values:
+        values[BEAM.name][..., 5] = 1.0
+    if PLANE.name in values:
+        values[PLANE.name][..., 2] = 1.0
+    if SPHERE.name in values:
+        values[SPHERE.name][..., 3] = 1.0
+    return values
+
+
+# --- sensors and beams on planes -------------------------------------------------------------------
+
+
+def _from_planes(rows: Rows) -> dict[tuple[str, int], FloatArray]:
+    """Return starts of what sees planes, by the ordinary search over beams and virtual beams."""
+    entries: list[tuple[int, int, int, float]] = []  # plane, beam, station, reading
+    virtual: dict[tuple[str, int], tuple[list[int], FloatArray, FloatArray]] = {}
+    count = 0
+    entities = list(
+        dict.fromkeys((i.family, i.member) for i in rows.items if i.target[0] == PLANE.name)
+    )
+    for entity in entities:
+        own = [
+            i for i in rows.items if (i.family, i.member) == entity and i.target[0] == PLANE.name
+        ]
+        if entity[0] == BEAM.name:
+            entries += [(i.target[1], count, i.station, i.reading) for i in own]
+            virtual[entity] = ([count], np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+            count += 1
+            continue
+        shots = rows.survey.shots[entity[1]]
+        kind = KINDS[shots.kind]
+        rays, shape = kind.rays(_virtual_across(shots.across)), shape_of(kind, PLANE.name)
+        for item in own:
+            assert item.shot is not None
+            d = shape.ranges(item.shot.shape[None], rays)[0]
+            entries += [
+                (item.target[1], count + j, item.station, float(d[j]))
+                for j in np.flatnonzero(np.isfinite(d))
+            ]
+        virtual[entity] = (
+            list(range(count, count + len(rays.origin))),
+            rays.origin,
+            rays.direction,
+        )
+        count += len(rays.origin)
+    if not entries:
+        return {}
+    readings = _readings(rows, entries, count)
+    origins = readings.plane_means(readings.world_t_hand)
+    try:
+        consensus = find_consensus(readings.seen_from(origins), None, 0, certain=False)
+    except HandlaserError:
+        return {}
+    return {
+        entity: _member(entity, *of, consensus.parameters, readings)
+        for entity, of in virtual.items()
+    }
+
+
+def _readings(rows: Rows, entries: list[tuple[int, int, int, float]], beams: int) -> Readings:
+    """Return readings sorted by plane, beam and station; planes are those that were read."""
+    table = sorted(entries)
+    planes, plane = np.unique([row[0] for row in table], return_inverse=True)
+    station = np.array([row[2] for row in table])
+    of = rows.survey.stations
+    return Readings(
+        frozen_indices(station),
+        frozen_indices([row[1] for row in table]),
+        frozen_indices(plane),
+        frozen([row[3] for row in table]),
+        gathered(of.world_R_hand, station),
+        gathered(of.world_t_hand, station),
+        beams,
+        len(planes),
+    )
+
+
+def _virtual_across(across: FloatArray) -> FloatArray:
+    """Return a few different rays amid those of a sensor."""
+    if across.shape[1] == 1:
+        return np.quantile(across, np.linspace(*FAR_AND_NEAR, VIRTUAL), axis=0)
+    mean, spread = across.mean(axis=0), across.std(axis=0)
+    mean = mean / np.linalg.norm(mean)
+    aside = tangent_basis(mean[None])[0] * max(float(np.linalg.norm(spread)), 0.05)
+    corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])[: VIRTUAL + 1]
+    return np.asarray(mean + corners @ aside.T)
+
+
+def _member(
+    entity: tuple[str, int],
+    beams: list[int],
+    origin: FloatArray,
+    direction: FloatArray,
+    found: Parameters,
+    readings: Readings,
+) -> FloatArray:
+    """Return the numbers of a beam, or of the sensor whose rays are some beams."""
+    r, v = found.locations[beams], found.directions[beams]
+    x = np.zeros(FAMILIES[entity[0]].size)
+    if entity[0] == BEAM.name:
+        x[:3], x[3:6] = r[0], v[0]
+        return x
+    d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
+    R, t = _registered(
+        (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
+    )
+    x[:9], x[9:12] = R.ravel(), t
+    return x
+
+
+def _registered(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the motion that brings points a (n, 3) to b best."""
+    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    return R, b.mean(axis=0) - R @ a.mean(axis=0)
+
+
+def _nearest(M: FloatArray) -> FloatArray:
+    """Return the rotations nearest to matrices (..., 3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    side = np.ones(M.shape[:-1])
+    side[..., 2] = np.linalg.det(U @ Vt)
+    return np.asarray((U * side[..., None, :]) @ Vt)
+
+
+# --- all other starts ------------------------------------------------------------------------------
+
+
+def _others(rows: Rows, entity: tuple[str, int], own: Sequence[Item]) -> list[FloatArray]:
+    """Return starts by other ways."""
+    seen = {item.target[0] for item in own}
+    if entity[0] == BEAM.name:
+        points = [item for item in own if item.target[0] == POINT.name]
+        found = list(_beam_on_points(rows, points)) if points else []
+        return found + (_random_beams() if seen == {SPHERE.name} else [])
+    found = list(_swept(rows, [item for item in own if item.target[0] == PLANE.name]))
+    spheres = [item for item in own if item.target[0] == SPHERE.name]
+    return found + list(_from_spheres(rows, entity[1], spheres))
+
+
+def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
+    """Yield the mounts that fit best before the plane with most shots, normals tried."""
+    if not items:
+        return
+    planes = np.bincount([item.target[1] for item in items])
+    items = [item for item in items if item.target[1] == int(planes.argmax())]
+    of = rows.survey.stations
+    station = np.array([item.station for item in items])
+    points = np.stack([_nodes_of(item) for item in items])  # (n, r, 3)
+    flat = bool((points[..., 1] == 0.0).all())
+    axes = [0, 2] if flat else [0, 1, 2]
+    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    t = t - t.mean(axis=0)
+    normals = _hemisphere(SWEPT)
+    m = np.einsum("kc,nca->kna", normals, R)  # R'n
+    rows_ = [points[None, :, :, a, None] * m[:, :, None] for a in axes]
+    shape = (*rows_[0].shape[:3], 3)
+    rows_ += [np.broadcast_to(m[:, :, None], shape), np.ones((*shape[:3], 1))]
+    A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
+    right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
+    x = _ridged(A, right)
+    columns = x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3)
+    if flat:
+        third = np.cross(columns[:, 1], columns[:, 0])
+        columns = np.stack((columns[:, 0], third, columns[:, 1]), axis=1)
+    X = _nearest(np.swapaxes(columns, 1, 2))
+    turned = np.einsum("kab,nrb->knra", X, points)
+    offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
+    B = A[..., -4:]
+    y = _ridged(B, right - offset)
+    e = (B @ y[..., None])[..., 0] + offset - right
+    for k in np.argsort((e**2).sum(axis=1))[:BEST]:
+        yield _mount(X[k], y[k, :3])
+
+
+def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[FloatArray]:
+    """Yield mounts from the centres that shots of spheres show."""
+    if len(items) < 3:
+        return
+    of = rows.survey.stations
+    station = np.array([item.station for item in items])
+    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    shapes = np.stack([item.shot.shape for item in items if item.shot is not None])
+    _, sphere = np.unique([item.target[1] for item in items], return_inverse=True)
+    spheres = int(sphere.max()) + 1
+    fixed = np.zeros((len(items), 3, 3 + 3 * spheres))
+    fixed[..., :3] = R
+    for i, s in enumerate(sphere):
+        fixed[i, :, 3 + 3 * s : 6 + 3 * s] = -np.eye(3)
+    if not KINDS[rows.survey.shots[member].kind].flat:
+        X, y, _ = _linear_mount(R, t, shapes[:, :3], fixed)
+        yield _mount(X, y[:3])
+        return
+    rng = np.random.default_rng(len(items))
+    for part in RADII:
+        square = np.zeros(len(items))
+        for s in range(spheres):
+            radii = np.sort(shapes[sphere == s, 2])
+            largest = radii[max(len(radii) - 2, 0)] * part
+            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
+        yield _signed(R, t, shapes, np.sqrt(square), fixed, rng)
+
+
+def _signed(
+    R: FloatArray,
+    t: FloatArray,
+    circles: FloatArray,
+    aside: FloatArray,
+    fixed: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the best mount where each centre is `aside` of its profile, on one side or the other."""
+    best, least = np.zeros(SENSOR.size), np.inf
+    for trial in range(SIGNS):
+        side = np.ones(len(R)) if trial == 0 else rng.choice([-1.0, 1.0], len(R))
+        for _ in range(ALTERNATIONS):
+            m = np.column_stack((circles[:, 0], side * aside, circles[:, 1]))
+            X, y, e = _linear_mount(R, t, m, fixed)
+            left = e - (R @ X[:, 1]) * (side * aside)[:, None]
+            new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, 1]))
+            new[new == 0.0] = 1.0
+            if (new == side).all():
+                break
+            side = new
+        rms = float(np.sqrt((e**2).mean()))
+        if rms < least:
+            best, least = _mount(X, y[:3]), rms
+    return best
+
+
+def _linear_mount(
+    R: FloatArray, t: FloatArray, m: FloatArray, fixed: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return R_X, then (t_X, centres), and residuals (n, 3) of R (R_X m + t_X) + t = C."""
+    n = len(R)
+    flat = bool((m[:, 1] == 0.0).all())
+    axes = [0, 2] if flat else [0, 1, 2]
+    rows = np.concatenate((*[m[:, a, None, None] * R for a in axes], fixed), axis=2)
+    x = np.linalg.lstsq(rows.reshape(3 * n, -1), -t.ravel(), rcond=None)[0]
+    columns = x[: 3 * len(axes)].reshape(-1, 3)
+    if flat:
+        columns = np.stack((columns[0], np.cross(columns[1], columns[0]), columns[1]))
+    X = _nearest(columns.T)
+    at = np.einsum("nij,nj->ni", R, m @ X.T) + t
+    flat_fixed = fixed.reshape(3 * n, -1)
+    y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
+    return X, y, (flat_fixed @ y).reshape(n, 3) + at
+
+
+def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
+    """Yield the beam that solves R (r + d v) + t = C linearly."""
+    of = rows.survey.stations
+    station = np.array([item.station for item in items])
+    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    d = np.array([item.reading for item in items])
+    _, point = np.unique([item.target[1] for item in items], return_inverse=True)
+    A = np.zeros((len(items), 3, 6 + 3 * (int(point.max()) + 1)))
+    A[..., :3], A[..., 3:6] = R, d[:, None, None] * R
+    for i, p in enumerate(point):
+        A[i, :, 6 + 3 * p : 9 + 3 * p] = -np.eye(3)
+    x = np.linalg.lstsq(A.reshape(3 * len(items), -1), -t.ravel(), rcond=None)[0]
+    length = float(np.linalg.norm(x[3:6]))
+    if length > 0.0:
+        yield np.concatenate((x[:3], x[3:6] / length, np.zeros(2)))
+
+
+def _random_beams() -> list[FloatArray]:
+    rng = np.random.default_rng(RANDOM)
+    v = rng.normal(size=(RANDOM, 3))
+    v /= np.linalg.norm(v, axis=1)[:, None]
+    r = rng.normal(scale=0.1, size=(RANDOM, 3))
+    return list(np.hstack((r, v, np.zeros((RANDOM, 2)))))
+
+
+def _mount(R: FloatArray, t: FloatArray) -> FloatArray:
+    return np.concatenate((R.ravel(), t, np.zeros(SENSOR.size - 12)))
+
+
+def _ridged(A: FloatArray, right: FloatArray) -> FloatArray:
+    """Return least-squares solutions of systems (K, N, q) that may be singular."""
+    N = np.swapaxes(A, 1, 2) @ A
+    size = N.shape[1]
+    N = N + SINGULAR**0.75 * np.einsum("kii->k", N)[:, None, None] * np.eye(size)
+    return np.asarray(
+        np.linalg.solve(N, np.swapaxes(A, 1, 2) @ right[..., None])[..., 0]
+    )
+
+
+def _hemisphere(count: int) -> FloatArray:
+    """Return unit vectors that cover half a sphere evenly (a Fibonacci lattice)."""
+    i = np.arange(count) + 0.5
+    z, a = i / count, np.pi * (1.0 + 5.0**0.5) * i
+    root = np.sqrt(1.0 - z**2)
+    return np.stack((root * np.cos(a), root * np.sin(a), z), axis=1)
+
+
+# --- searched --------------------------------------------------------------------------------------
+
+
+def _searched(
+    rows: Rows,
+    entity: tuple[str, int],
+    own: Sequence[Item],
+    candidates: Sequence[FloatArray],
+    sigmas: Mapping[tuple[str, int], float],
+) -> tuple[FloatArray, float, dict[tuple[str, int], FloatArray]] | None:
+    """Return one sensor or beam at its best minimum, how well it fits, and its targets."""
+    if not candidates:
+        return None
+    K = len(candidates)
+    values = {n: np.repeat(x, K, axis=0) for n, x in _empty(rows).items() if n != POSE.name}
+    for k, x in enumerate(candidates):
+        values[entity[0]][k, entity[1]] = x
+    targets = list(dict.fromkeys(item.target for item in own))
+    for target in targets:
+        _complete(rows, [item for item in own if item.target == target], values, entity)
+    values = {**values, POSE.name: rows.poses()}
+    start = {name: x[:1] for name, x in values.items()}
+    blocks, _ = blocks_of(own, sigmas, start)
+    ties = [r for known, r in relations_of(rows) if _concerns(known.of, rows, own)]
+    unknown = {f: u for f, u in rows.unknown().items() if f != "body"}
+    every = [*blocks, *priors_of(rows, 0.01), *ties]
+    reduction = Reduction(every, rows.counts(), unknown)
+    task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
+    ended = search(task, values, LevenbergOptions(max_iterations=60, least_damping=SINGULAR))
+    of = unknowns_of(rows.counts(), unknown)
+    best: tuple[float, int] | None = None
+    for k in np.flatnonzero(np.isfinite(ended.cost)).tolist():
+        at = {name: x[k : k + 1] for name, x in ended.values.items()}
+        dense = dense_rows(blocks, {**at, POSE.name: rows.poses()}, of)
+        q = np.concatenate(
+            [
+                (dense.residuals[part].reshape(shape) ** 2).mean(axis=1)
+                for part, shape in zip(dense.where, dense.shapes, strict=True)
+            ]
+        )
+        cost = float(np.sort(q)[: max(int(np.ceil(TRIMMED * len(q))), 1)].mean())
+        if best is None or cost < best[0]:
+            best = cost, k
+    if best is None:
+        return None
+    cost, k = best
+    ends = {target: ended.values[target[0]][k, target[1]] for target in targets}
+    return ended.values[entity[0]][k, entity[1]], cost / len(own), ends
+
+
+def _concerns(labels: Sequence[str], rows: Rows, own: Sequence[Item]) -> bool:
+    """Tell whether a relation is between targets that a sensor sees, and no more."""
+    seen = {rows.label(item.target) for item in own}
+    return all(label in seen or f"plane:{label}" in seen for label in labels)
+
+
+def _complete(
+    rows: Rows, items: Sequence[Item], values: dict[str, FloatArray], entity: tuple[str, int]
+) -> None:
+    """Put the target of some items where the spots of each start are."""
+    of, (family, member) = rows.survey.stations, items[0].target
+    x = values[entity[0]][:, entity[1]]
+    station = np.array([item.station for item in items])
+    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    if entity[0] == BEAM.name:
+        d = np.array([item.reading for item in items])
+        hand = x[:, None, :3] + d[:, None] * x[:, None, 3:6]
+        R_all, t_all = R, t
+        towards = np.einsum("nij,kj->kni", R, x[:, 3:6])
+    else:
+        points = [_nodes_of(item) for item in items]
+        many = [len(p) for p in points]
+        X = x[:, :9].reshape(-1, 3, 3)
+        hand = np.einsum("kab,nb->kna", X, np.concatenate(points)) + x[:, None, 9:12]
+        R_all, t_all = np.repeat(R, many, axis=0), np.repeat(t, many, axis=0)
+        ahead = np.concatenate([i.shot.rays.direction for i in items if i.shot is not None])
+        towards = np.einsum("nij,kja,na->kni", R_all, X, ahead)
+    spots = np.einsum("nij,knj->kni", R_all, hand) + t_all
+    for k, p in enumerate(spots):
+        x = _target_through(family, p, towards[k].mean(axis=0))
+        if family == SPHERE.name:
+            x = _met_by_all(x, p, towards[k])
+        values[family][k, member] = x
+
+
+def _target_through(family: str, p: FloatArray, ahead: FloatArray) -> FloatArray:
+    """Return the plane, sphere or point of spots (n, 3); planes look away from the sensor."""
+    centre = p.mean(axis=0)
+    if family == PLANE.name:
+        normal = np.linalg.svd(p - centre, full_matrices=False)[2][-1]
+        normal = normal if normal @ ahead > 0.0 else -normal
+        return np.concatenate((normal, [0.0], centre))
+    if family == POINT.name:
+        return centre
+    rows = np.column_stack((2.0 * (p - centre), np.ones(len(p))))
+    c = np.linalg.lstsq(rows, ((p - centre) ** 2).sum(axis=1), rcond=1e-6)[0]
+    return np.append(centre + c[:3], np.sqrt(max(c[3] + c[:3] @ c[:3], 1e-6)))
+
+
+def _met_by_all(x: FloatArray, p: FloatArray, u: FloatArray) -> FloatArray:
+    """Return a sphere that is made larger, its near side where it was, until rays (n, 3) meet it."""
+    w = p - x[:3]
+    aside = np.linalg.norm(w - (w * u).sum(axis=1)[:, None] * u, axis=1)
+    more = max(float(aside.max()) / MET - x[3], 0.0)
+    ahead = u.mean(axis=0)
+    return np.append(x[:3] + more * ahead / np.linalg.norm(ahead), x[3] + more)
+
+
+def _nodes_of(item: Item) -> FloatArray:
+    """Return the spots (r, 3) of a shot in the frame of its sensor."""
+    assert item.shot is not None
+    rays = item.shot.rays
+    return np.asarray(rays.origin + item.shot.reading[:, None] * rays.direction)
+
+
+def _complete_bodies(rows: Rows, values: dict[str, FloatArray]) -> None:
+    """Put bodies where their planes are: turned by Wahba's rotation, shifted by least squares."""
+    for index, known in enumerate(rows.bodies):
+        assert known.faces is not None
+        labels = rows.targets[PLANE.name]
+        planes = [labels.index(label if ":" in label else f"plane:{label}") for label in known.of]
+        x = values[PLANE.name][0, planes]
+        length = np.linalg.norm(known.faces[:, :3], axis=1)
+        m, d = known.faces[:, :3] / length[:, None], known.faces[:, 3] / length
+        R = _nearest((-x[:, :3]).T @ m)
+        foot = x[:, 4:] - x[:, 3:4] * x[:, :3]
+        n = m @ R.T
+        t = np.linalg.lstsq(n, (n * foot).sum(axis=1) - d, rcond=None)[0]
+        values["body"][0, index] = np.concatenate((R.ravel(), t))

@@ -1,0 +1,26 @@
+"""ToF arrays and depth cameras: ranges along known directions from one point.
+
+Where zones read the perpendicular distance z and not the distance along the ray, the reading along the
+ray is z over the cosine of the ray; `radial` makes one of the other.
+"""
+
+import numpy as np
+
+from ...arrays import FloatArray
+from .fans import Rayset
+
+
+def zone_rays(across: FloatArray) -> Rayset:
+    """Return the rays with the given directions (n, 3); their scale is that of the tangents x/z, y/z."""
+    u = across / np.linalg.norm(across, axis=1)[:, None]
+    # Unit vector of (x c, y c, z): its derivative by c is across u.
+    aside = np.column_stack((u[:, :2], np.zeros(len(u))))
+    turning = aside - u * (aside * u).sum(axis=1)[:, None]
+    nothing = np.zeros_like(u)
+    return Rayset(nothing, u, nothing, turning)
+
+
+def radial(perpendicular: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return ranges along rays (n, 3) whose component along the z axis was read."""
+    length = np.linalg.norm(directions, axis=1)
+    return np.asarray(perpendicular * length / directions[:, 2])

@@ -1,0 +1,39 @@
+"""The kinds of sensors with many rays: what their tables hold, and where their rays are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ...arrays import FloatArray
+from . import array, profiler
+from .fans import Rayset
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of sensor.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        What tells its rays apart, as its tables name it.
+    rays : callable
+        Takes these columns (n, c) [m, rad, 1]; returns a `Rayset`.
+    flat : bool
+        Whether all rays lie in the plane y = 0 of the sensor.
+    parallel : bool
+        Whether they are parallel; else they go through the origin of the sensor.
+    """
+
+    columns: tuple[str, ...]
+    rays: Callable[[FloatArray], Rayset]
+    flat: bool
+    parallel: bool
+
+
+KINDS = {
+    "profiler": Kind(("x",), profiler.profile_rays, flat=True, parallel=True),
+    "scanner": Kind(("angle",), profiler.scan_rays, flat=True, parallel=False),
+    "array": Kind(("ux", "uy", "uz"), array.zone_rays, flat=False, parallel=False),
+    "points": Kind(("ux", "uy", "uz"), array.zone_rays, flat=False, parallel=False),
+}
+"""By the word that a rig file has for it."""

@@ -1,0 +1,64 @@
+r"""A sensor of many rays on one mount: a line profiler, a 2-D scanner, a ToF array, a depth camera.
+
+Its rays are known in a frame of its own; unknown is the pose of that frame in the hand. A range error
+is common to all rays: a constant k0, k1 d, k2 d^2, and a scale of what tells the rays apart (the x of a
+profiler, the angles of a scanner or of zones). With rays that are not parallel, k0 is not the same as a
+sensor that sits elsewhere.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ..block import Values
+from ..families import Family, Motion, Vector, register
+from ..ranges import Rays, members, turned, turned_back
+
+ERRORS = ("k0", "k1", "k2", "scale")
+"""Coordinates of the range error of all rays: [m], [1], [1/m], [1]."""
+SENSOR = register(
+    Family(
+        "sensor",
+        (Motion(), Vector(len(ERRORS))),
+        ("rx", "ry", "rz", "x", "y", "z", *ERRORS),
+        (0, 0, 0, 1, 1, 1, 1, 0, -1, 0),
+    )
+)
+"""hand_T_sensor, moved in the sensor's own frame; then the range error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounted:
+    """Sensors; `member` (G,) says of which sensor each group of readings is.
+
+    Attributes
+    ----------
+    origin, direction : (3, 1, G, S)
+        Of the ray of each reading in the sensor's frame [m], unit vectors.
+    by_error : (4, 1, G, S)
+        By how much a range error of size 1 makes each true range longer than its reading.
+    """
+
+    member: IntArray
+    origin: FloatArray
+    direction: FloatArray
+    by_error: FloatArray
+    family: str = SENSOR.name
+
+    def rays(self, values: Values, reading: FloatArray) -> Rays:
+        """Return the rays of readings (K, G, S)."""
+        x = members(values, self.family, self.member)
+        R = x[:9].reshape(3, 3, *x.shape[1:])
+        true = reading + (x[12:] * self.by_error).sum(axis=0)
+        shape = (len(ERRORS), *true.shape)
+        origin, direction = turned(R, self.origin) + x[9:12], turned(R, self.direction)
+        return Rays(origin, direction, reading, true, np.broadcast_to(self.by_error, shape))
+
+    def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
+        """Return ds by the mount, moved on the right by a turn and a shift."""
+        del rays
+        x = members(values, self.family, self.member)
+        a = turned_back(x[:9].reshape(3, 3, *x.shape[1:]), a)
+        spot, a = np.broadcast_arrays(self.origin + s * self.direction, a)
+        return np.concatenate((np.cross(spot, a, axis=0), a))

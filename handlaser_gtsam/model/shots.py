@@ -1,0 +1,353 @@
+r"""A shot of many rays on one target, as a handful of rows: exact compression, and wrong points left out.
+
+What n readings of a shot say of where the target is in the sensor's frame is the shape that fits them
+best, with its information: two numbers for a line in a profile, three for a plane or a circle, four for
+a sphere. About that fit, readings at as many rays of the shot, with the covariance of the fitted
+shape there, say the same as all n readings; what a range error of all rays does is added from its
+component along the shape and from the rest. Where readings are linear in the shape (a profile on a
+plane, known noise of x or none) this is exact for every mount, and else to first order in the noise.
+
+Noise across the rays, of x in a profile, is counted by the slope of the shape: each point is first
+moved to where its ray most probably was, so that noise in x makes no slope too small.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg import qr
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
+from .sensors.fans import Rayset
+from .sensors.kinds import Kind
+
+FAR = 4.5
+"""Points farther than this many standard deviations from the shape of their shot are left out."""
+TRIALS = 32
+"""Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
+VOTING = 128
+"""Points that vote on trial shapes."""
+FLATTEST = 3.0
+"""Rays that stand for a shot meet the target with a cosine of at least one over this."""
+MOST_STEPS = 12
+"""Gauss-Newton steps of a shape: a good start takes four."""
+SETTLED = 1e-10
+"""A relative step of a shape below this is rounding."""
+
+
+class Shape(Protocol):
+    """What a target looks like in the frame of a sensor."""
+
+    size: int
+
+    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
+        """Return shapes (H, size) through sets of readings (H, m), linear least squares each."""
+
+    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
+        """Return the ranges (H, n) of rays to shapes (H, size); infinite where one is missed."""
+
+    def columns(
+        self, shape: FloatArray, rays: Rayset, s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives of ranges s (n,) by the shape (n, size), and by the origins (n, 3)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """z = c + m x, for parallel rays: (c, m)."""
+
+    size: int = 2
+
+    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
+        x = rays.origin[..., 0]
+        return _solved(np.stack((np.ones_like(x), x), axis=-1), reading)
+
+    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
+        return np.asarray(shapes[:, :1] + shapes[:, 1:] * rays.origin[:, 0])
+
+    def columns(
+        self, shape: FloatArray, rays: Rayset, s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        x = rays.origin[:, 0]
+        a = np.broadcast_to([shape[1], 0.0, -1.0], (len(s), 3))
+        return np.stack((np.ones_like(x), x), axis=1), a
+
+
+@dataclass(frozen=True, slots=True)
+class _Plane:
+    """q . p = 1, for rays through the origin: 1 / s = q . u, in the axes that the rays span."""
+
+    axes: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.axes)
+
+    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
+        return _solved(rays.direction[..., self.axes], 1.0 / reading)
+
+    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
+        inverse = shapes @ rays.direction[:, self.axes].T
+        return np.where(inverse > TINY, 1.0 / np.maximum(inverse, TINY), np.inf)
+
+    def columns(
+        self, shape: FloatArray, rays: Rayset, s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        a = np.zeros((len(s), 3))
+        a[:, self.axes] = -s[:, None] * shape
+        return -(s**2)[:, None] * rays.direction[:, self.axes], a
+
+
+@dataclass(frozen=True, slots=True)
+class _Sphere:
+    """A centre in the axes that the rays span, and the radius: a circle for rays of one plane."""
+
+    axes: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.axes) + 1
+
+    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
+        p = (rays.origin + reading[..., None] * rays.direction)[..., self.axes]
+        rows = np.concatenate((2.0 * p, np.ones((*p.shape[:-1], 1))), axis=-1)
+        found = _solved(rows, (p**2).sum(axis=-1))
+        square = found[:, -1] + (found[:, :-1] ** 2).sum(axis=1)
+        return np.column_stack((found[:, :-1], np.sqrt(np.maximum(square, TINY))))
+
+    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
+        w = rays.origin[:, self.axes] - shapes[:, None, :-1]
+        u = rays.direction[:, self.axes]
+        b = (w * u).sum(axis=-1)
+        under = b * b - (w * w).sum(axis=-1) + shapes[:, -1:] ** 2
+        return np.where(under > 0.0, -b - np.sqrt(np.maximum(under, 0.0)), np.inf)
+
+    def columns(
+        self, shape: FloatArray, rays: Rayset, s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        u = rays.direction[:, self.axes]
+        p = rays.origin[:, self.axes] - shape[:-1] + s[:, None] * u
+        q = np.minimum((p * u).sum(axis=1), -NEGLIGIBLE * shape[-1])[:, None]
+        a = np.zeros((len(s), 3))
+        a[:, self.axes] = -p / q
+        return np.concatenate((p / q, shape[-1] / q), axis=1), a
+
+
+def shape_of(kind: Kind, target: str) -> Shape:
+    """Return what a target, `plane` or `sphere`, looks like to a kind of sensor."""
+    axes = (0, 2) if kind.flat else (0, 1, 2)
+    if target == "sphere":
+        return _Sphere(axes)
+    return _Line() if kind.parallel else _Plane(axes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Condensed:
+    """A shot in a few rows, for noise of one unit a reading.
+
+    Attributes
+    ----------
+    shape : (r,)
+        In the sensor's frame.
+    rays : Rayset
+        r rays of the shot.
+    reading : (r,)
+        Of the fitted shape at these rays [m].
+    mix : (r, r)
+        Residuals at the rays times this matrix have unit covariance.
+    by_error : (4, r)
+        By how much a range error of size 1 makes each true range longer.
+    rest, rest_by_error : (m,), (m, 4)
+        Residuals, with their derivatives by the range error, of what it does beside moving the shape.
+    squares : float
+        Of what is left, with `dof` degrees of freedom.
+    dof : int
+    kept : (n,) of bool
+        Points that belong to the shape.
+    """
+
+    shape: FloatArray
+    rays: Rayset
+    reading: FloatArray
+    mix: FloatArray
+    by_error: FloatArray
+    rest: FloatArray
+    rest_by_error: FloatArray
+    squares: float
+    dof: int
+    kept: BoolArray
+
+
+def condensed(
+    kind: Kind,
+    target: str,
+    across: FloatArray,
+    reading: FloatArray,
+    ratio: float = 0.0,
+    sigma: float | None = None,
+) -> Condensed | None:
+    """Return a shot in a few rows; None where it has too few points, or too few different rays.
+
+    Parameters
+    ----------
+    kind : Kind
+    target : "plane" or "sphere"
+    across : (n, c)
+        What tells the rays apart.
+    reading : (n,)
+        [m]
+    ratio : float
+        Standard deviation of `across` over that of a reading, for profilers.
+    sigma : float, optional
+        Standard deviation of a reading [m], where it is known.
+    """
+    shape, rays = shape_of(kind, target), kind.rays(across)
+    if len(reading) < shape.size:
+        return None
+    first, kept = _robust(shape, rays, reading, sigma)
+    if first is None or kept.sum() < shape.size:
+        return None
+    found, rays, slope = first, _rows(rays, kept), np.zeros(int(kept.sum()))
+    d, at = reading[kept], rays
+    for _ in range(MOST_STEPS):
+        s = shape.ranges(found[None], at)[0]
+        if not np.isfinite(s).all():
+            return None
+        J, a = shape.columns(found, at, s)
+        slope = a[:, 0]
+        e = d - s
+        if ratio:  # the ray of each point is moved to where it most probably was
+            e = e - slope * (rays.origin[:, 0] - at.origin[:, 0])
+        root = 1.0 / np.sqrt(1.0 + (ratio * slope) ** 2)
+        step, *_ = np.linalg.lstsq(J * root[:, None], e * root, rcond=None)
+        found = found + step
+        if ratio:
+            rest = e - J @ step
+            moved = rays.origin.copy()
+            moved[:, 0] -= ratio**2 * slope * rest * root**2
+            # Of a point (x, z) with noise in both, the foot on the shape.
+            at = Rayset(moved, rays.direction, moved, rays.direction_by_scale)
+        if np.abs(step).max() <= SETTLED * np.abs(found).max():
+            break
+    return _in_rows(shape, found, at, e - J @ step, J, a, root, kept)
+
+
+def _in_rows(
+    shape: Shape,
+    found: FloatArray,
+    rays: Rayset,
+    left: FloatArray,
+    J: FloatArray,
+    a: FloatArray,
+    root: FloatArray,
+    kept: BoolArray,
+) -> Condensed | None:
+    s = shape.ranges(found[None], rays)[0]
+    W = J * root[:, None]
+    unit = 1.0 / np.maximum(np.sqrt((W**2).sum(axis=0)), TINY)
+    R = np.linalg.qr(W * unit, mode="r")
+    diagonal = np.abs(np.diagonal(R))
+    if not np.isfinite(s).all() or diagonal.min() < NEGLIGIBLE * diagonal.max():
+        return None
+    # Rays that graze the target soon miss it where it is not yet known well.
+    steep = np.flatnonzero(np.linalg.norm(a, axis=1) < FLATTEST)
+    if len(steep) < shape.size:
+        return None
+    nodes = steep[_nodes((W * unit)[steep])]
+    G = np.linalg.solve(R.T, (J[nodes] * unit).T).T  # its rows have the covariance G G'
+    mix = np.linalg.inv(G).T
+    moved = (a * rays.origin_by_scale).sum(axis=1)
+    moved += s * (a * rays.direction_by_scale).sum(axis=1)
+    E = np.stack((np.ones_like(s), s, s**2, -moved), axis=1)
+    along, *_ = np.linalg.lstsq(W * unit, E * root[:, None], rcond=None)
+    beside = E * root[:, None] - W * unit @ along
+    whole = np.sqrt(((E * root[:, None]) ** 2).sum(axis=0)).max()
+    U, singular, Vt = np.linalg.svd(beside, full_matrices=False)
+    some = singular > NEGLIGIBLE * whole
+    e = -left * root
+    rest = U[:, some].T @ e
+    return Condensed(
+        found,
+        _rows(rays, nodes),
+        s[nodes],
+        mix,
+        ((J[nodes] * unit) @ along).T,
+        rest,
+        -singular[some, None] * Vt[some],
+        max(float(e @ e - rest @ rest), 0.0),
+        len(left) - shape.size - int(some.sum()),
+        kept,
+    )
+
+
+def _robust(
+    shape: Shape, rays: Rayset, reading: FloatArray, sigma: float | None
+) -> tuple[FloatArray | None, BoolArray]:
+    """Return a shape that most points agree with, and these points."""
+    n = len(reading)
+    if n <= shape.size + 1:
+        through = shape.through(_stacked(rays, None), reading[None])
+        return _refined(shape, through, rays, reading), np.ones(n, dtype=bool)
+    rng = np.random.default_rng(n)
+    sets = rng.integers(n, size=(TRIALS, shape.size + 1))
+    voters = rng.permutation(n)[:VOTING]
+    trials = shape.through(_stacked(rays, sets), reading[sets])
+    e = np.abs(reading[voters] - shape.ranges(trials, _rows(rays, voters)))
+    e = np.where(np.isfinite(e), e, np.inf)
+    best, kept = trials[int(np.median(e, axis=1).argmin())], np.ones(n, dtype=bool)
+    for _ in range(4):
+        e = np.abs(reading - shape.ranges(best[None], rays)[0])
+        scale = MEDIAN_TO_SIGMA * float(np.median(e[kept])) if kept.any() else np.inf
+        kept = e <= FAR * max(scale, sigma or 0.0, SETTLED * float(np.median(reading)))
+        if kept.sum() <= shape.size:
+            return None, kept
+        again = _refined(shape, best[None], _rows(rays, kept), reading[kept])
+        if again is None:
+            return None, kept
+        best = again
+    return best, kept
+
+
+def _refined(
+    shape: Shape, start: FloatArray, rays: Rayset, reading: FloatArray
+) -> FloatArray | None:
+    """Return the least-squares shape of all points, from a start (1, r); None where rays miss it."""
+    found = start[0]
+    for _ in range(MOST_STEPS):
+        s = shape.ranges(found[None], rays)[0]
+        hit = np.isfinite(s)
+        if hit.sum() < shape.size or (~hit).mean() > 0.5:
+            return None
+        J, _ = shape.columns(found, _rows(rays, hit), s[hit])
+        step, *_ = np.linalg.lstsq(J, reading[hit] - s[hit], rcond=None)
+        found = found + step
+        if np.abs(step).max() <= NEGLIGIBLE * np.abs(found).max():
+            break
+    return found if np.isfinite(found).all() else None
+
+
+def _nodes(W: FloatArray) -> IntArray:
+    """Return as many rows as there are columns, far from dependent."""
+    _, _, order = qr(W.T, mode="economic", pivoting=True)
+    return np.sort(np.asarray(order[: W.shape[1]], dtype=np.intp))
+
+
+def _rows(rays: Rayset, which: IntArray | BoolArray) -> Rayset:
+    return Rayset(
+        rays.origin[which],
+        rays.direction[which],
+        rays.origin_by_scale[which],
+        rays.direction_by_scale[which],
+    )
+
+
+def _stacked(rays: Rayset, sets: IntArray | None) -> Rayset:
+    """Return the rays of sets (H, m) of points; all points as one set where none are given."""
+    pick = np.arange(len(rays.origin))[None] if sets is None else sets
+    return _rows(rays, pick)
+
+
+def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the least-squares solutions (H, q) of rows (H, m, q)."""
+    return np.asarray((np.linalg.pinv(rows, rcond=SETTLED) @ right[..., None])[..., 0])

@@ -1,0 +1,88 @@
+r"""A point that the spot is aimed at: a tip, a corner, the middle of a mark.
+
+The spot x = o + g(d) u of a reading lies on the point C: R x + t = C. In the hand, y = x + R'(t - C)
+has a component along the ray, which errs as the reading does, and two across it, which err as the
+aiming does. The three rows of a reading are a' y for axes a that are held: minus the ray's direction
+where the rows were made, and two vectors across it.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ..block import Rows, Slot, Values, Weights
+from ..families import FAMILIES, Family, Vector, bases, register
+from ..ranges import Robot, Sensor, dot, members, turned, turned_back
+
+POINT = register(Family("point", (Vector(3),), ("x", "y", "z"), (1, 1, 1)))
+"""A position, world frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpotsOnPoints:
+    """Readings whose spots lie on points; one reading a group, three rows a reading.
+
+    Attributes
+    ----------
+    sensor, robot
+    member : (G,)
+        Which point each spot lies on.
+    reading : (K, G, 1)
+        [m]
+    axes : (3, 1, G, 3)
+        In the hand: minus the ray, and two vectors across it, as columns of the last axis.
+    weights : Weights
+    """
+
+    sensor: Sensor
+    robot: Robot
+    member: IntArray
+    reading: FloatArray
+    axes: FloatArray
+    weights: Weights = field(default_factory=Weights)
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the members of sensor, point and, if its poses are variables, robot."""
+        slots, first = [], 0
+        of = [(self.sensor.family, self.sensor.member), (POINT.name, self.member)]
+        if self.robot.family:
+            of.append((self.robot.family, self.robot.member))
+        for family, member in of:
+            slots.append(Slot(family, member, slice(first, first + FAMILIES[family].dim)))
+            first += FAMILIES[family].dim
+        return tuple(slots)
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return three rows a reading [m]."""
+        rays, a = self.sensor.rays(values, self.reading), self.axes
+        R, t = self.robot.pose(values)
+        C = members(values, POINT.name, self.member)
+        x = rays.origin + rays.true * rays.direction
+        e = dot(a, x + turned_back(R, t - C))
+        columns = [self.sensor.pull(values, a, rays, rays.true)]
+        if rays.by_error is not None:
+            columns.append(rays.by_error * dot(a, rays.direction))
+        columns.append(-turned(R, a))
+        if self.robot.family:
+            spot, covector = np.broadcast_arrays(x, a)
+            turns = np.cross(spot, covector, axis=0)
+            columns.append(self.robot.pull(np.concatenate((turns, covector))))
+        whole = [np.broadcast_to(c, (len(c), *e.shape)) for c in (*columns, e[None])]
+        return Rows(np.concatenate(whole))
+
+    def picked(self, problems: IntArray) -> "SpotsOnPoints":
+        """Return the readings of some problems."""
+        reading = self.reading if len(self.reading) == 1 else self.reading[problems]
+        return replace(
+            self,
+            robot=self.robot.picked(problems),
+            reading=reading,
+            weights=self.weights.picked(problems),
+        )
+
+
+def axes_along(direction: FloatArray) -> FloatArray:
+    """Return the axes (3, 1, G, 3) of rays with these directions (G, 3) in the hand."""
+    axes = np.concatenate((-direction[..., None], bases(direction)), axis=-1)
+    return np.moveaxis(axes, 1, 0)[:, None]
