@@ -113,8 +113,13 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
     parts: list[tuple[FloatArray, ...]] = []
     where: list[slice] = []
     shapes: list[tuple[int, int]] = []
-    first, own = 0, 1 + max(
-        (int(b.weights.station.max()) for b in blocks if b.weights.station is not None), default=-1
+    first, own = (
+        0,
+        1
+        + max(
+            (int(b.weights.station.max()) for b in blocks if b.weights.station is not None),
+            default=-1,
+        ),
     )
     width = max((len(b.weights.common) for b in blocks if b.weights.common is not None), default=0)
     for block in blocks:
@@ -170,7 +175,8 @@ def with_pose_errors(
     for index, A, member in found:
         U = np.einsum("gsd,gcd->cgs", A, inverse[member])[:, None]
         new[index] = replace(
-            blocks[index], weights=replace(blocks[index].weights, common=U)  # type: ignore[type-var]
+            blocks[index],
+            weights=replace(blocks[index].weights, common=U),  # type: ignore[type-var]
         )
     return new
 

@@ -198,9 +198,7 @@ def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components
     own = np.where(inside.dof > 0.0, np.maximum(own, LEAST_SIGMA), FIRST_SIGMA)
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
     prior = noise.pose_rotation_prior, noise.pose_translation_prior
-    turn, shift = (
-        p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True)
-    )
+    turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
     return Components(sigma, (turn, shift))
 
 
@@ -252,9 +250,7 @@ def _settle(state: _State, inside: Inside, stated: Components) -> None:
             return
 
 
-def _learned(
-    state: _State, inside: Inside, stated: Components, prior: tuple[float, float]
-) -> bool:
+def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[float, float]) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
     if not np.isnan([*stated.sigma, *stated.pose]).any():
         return False

@@ -210,9 +210,7 @@ def _member(
         x[:3], x[3:6] = r[0], v[0]
         return x
     d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
-    R, t = _registered(
-        (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
-    )
+    R, t = _registered((origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3))
     x[:9], x[9:12] = R.ravel(), t
     return x
 
@@ -389,9 +387,7 @@ def _ridged(A: FloatArray, right: FloatArray) -> FloatArray:
     N = np.swapaxes(A, 1, 2) @ A
     size = N.shape[1]
     N = N + SINGULAR**0.75 * np.einsum("kii->k", N)[:, None, None] * np.eye(size)
-    return np.asarray(
-        np.linalg.solve(N, np.swapaxes(A, 1, 2) @ right[..., None])[..., 0]
-    )
+    return np.asarray(np.linalg.solve(N, np.swapaxes(A, 1, 2) @ right[..., None])[..., 0])
 
 
 def _hemisphere(count: int) -> FloatArray:

@@ -208,8 +208,7 @@ def condensed(
     first, kept = _robust(shape, rays, reading, sigma)
     if first is None or kept.sum() < shape.size:
         return None
-    found, rays, slope = first, _rows(rays, kept), np.zeros(int(kept.sum()))
-    d, at = reading[kept], rays
+    found, rays, d, at = first, _rows(rays, kept), reading[kept], _rows(rays, kept)
     for _ in range(MOST_STEPS):
         s = shape.ranges(found[None], at)[0]
         if not np.isfinite(s).all():
@@ -217,20 +216,21 @@ def condensed(
         J, a = shape.columns(found, at, s)
         slope = a[:, 0]
         e = d - s
-        if ratio:  # the ray of each point is moved to where it most probably was
+        if (
+            ratio
+        ):  # noise across the rays: as the reading of the ray where the point most probably was
             e = e - slope * (rays.origin[:, 0] - at.origin[:, 0])
         root = 1.0 / np.sqrt(1.0 + (ratio * slope) ** 2)
         step, *_ = np.linalg.lstsq(J * root[:, None], e * root, rcond=None)
-        found = found + step
-        if ratio:
-            rest = e - J @ step
-            moved = rays.origin.copy()
-            moved[:, 0] -= ratio**2 * slope * rest * root**2
-            # Of a point (x, z) with noise in both, the foot on the shape.
-            at = Rayset(moved, rays.direction, moved, rays.direction_by_scale)
+        left = e - J @ step
         if np.abs(step).max() <= SETTLED * np.abs(found).max():
             break
-    return _in_rows(shape, found, at, e - J @ step, J, a, root, kept)
+        found = found + step
+        if ratio:
+            moved = rays.origin.copy()
+            moved[:, 0] += ratio**2 * slope * left * root**2
+            at = Rayset(moved, rays.direction, moved, rays.direction_by_scale)
+    return _in_rows(shape, found, at, left, J, a, root, kept)
 
 
 def _in_rows(
