@@ -7,6 +7,8 @@ Calibrate
 Recordings, and logs of robots and loggers
     Recording, join, read_recording, write_recording, read_log, describe_log, LogFormat, read_rig,
     StationList, read_stations, write_stations.
+Sensors of many rays, spheres, points, and what is known of them
+    Survey, Shots, Known, read_survey, write_survey; the result is a `results.SurveyCalibration`.
 Results, in files and pictures
     read_calibration, write_calibration, read_mounts, Mounts, export_text, write_export, ExportOptions,
     write_report, ReportOptions, plot, write_pictures, spot, measured_plane.
@@ -59,6 +61,9 @@ if TYPE_CHECKING:
     from .data.recording import Recording as Recording
     from .data.recording import join as join
     from .data.station_list import StationList as StationList
+    from .data.survey import Known as Known
+    from .data.survey import Shots as Shots
+    from .data.survey import Survey as Survey
     from .errors import CalibrationWarning as CalibrationWarning
     from .errors import GrazingBeamError as GrazingBeamError
     from .errors import HandlaserError as HandlaserError
@@ -86,6 +91,8 @@ if TYPE_CHECKING:
     from .files.stations_csv import write_stations as write_stations
     from .files.study_picture import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
+    from .files.survey_json import write_survey as write_survey
+    from .files.survey_reading import read_survey as read_survey
     from .model.plausible import Plausible as Plausible
     from .model.sensor import Sensor as Sensor
     from .pipeline import calibrate as calibrate
@@ -114,6 +121,7 @@ else:
             "data.parameters": "Parameters",
             "data.recording": "Recording join",
             "data.station_list": "StationList",
+            "data.survey": "Known Shots Survey",
             "errors": "CalibrationWarning GrazingBeamError HandlaserError InputError"
             " NotConvergedError SolverError",
             "estimation.options": "CalibrationOptions",
@@ -130,6 +138,8 @@ else:
             "files.stations_csv": "read_stations write_stations",
             "files.study_picture": "write_study_picture",
             "files.study_toml": "read_study",
+            "files.survey_json": "write_survey",
+            "files.survey_reading": "read_survey",
             "model.plausible": "Plausible",
             "model.sensor": "Sensor",
             "pipeline": "calibrate",

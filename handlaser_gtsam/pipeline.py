@@ -1,7 +1,7 @@
 """The whole way, from a recording to a calibration."""
 
 from dataclasses import replace
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from .data.ordering import sorted_readings
 from .data.parameters import Parameters
 from .data.recording import Recording
 from .data.screen import screened
+from .data.survey import Survey
 from .errors import CalibrationWarning, InputError
 from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions
@@ -19,6 +20,9 @@ from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
+
+if TYPE_CHECKING:
+    from .results.survey import SurveyCalibration
 
 
 @overload
@@ -31,22 +35,27 @@ def calibrate(
 
 
 @overload
+def calibrate(recording: Survey, noise: Noise | None = None) -> "SurveyCalibration": ...
+
+
+@overload
 def calibrate(recording: BlockProblem) -> Estimate: ...
 
 
 def calibrate(
-    recording: Recording | BlockProblem,
+    recording: Recording | Survey | BlockProblem,
     noise: Noise | None = None,
     options: CalibrationOptions | None = None,
     progress: Listener | None = None,
-) -> Calibration | Estimate:
+) -> "Calibration | SurveyCalibration | Estimate":
     """Find the mount of every beam, its range error and every plane, with covariances.
 
     Parameters
     ----------
-    recording : Recording or BlockProblem
-        Beams before planes; or blocks of any sensors, targets and relations, whose weights state their
-        noise (then there are no further arguments, and the result is an `Estimate`).
+    recording : Recording, Survey or BlockProblem
+        Beams before planes; or sensors of many rays, spheres, points and relations (then there are no
+        options and no progress); or blocks of any sensors, targets and relations, whose weights state
+        their noise (then there are no further arguments, and the result is an `Estimate`).
     noise : Noise, optional
         What is not given of it is estimated, and integrated over.
     options : CalibrationOptions, optional
@@ -57,7 +66,7 @@ def calibrate(
 
     Returns
     -------
-    Calibration or Estimate
+    Calibration, SurveyCalibration or Estimate
         Look at its `status` first.
 
     Raises
@@ -70,6 +79,15 @@ def calibrate(
         if any(given is not None for given in (noise, options, progress)):
             raise InputError("noise, options or progress beside blocks", "weights of the blocks")
         return estimate(recording)
+    if isinstance(recording, Survey):
+        if options is not None or progress is not None:
+            raise InputError("options or progress with a survey", "its own fields, such as free")
+        noise = Noise() if noise is None else noise
+        require_kind("noise", noise, Noise)
+        from .estimation.survey import estimate_survey
+        from .results.survey import survey_calibration
+
+        return survey_calibration(estimate_survey(recording, noise))
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return _calibrated(recording, noise, options, None, progress)

@@ -144,15 +144,45 @@ def calibrate(
     larger than what the result states; 130 stopped by Ctrl-C.
     """
     with Working():
-        outcome = _calibrated(recording, given.read(), model, manner, output, given.rig)
-        aloud = output.json_ or output.quiet
-        answer = Answer(
-            outcome.text,
-            partial(_show, outcome, output),
-            _warnings(outcome) if aloud else (),
-            _failure(outcome),
-        )
+        rig = given.read()
+        answer = _of_survey(recording, rig, model, manner, output, given.rig)
+        if answer is None:
+            answer = _of_beams(recording, rig, model, manner, output, given.rig)
     answer.give(json=output.json_, quiet=output.quiet)
+
+
+def _of_beams(
+    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
+) -> Answer:
+    outcome = _calibrated(path, rig, model, manner, output, rig_file)
+    aloud = output.json_ or output.quiet
+    return Answer(
+        outcome.text,
+        partial(_show, outcome, output),
+        _warnings(outcome) if aloud else (),
+        _failure(outcome),
+    )
+
+
+def _of_survey(
+    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
+) -> Answer | None:
+    """Return the answer on sensors of many rays, spheres, points and relations; None on beams alone."""
+    from ..errors import InputError
+    from ..files.survey_reading import is_survey
+
+    if not is_survey(path, rig):
+        return None
+    if (model, manner) != (Model(), Manner()):
+        found = (
+            "options of beams before planes, with sensors of many rays, other targets or relations"
+        )
+        raise InputError(found, "--rig, --out, --report and options of the noise only", path)
+    from .survey import survey_answer
+
+    files = () if rig.survey is None else rig.survey.files
+    output.check((path, rig_file, *rig.log.files, *files))
+    return survey_answer(path, rig, output.out, output.report, aloud=output.json_ or output.quiet)
 
 
 def _calibrated(

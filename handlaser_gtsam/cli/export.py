@@ -16,6 +16,7 @@ from .progress_line import Working
 if TYPE_CHECKING:
     from ..files.calibration_file import CalibrationFile
     from ..files.exports.export import ExportOptions
+    from ..files.survey_json import SurveyFile
 
 FormatChoice = StrEnum(
     "FormatChoice",
@@ -133,13 +134,18 @@ def export(
     from ..files.exports.export import export_text, write_export
     from ..files.exports.formats import STATIONS
     from ..files.stations_csv import read_stations
+    from ..files.survey_json import is_survey_result, read_survey_result
     from ..text import printable
 
     text = ""
+    what: StationList | CalibrationFile | SurveyFile
     with Working():
         wanted.check(file)
         to, options = wanted.to.value, wanted.options()
-        what = read_stations(file) if to in STATIONS else read_calibration(file)
+        if to in STATIONS:
+            what = read_stations(file)
+        else:
+            what = read_survey_result(file) if is_survey_result(file) else read_calibration(file)
         if wanted.out is None:
             text = export_text(what, to, options)
         else:
@@ -152,14 +158,14 @@ def export(
         print_wrapped([f"wrote {printable(str(wanted.out))}"])
 
 
-def _warn(file: "CalibrationFile") -> None:
+def _warn(file: "CalibrationFile | SurveyFile") -> None:
     """Repeat what the calibration was warned of: a program that uses it will not show that."""
     from ..text import printable
 
     lines = [one.message for one in file.warnings]
     lines += [
         f"systematic error {one.code}: {one.message}; {one.remedy}"
-        for one in file.systematic
+        for one in getattr(file, "systematic", ())
         if one.found and not one.explained_by
     ]
     for line in lines:

@@ -7,7 +7,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,8 +65,7 @@ class Shots(Value):
     sigma : float, optional
         Standard deviation of a reading [m]; learned where it is not given.
     sigma_across : float
-        Of x [m], for a profiler; where `sigma` is not given, it is taken as much larger or smaller as
-        that turns out than it was given here.
+        Of x [m], for a profiler whose `sigma` is stated, too.
     free : tuple of str
         Range errors that are unknown: `k0`, `k1`, `k2`, `scale`; all others are tested for.
 
@@ -114,25 +113,27 @@ class Shots(Value):
         if self.sigma is not None:
             require_number("sigma", self.sigma, 0.0, LARGEST_LENGTH, above=True)
         require_number("sigma_across", self.sigma_across, 0.0, LARGEST_LENGTH)
-        if self.sigma_across and self.kind != "profiler":
-            raise InputError(f"sigma_across of a {self.kind}", "it for a profiler only")
+        if self.sigma_across and (self.kind != "profiler" or self.sigma is None):
+            raise InputError(
+                f"sigma_across of {self.name}", "it for a profiler only, and its sigma beside it"
+            )
         object.__setattr__(self, "free", tuple(self.free))
         for error in self.free:
             require_word("a range error", error, ERRORS[self.kind])
 
     @classmethod
     def profiler(
-        cls, name: str, station: ArrayLike, x: ArrayLike, z: ArrayLike, **noise: float | None
+        cls, name: str, station: ArrayLike, x: ArrayLike, z: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return points (x, z) [m] of a line profiler, in its plane y = 0."""
-        return cls(name, "profiler", _indices(station), _numbers(x), _numbers(z), **noise)  # type: ignore[arg-type]
+        return cls(name, "profiler", _indices(station), _numbers(x), _numbers(z), **noise)
 
     @classmethod
     def scanner(
-        cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: float
+        cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return ranges [m] at angles [rad] of a 2-D scanner: along (sin, 0, cos)."""
-        return cls(name, "scanner", _indices(station), _numbers(angle), _numbers(reading), **noise)  # type: ignore[arg-type]
+        return cls(name, "scanner", _indices(station), _numbers(angle), _numbers(reading), **noise)
 
     @classmethod
     def array(
@@ -142,7 +143,7 @@ class Shots(Value):
         directions: ArrayLike,
         reading: ArrayLike,
         convention: Literal["radial", "perpendicular"] = "radial",
-        **noise: float,
+        **noise: Any,
     ) -> "Shots":
         """Return ranges [m] along directions (N, 3); perpendicular ones are along the z axis."""
         require_word("convention", convention, ("radial", "perpendicular"))
@@ -152,10 +153,10 @@ class Shots(Value):
         u = u / np.linalg.norm(u, axis=1)[:, None]
         if convention == "perpendicular":
             d = d / u[:, 2]
-        return cls(name, "array", _indices(station), u, d, **noise)  # type: ignore[arg-type]
+        return cls(name, "array", _indices(station), u, d, **noise)
 
     @classmethod
-    def points(cls, name: str, station: ArrayLike, xyz: ArrayLike, **noise: float) -> "Shots":
+    def points(cls, name: str, station: ArrayLike, xyz: ArrayLike, **noise: Any) -> "Shots":
         """Return points (N, 3) [m] of a depth camera, in its frame; noise is along the ray."""
         p = _numbers(xyz)
         if p.ndim != 2 or p.shape[1:] != (3,):
@@ -163,7 +164,7 @@ class Shots(Value):
         d = np.linalg.norm(p, axis=1)
         if not (d > 0.0).all():
             raise InputError("points at the origin of the sensor", "no such rows")
-        return cls(name, "points", _indices(station), p / d[:, None], d, **noise)  # type: ignore[arg-type]
+        return cls(name, "points", _indices(station), p / d[:, None], d, **noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

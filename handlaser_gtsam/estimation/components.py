@@ -6,8 +6,8 @@ is left of the residuals is
 
     -2 log L = sum log|V| + log|X' inv(V) X| + e' Q e + sum (m log phi + q / phi),
 
-with Q = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V), and the last sum over what shots tell of the noise
-inside them (q squares, m degrees of freedom). Patterson and Thompson, Biometrika 58 (1971), 545-554.
+with Q = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V), and the last sum over what shots tell of the
+noise inside them (q squares, m degrees of freedom). Patterson and Thompson, Biometrika 58 (1971), 545-554.
 The sizes of pose errors have half-Cauchy priors, and their variances are means over what the likelihood
 and these priors leave possible, because the mode is often zero where there are few stations.
 """

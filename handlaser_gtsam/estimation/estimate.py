@@ -238,8 +238,7 @@ def score_test(
         given = [np.shape(column) for column in of_blocks]
         if given != shapes:
             raise InputError(f"columns of {name} of shapes {given}", f"{shapes}, one a block")
-    read = [_read(block) for block in problem.blocks]
-    blocks = [_kept(b, out) for b, out in zip(read, found.rejected, strict=True)]
+    blocks = kept_blocks(problem, found)
     values = {name: x[None] for name, x in found.values.items()}
     J, e = problem.rows(blocks, values).whitened()
     effects = {}
@@ -262,10 +261,16 @@ def score_test(
     return effects
 
 
+def kept_blocks(problem: BlockProblem, found: Estimate) -> list[Block]:
+    """Return the blocks without what was rejected, and without readings that are none."""
+    read = [_read(block) for block in problem.blocks]
+    return [_kept(b, out) for b, out in zip(read, found.rejected, strict=True)]
+
+
 def minimum(
     problem: BlockProblem, blocks: Sequence[Block], start: Values
 ) -> dict[str, FloatArray] | None:
-    """Return the values (1, n, size) at the best minimum from a start, or None where none leads to one."""
+    """Return the values (1, n, size) at the best minimum from a start; None where there is none."""
     K = max(len(x) for x in start.values())
     first = {name: x[:1] for name, x in start.items()}
     share = max(ROWS_AT_ONCE // max(sum(_rows(block, first) for block in blocks), 1), 1)

@@ -17,7 +17,7 @@ from ..data.survey import Known, Survey
 from ..errors import InputError
 from ..model.block import Block
 from ..model.distributions import chi2_quantile, chi2_sf
-from ..model.families import BEAM, POSE
+from ..model.families import BEAM
 from ..model.relations import Relation
 from ..model.sensors.mounted import SENSOR
 from ..quantities import MM, MOST_ROUNDS

@@ -12,6 +12,7 @@
               translation_scale_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
     [log]     how logs are written, see `rig_log`
+    [[sensors]], [[known]]: sensors of many rays and relations, see `rig_survey`
     [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
 
 Every table is optional, and so is every field but those that say where something is.
@@ -35,6 +36,7 @@ from ..results.limits import Limits
 from .checked_text import FileRecord, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
+from .rig_survey import KnownTable, SensorTable, SurveyTables, survey_tables
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
@@ -103,6 +105,8 @@ class _Rig(FileRecord):
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
+    sensors: Annotated[tuple[SensorTable, ...], Strict(False)] = ()
+    known: Annotated[tuple[KnownTable, ...], Strict(False)] = ()
     # For plans; `rig_planning.PlanTables` says what they hold, and is imported where there is one.
     workspace: Any = None
     robot: Any = None
@@ -138,6 +142,8 @@ class Rig:
         How logs are written.
     plans : Plans or None
         What is said for plans: the properties below; None where nothing is.
+    survey : SurveyTables or None
+        Sensors of many rays, and relations; None where there are none.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -145,6 +151,7 @@ class Rig:
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
     plans: "Plans | None" = None
+    survey: SurveyTables | None = None
 
     @property
     def workspace(self) -> "Workspace | None":
@@ -246,6 +253,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         limits,
         rig.log.to_format(folder),
         rig.plans(folder, sensor, limits),
+        survey_tables(rig.sensors, rig.known, folder) if rig.sensors or rig.known else None,
     )
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .reports import ScaledSolution as ScaledSolution
     from .reports import StartReport as StartReport
     from .spot_error import VarianceShares as VarianceShares
+    from .survey import SurveyCalibration as SurveyCalibration
     from .systematic import SystematicError as SystematicError
     from .verdict import Verdict as Verdict
 else:
@@ -34,6 +35,7 @@ else:
             "reports": "Beam BeamMixture Determined Fit NoiseComponent"
             " Plane RangeErrorScales ScaledSolution StartReport",
             "spot_error": "VarianceShares",
+            "survey": "SurveyCalibration",
             "systematic": "SystematicError",
             "verdict": "Verdict",
         },

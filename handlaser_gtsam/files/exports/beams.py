@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import InputError
 from ...model.geometry import normalized
 from ...quantities import IN_DEG, IN_MM
 from ...results.mounts import Mounts
+from ...text import shown
+from ..survey_json import BeamRecord, SensorRecord, SurveyFile
 from .frames import Axis, quaternion, rotation_vector, smallest_rotation, yaw_pitch_roll
 from .names import comment_text, identifiers
 
@@ -80,6 +83,52 @@ def exported_beams(
             )
         )
     return tuple(found)
+
+
+def exported_sensors(
+    file: SurveyFile, names: tuple[str, ...], axis: Axis, reading: float
+) -> tuple[ExportedBeam, ...]:
+    """Return the frames of the named sensors and beams of a survey, or of all where none is named.
+
+    The origin of each is where it reads `reading` [m] along the z axis of a sensor, or along a beam.
+
+    Raises
+    ------
+    InputError
+        No such sensor, or names whose identifiers are the same.
+    """
+    every: list[SensorRecord | BeamRecord] = [*file.sensors, *file.beams]
+    spelt = identifiers([one.name for one in every])
+    found = []
+    for one, identifier in zip(every, spelt, strict=True):
+        if isinstance(one, SensorRecord):
+            R, k = np.array(one.rotation), (0.0, 0.0)
+        else:
+            k = one.range_error[0], one.range_error[1]
+            R = smallest_rotation(axis, np.array(one.direction))
+        v = R[:, 2] if isinstance(one, SensorRecord) else np.array(one.direction)
+        r = np.array(one.location_m)
+        sigmas = ["undetermined" if s is None else f"{s * IN_MM:.3g}" for s in one.location_sigma_m]
+        kind = one.kind if isinstance(one, SensorRecord) else "beam"
+        found.append(
+            ExportedBeam(
+                one.name,
+                identifier,
+                f"{kind} {comment_text(one.name)}: location +- {' '.join(sigmas)} mm",
+                tuple(r.tolist()),
+                tuple(v.tolist()),
+                *k,
+                tuple((r + reading * (1.0 + k[0] + k[1] * reading) * v).tolist()),
+                quaternion(R),
+                yaw_pitch_roll(R),
+                rotation_vector(R),
+            )
+        )
+    known = {beam.name: beam for beam in found}
+    lacking = [name for name in names if name not in known]
+    if lacking:
+        raise InputError(f"a sensor {shown(lacking[0])}", f"one of {', '.join(known)}")
+    return tuple(known[name] for name in names) if names else tuple(found)
 
 
 def _words(mounts: Mounts, index: int) -> str:

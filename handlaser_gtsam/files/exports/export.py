@@ -11,18 +11,22 @@ from ...model.conventions import FORMATS as POSE_FORMATS
 from ...quantities import IN_MM, LARGEST_LENGTH
 from ...results.calibration import Calibration
 from ...results.mounts import Mounts
+from ...results.survey import SurveyCalibration
 from ...text import A_NAME, name_fault, shown
 from ..calibration_file import CalibrationFile
 from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
+from ..survey_json import SurveyFile, survey_text
 from ..writing import path_of, write_bytes
-from .beams import exported_beams
+from .beams import exported_beams, exported_sensors
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS
 from .frames import Axis
 from .into_urdf import put_into
 from .programs import poses_text, program_text
-from .rendering import number, rendered
+from .rendering import ABOUT, ABOUT_SENSORS, OWN, OWN_FRAMES, ROLL, number, rendered
 
+Exported = Calibration | CalibrationFile | SurveyCalibration | SurveyFile | StationList
+"""What can be exported."""
 LAST_SIGNAL = 4096
 """Largest number of a digital output: KUKA's."""
 LONGEST_PAUSE = 60.0
@@ -113,7 +117,7 @@ class ExportOptions:
 
 
 def export_text(
-    what: Calibration | CalibrationFile | StationList,
+    what: Exported,
     to: str,
     options: ExportOptions | None = None,
 ) -> str:
@@ -121,8 +125,9 @@ def export_text(
 
     Parameters
     ----------
-    what : Calibration, CalibrationFile or StationList
-        From `calibrate`, `read_calibration`, `plan(...).stations` or `read_stations`.
+    what : Calibration, CalibrationFile, SurveyCalibration, SurveyFile or StationList
+        From `calibrate`, `read_calibration`, `plan(...).stations` or `read_stations`. Of a survey, each
+        sensor of many rays is a frame of its own.
     to : str
         Of beams `urdf`, `xacro`, `ros2-static`, `ros2-yaml`, `kuka`, `abb`, `fanuc`, `ur`, `c`,
         `python`, `st`; of stations `krl`, `rapid`, `tp`, `urscript`, `poses`.
@@ -138,6 +143,12 @@ def export_text(
     options = ExportOptions() if options is None else options
     require_kind("options", options, ExportOptions)
     options.check(to)
+    if isinstance(what, SurveyCalibration):
+        what = SurveyFile.model_validate_json(survey_text(what))
+    if isinstance(what, SurveyFile):
+        if what.status != "converged":
+            raise NotConvergedError(what.status, what.message)
+        return _text(what, to, options)
     if to not in STATIONS:
         return _text(_mounts(what), to, options)
     require_kind("what", what, StationList)
@@ -149,7 +160,7 @@ def export_text(
 
 def write_export(
     path: Path | str,
-    what: Calibration | CalibrationFile | StationList,
+    what: Exported,
     to: str,
     options: ExportOptions | None = None,
 ) -> None:
@@ -175,13 +186,9 @@ def _mounts(what: Calibration | CalibrationFile | StationList) -> Mounts:
     return mounts_of(what)
 
 
-def _text(mounts: Mounts, to: str, options: ExportOptions) -> str:
+def _text(beams_of: "Mounts | SurveyFile", to: str, options: ExportOptions) -> str:
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
     reading, tool = float(options.at_reading), options.tool or 1
-    beams = exported_beams(mounts, options.beams, axis, reading)
-    if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
-        found = f"tool {tool} as the first of {len(beams)}"
-        raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     where = (
         f"where it reads {number(reading * IN_MM)} mm"
         if reading
@@ -189,8 +196,27 @@ def _text(mounts: Mounts, to: str, options: ExportOptions) -> str:
     )
     values = {"parent": options.link, "axis": axis, "where": where, "tool": tool}
     values["reading"] = number(reading * IN_MM) if reading else ""
+    if isinstance(beams_of, Mounts):
+        beams = exported_beams(beams_of, options.beams, axis, reading)
+        values |= {"about": ABOUT, "roll": ROLL, "frames": _frames(to, axis, where)}
+    else:
+        if to not in (*LINKED, *TOOLS):
+            expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames"
+            raise InputError(f"the format {to} for sensors of many rays", expected)
+        beams = exported_sensors(beams_of, options.beams, axis, reading)
+        values |= {"about": ABOUT_SENSORS, "roll": OWN, "frames": OWN_FRAMES}
+    if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
+        found = f"tool {tool} as the first of {len(beams)}"
+        raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     text = rendered(to, beams=beams, **values)
     if options.into is None:
         return text
     names = [beam.identifier for beam in beams]
     return put_into(path_of(options.into), text, names, options.link)
+
+
+def _frames(to: str, axis: Axis, where: str) -> str:
+    """Say what the frames of beams are."""
+    if to in TOOLS:
+        return f"{axis} of each frame lies along its beam; its origin is {where}."
+    return "x of each frame lies along its beam, from where the true range is zero."

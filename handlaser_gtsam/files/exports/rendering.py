@@ -21,6 +21,15 @@ ABOUT = (
 )
 ROLL = "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
 
+ABOUT_SENSORS = (
+    f"Sensors calibrated by handlaser {__version__}, in the hand frame: "
+    "the frame that the recorded poses describe."
+)
+OWN_FRAMES = (
+    "Each frame of a sensor is its own, in which its points are; x of a beam's lies along it."
+)
+OWN = "The roll of a beam is free; it is that of the smallest rotation from the hand frame."
+
 
 def number(value: float) -> str:
     """Return a number with all its digits, and a point, which YAML and structured text want."""
@@ -35,7 +44,7 @@ def fixed(value: float, digits: int = 9) -> str:
 
 def rendered(template: str, **values: object) -> str:
     """Return the text of a template."""
-    return _environment().get_template(f"{template}.j2").render(about=ABOUT, roll=ROLL, **values)
+    return _environment().get_template(f"{template}.j2").render(**values)
 
 
 def _environment() -> "Environment":

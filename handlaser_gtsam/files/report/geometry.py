@@ -146,14 +146,18 @@ def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray]
         spots = rows.spot[rows.used & (recording.plane_of_station[rows.station] == index)]
         if not len(spots):
             continue
-        n = plane.normal
-        on = spots - (spots @ n + plane.offset)[:, None] * n
-        middle = on.mean(axis=0)
-        axes = np.linalg.svd(on - middle, full_matrices=True)[2][:2] if len(on) > 2 else None
-        basis = model.tangent_basis(n[None])[0].T if axes is None else axes
-        basis = basis - (basis @ n)[:, None] * n
-        flat = (on - middle) @ basis.T
-        low, high = PLANE_SIZE * flat.min(axis=0), PLANE_SIZE * flat.max(axis=0)
-        corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
-        found.append((plane.name, (middle + np.array(corners) @ basis) * IN_MM))
+        on = spots - (spots @ plane.normal + plane.offset)[:, None] * plane.normal
+        found.append((plane.name, plate(plane.normal, on)))
     return tuple(found)
+
+
+def plate(n: FloatArray, on: FloatArray) -> FloatArray:
+    """Return the corners (4, 3) [mm] of a rectangle around points (N, 3) [m] of a plane."""
+    middle = on.mean(axis=0)
+    axes = np.linalg.svd(on - middle, full_matrices=len(on) < 3)[2][:2] if len(on) > 2 else None
+    basis = model.tangent_basis(n[None])[0].T if axes is None else axes
+    basis = basis - (basis @ n)[:, None] * n
+    flat = (on - middle) @ basis.T
+    low, high = PLANE_SIZE * flat.min(axis=0), PLANE_SIZE * flat.max(axis=0)
+    corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+    return np.asarray((middle + np.array(corners) @ basis) * IN_MM)

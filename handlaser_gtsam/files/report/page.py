@@ -90,12 +90,12 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
     """
     require_kind("options", options, ReportOptions)
     content = content_of(subject_of(calibration, options))
-    return _page(
+    return page_of(
         f"{content.opening} · {content.title}",
         content.sections,
         content.figures,
         result=content.result,
-        script=_script("page.js"),
+        script=script_of("page.js"),
     )
 
 
@@ -129,7 +129,7 @@ def content_of(subject: Subject) -> Content:
     figures = {figure.name: figure for figure in drawn}
     title = head.title_of(subject)
     module = (
-        _templates()
+        templates()
         .get_template("sections.html.j2")
         .make_module(
             {
@@ -172,10 +172,10 @@ def live_page() -> LivePage:
     """
     from plotly.offline import get_plotlyjs
 
-    script, empty = _script("page.js", "live.js"), dict.fromkeys(SECTIONS, "")
+    script, empty = script_of("page.js", "live.js"), dict.fromkeys(SECTIONS, "")
 
     def page(name: str) -> str:
-        return _page("handlaser watch", empty, {}, script=script, live=name)
+        return page_of("handlaser watch", empty, {}, script=script, live=name)
 
     name = hashlib.sha256(page("-").encode()).hexdigest()[:16]
     policy = "; ".join(
@@ -194,7 +194,7 @@ def live_page() -> LivePage:
     return LivePage(page(name), name, policy)
 
 
-def _page(
+def page_of(
     title: str,
     sections: dict[str, str],
     figures: dict[str, Figure],
@@ -202,17 +202,18 @@ def _page(
     script: str,
     result: str = "",
     live: str = "",
+    labels: dict[str, str] = SECTIONS,
 ) -> str:
     """Return the whole page; `live` is the name of its version where a server sends its content."""
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
     content = (
-        _templates()
+        templates()
         .get_template("page.html.j2")
         .render(
             title=title,
             sections=sections,
-            labels=SECTIONS,
+            labels=labels,
             data=safe_json({name: figure.json() for name, figure in figures.items()}),
             result=result,
             plotly=packed(get_plotlyjs()) if figures or live else "",
@@ -224,12 +225,13 @@ def _page(
     return content + "\n"
 
 
-def _script(*names: str) -> str:
-    environment = _templates()
+def script_of(*names: str) -> str:
+    """Return the scripts of a page as one."""
+    environment = templates()
     return "".join(environment.get_template(name).render() for name in ("library.js", *names))
 
 
-def _templates() -> "Environment":
+def templates() -> "Environment":
     """Return the templates: all text is escaped, and no name is missing."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -1,0 +1,299 @@
+"""The report of a survey: one page, like that of beams before planes, with profiles drawn."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ... import __version__
+from ...arrays import FloatArray, IntArray
+from ...data.survey import Shots, Survey, normal_label
+from ...model.sensors.kinds import KINDS
+from ...quantities import IN_MM
+from ...results.description.survey import beams_table, facts, sensors_table, targets_table
+from ...results.description.tables import (
+    ROWS_ON_PAGE,
+    Column,
+    Table,
+    more,
+    name_cell,
+    sentence,
+    text,
+)
+from ...results.survey import SurveyCalibration
+from ..json_text import Record
+from .figure import (
+    MOST_POINTS,
+    SYMBOLS,
+    Figure,
+    axis,
+    colour,
+    evenly,
+    label,
+    layout,
+    numbers,
+)
+from .geometry import BeamSegments, Geometry, plate
+from .page import page_of, script_of, templates
+from .scene import scene_figure
+
+SECTIONS = {
+    "verdict": "",
+    "mounts": "Mounts",
+    "targets": "Targets",
+    "space": "Geometry",
+    "fit": "Fit",
+    "made": "How it was made",
+}
+"""The sections of the page in their order, each with its name in the list of links."""
+PROFILES = 40
+"""Profiles that are drawn: more cover each other."""
+POINTS_OF_PROFILE = 60
+"""Points that a drawn profile has at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spots:
+    """The readings of one sensor, or beam, in the world.
+
+    Attributes
+    ----------
+    name : str
+    station : (N,)
+    place : (N, 3)
+        Spots [m].
+    source : (N, 3)
+        Where their rays begin [m].
+    off : (N,)
+        Distance from the target [m]; NaN where there is none.
+    """
+
+    name: str
+    station: IntArray
+    place: FloatArray
+    source: FloatArray
+    off: FloatArray
+
+
+def survey_report(result: SurveyCalibration, survey: Survey, source: str) -> str:
+    """Return the page; the same result makes the same page.
+
+    Parameters
+    ----------
+    result : SurveyCalibration
+    survey : Survey
+        What was calibrated.
+    source : str
+        Name of the file of stations.
+    """
+    spots = list(_spots(result, survey))
+    drawn = [_scene(result, survey, spots), _by_station(survey, spots)]
+    drawn += [figure for figure in (_profiles(survey),) if figure is not None]
+    figures = {figure.name: figure for figure in drawn}
+    mark = "good" if result.usable and not result.warnings else "care" if result.usable else "bad"
+    opening, _, words = result.verdict.partition(": ")
+    module = (
+        templates()
+        .get_template("survey.html.j2")
+        .make_module(
+            {
+                "title": source,
+                "mark": mark,
+                "opening": opening,
+                "findings": [sentence(part) for part in words.split("; ")],
+                "counts": _counts(result, survey),
+                "warnings": [one.message for one in result.warnings],
+                "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
+                "targets": targets_table(result),
+                "rows": facts(result),
+                "rejected": _rejected(result),
+                "made": (("program", f"handlaser {__version__}"), ("stations", source)),
+                "figures": figures,
+            }
+        )
+    )
+    sections = {name: getattr(module, f"section_{name}")() for name in SECTIONS}
+    return page_of(
+        f"{opening} · {source}", sections, figures, script=script_of("page.js"), labels=SECTIONS
+    )
+
+
+def _counts(result: SurveyCalibration, survey: Survey) -> tuple[tuple[str, int], ...]:
+    points = sum(len(shots.reading) for shots in survey.shots)
+    return (
+        ("stations", len(survey.stations)),
+        ("targets", len(result.targets)),
+        ("sensors", len(result.sensors) + len(result.beams)),
+        ("points", points),
+        ("rejected", len(result.rejected)),
+    )
+
+
+def _rejected(result: SurveyCalibration) -> Table:
+    columns = tuple(Column(n, number=False) for n in ("sensor", "station", "target", "reason"))
+    rows = tuple(
+        (name_cell(one.sensor), name_cell(one.station), name_cell(one.target), text(one.reason))
+        for one in result.rejected[:ROWS_ON_PAGE]
+    )
+    note = more(len(result.rejected) - len(rows), "shot")
+    return Table("rejected", "Shots that were left out", columns, rows, note)
+
+
+def _spots(result: SurveyCalibration, survey: Survey) -> Iterator[_Spots]:
+    for shots in survey.shots:
+        mount = result.sensors[shots.name]
+        some = evenly(len(shots.reading), 20 * MOST_POINTS)
+        rays = KINDS[shots.kind].rays(shots.across[some])
+        d, station = shots.reading[some], shots.station[some]
+        hand = (rays.origin + d[:, None] * rays.direction) @ mount.rotation.T + mount.location
+        begin = rays.origin @ mount.rotation.T + mount.location
+        yield _in_world(result, survey, shots.name, station, hand, begin)
+    if survey.ranges is not None:
+        for i, name in enumerate(survey.beam_names):
+            beam = result.beams[name]
+            station = np.flatnonzero(~np.isnan(survey.ranges[:, i]))
+            d = survey.ranges[station, i]
+            d = d * (1.0 + beam.range_error[0] + beam.range_error[1] * d)
+            hand = beam.location + d[:, None] * beam.direction
+            begin = np.broadcast_to(beam.location, hand.shape)
+            yield _in_world(result, survey, name, station, hand, begin)
+
+
+def _in_world(
+    result: SurveyCalibration,
+    survey: Survey,
+    name: str,
+    station: IntArray,
+    hand: FloatArray,
+    begin: FloatArray,
+) -> _Spots:
+    R, t = survey.stations.world_R_hand[station], survey.stations.world_t_hand[station]
+    place = np.einsum("nij,nj->ni", R, hand) + t
+    source = np.einsum("nij,nj->ni", R, begin) + t
+    off = np.full(len(station), np.nan)
+    labels = np.array([normal_label(x) for x in survey.stations.plane_labels])[station]
+    for target in result.targets.values():
+        seen = labels == target.label
+        v = target.values
+        if target.kind == "plane":
+            off[seen] = place[seen] @ [v["nx"], v["ny"], v["nz"]] + v["b"]
+        elif target.kind == "sphere":
+            centre = np.array([v["x"], v["y"], v["z"]])
+            off[seen] = np.linalg.norm(place[seen] - centre, axis=1) - v["radius"]
+    return _Spots(name, station, place, source, off)
+
+
+def _scene(result: SurveyCalibration, survey: Survey, spots: list[_Spots]) -> Figure:
+    """Return the picture in space: targets, hands, and where each sensor looked."""
+    labels = np.array([normal_label(x) for x in survey.stations.plane_labels])
+    planes = []
+    for target in result.targets.values():
+        if target.kind != "plane":
+            continue
+        seen = [s.place[labels[s.station] == target.label] for s in spots]
+        points = np.concatenate(seen) if seen else np.empty((0, 3))
+        if len(points) > 2:  # the two of a groove have labels of their own
+            v = target.values
+            planes.append((target.label, plate(np.array([v["nx"], v["ny"], v["nz"]]), points)))
+    beams = []
+    for one in spots:
+        stations = np.unique(one.station)
+        stations = stations[evenly(len(stations), MOST_POINTS // 4)]
+        segments = np.array(
+            [
+                [
+                    one.source[one.station == s].mean(axis=0),
+                    one.place[one.station == s].mean(axis=0),
+                ]
+                for s in stations
+            ]
+        )
+        names = tuple(survey.stations.station_names[s] for s in stations)
+        beams.append(BeamSegments(one.name, segments * IN_MM, names))
+    of = survey.stations
+    some = evenly(len(of), MOST_POINTS // 4)
+    extent = float(np.ptp(np.concatenate([s.place for s in spots]), axis=0).max())
+    hands = np.repeat(of.world_t_hand[some][:, None], 4, axis=1)
+    hands[:, 1:] += 0.1 * extent * np.swapaxes(of.world_R_hand[some], 1, 2)
+    geometry = Geometry(
+        "world",
+        tuple(planes),
+        tuple(beams),
+        hands * IN_MM,
+        tuple(of.station_names[i] for i in some),
+    )
+    caption = "Each sensor at its stations, with a line to the middle of what it saw there."
+    return replace(scene_figure(geometry), caption=caption)
+
+
+def _by_station(survey: Survey, spots: list[_Spots]) -> Figure:
+    """Return how far the points of each shot are from their target, in the mean."""
+    traces: list[Record] = []
+    names = survey.stations.station_names
+    for index, one in enumerate(spots):
+        good = np.isfinite(one.off)
+        stations = np.unique(one.station[good])
+        mean = [float(one.off[good & (one.station == s)].mean()) for s in stations]
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": label(one.name),
+                "x": [int(s) + 1 for s in stations],
+                "y": numbers(np.array(mean) * IN_MM, 4),
+                "text": [label(names[s]) for s in stations],
+                "hovertemplate": "%{text}: %{y} mm<extra></extra>",
+                "marker": {
+                    "color": colour(index, len(spots)),
+                    "symbol": SYMBOLS[index % len(SYMBOLS)],
+                    "size": 6,
+                },
+            }
+        )
+    shown = layout("station", "mean distance from the target, mm")
+    shown["showlegend"] = len(spots) > 1
+    caption = (
+        "How far the points of each shot are from their target, in the mean; shots that were left "
+        "out are drawn, too."
+    )
+    return Figure("by-station", caption, traces, shown)
+
+
+def _profiles(survey: Survey) -> Figure | None:
+    """Return profiles and scans in the plane of their sensor; None where there are none."""
+    flat = [shots for shots in survey.shots if KINDS[shots.kind].flat]
+    if not flat:
+        return None
+    traces: list[Record] = []
+    for index, shots in enumerate(flat):
+        for place, (station, x, z) in enumerate(_drawn_profiles(shots)):
+            traces.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "name": label(shots.name),
+                    "legendgroup": shots.name,
+                    "showlegend": place == 0,
+                    "x": numbers(x * IN_MM, 5),
+                    "y": numbers(z * IN_MM, 5),
+                    "text": label(survey.stations.station_names[station]),
+                    "hovertemplate": "%{text}<extra></extra>",
+                    "line": {"color": colour(index, len(flat)), "width": 1},
+                    "opacity": 0.6,
+                }
+            )
+    shown = layout("x of the sensor, mm", "z of the sensor, mm", 380)
+    shown["showlegend"] = len(flat) > 1
+    shown["yaxis"] = axis("z of the sensor, mm", scaleanchor="x")
+    return Figure("profiles", "What the sensors saw, in their own planes.", traces, shown)
+
+
+def _drawn_profiles(shots: Shots) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    stations = np.unique(shots.station)
+    for station in stations[evenly(len(stations), PROFILES)]:
+        rows = np.flatnonzero(shots.station == station)
+        rows = rows[np.argsort(shots.across[rows, 0], kind="stable")]
+        rows = rows[evenly(len(rows), POINTS_OF_PROFILE)]
+        rays = KINDS[shots.kind].rays(shots.across[rows])
+        p = rays.origin + shots.reading[rows, None] * rays.direction
+        yield int(station), p[:, 0], p[:, 2]

@@ -1,0 +1,190 @@
+"""Tables of a rig file on sensors of many rays, and on what is known beside the readings.
+
+[[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet);
+units: mm (the default) or m; angles: deg (the default) or rad; sigma_mm,
+sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
+(directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
+near or far
+[[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
+sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
+R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import polars as pl
+from pydantic import Strict
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..data.survey import Known, Shots
+from ..errors import InputError
+from ..quantities import DEG, MM
+from .checked_text import FileRecord
+from .points_table import Echo, read_points
+
+Words = Annotated[tuple[str, ...], Strict(False)]
+Floats = Annotated[tuple[float, ...], Strict(False)]
+
+
+class SensorTable(FileRecord):
+    """A row of [[sensors]]."""
+
+    name: str
+    kind: Literal["profiler", "scanner", "array", "points"]
+    points: str
+    units: Literal["mm", "m"] = "mm"
+    angles: Literal["deg", "rad"] = "deg"
+    sigma_mm: float | None = None
+    sigma_across_mm: float = 0.0
+    free: Words = ()
+    zones: str | None = None
+    convention: Literal["radial", "perpendicular"] = "radial"
+    echo: Echo = "all"
+
+
+class KnownTable(FileRecord):
+    """A row of [[known]]."""
+
+    relation: str
+    of: Words
+    value_mm: float | None = None
+    value_deg: float | None = None
+    sigma_mm: float = 0.0
+    sigma_deg: float = 0.0
+    direction: Floats | None = None
+    position_mm: Floats | None = None
+    pose_mm_deg: Floats | None = None
+    faces: Annotated[tuple[Floats, ...], Strict(False)] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyTables:
+    """What a rig file says of sensors of many rays, and of relations.
+
+    Attributes
+    ----------
+    sensors : tuple of SensorTable
+    known : tuple of Known
+    folder : Path
+        Where the rig file stands, from which tables of points are named.
+    """
+
+    sensors: tuple[SensorTable, ...]
+    known: tuple[Known, ...]
+    folder: Path
+
+    def shots(self, stations: tuple[str, ...]) -> tuple[Shots, ...]:
+        """Return what the sensors read at named stations.
+
+        Raises
+        ------
+        InputError
+        """
+        return tuple(_shots(table, self.folder, stations) for table in self.sensors)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The tables of points."""
+        return tuple(self.folder / table.points for table in self.sensors)
+
+
+def survey_tables(
+    sensors: tuple[SensorTable, ...], known: tuple[KnownTable, ...], folder: Path
+) -> SurveyTables:
+    """Return the tables in SI units.
+
+    Raises
+    ------
+    InputError
+        A relation that is none, or fields that do not go with it.
+    """
+    return SurveyTables(sensors, tuple(map(_known, known)), folder)
+
+
+def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots:
+    path = folder / table.points
+    station, numbers = read_points(path, table.kind, stations, echo=table.echo)
+    length = MM if table.units == "mm" else 1.0
+    noise: dict[str, Any] = {
+        "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
+        "sigma_across": table.sigma_across_mm * MM,
+        "free": table.free,
+    }
+    if (table.zones is None) == (table.kind == "array"):
+        found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
+        raise InputError(found, "the file of zones of an array, and of nothing else")
+    try:
+        if table.kind == "profiler":
+            x, z = (numbers * length).T
+            return Shots.profiler(table.name, station, x, z, **noise)
+        if table.kind == "scanner":
+            angle = numbers[:, 0] * (DEG if table.angles == "deg" else 1.0)
+            return Shots.scanner(table.name, station, angle, numbers[:, 1] * length, **noise)
+        if table.kind == "points":
+            return Shots.points(table.name, station, numbers * length, **noise)
+        directions = _directions(folder / str(table.zones), numbers[:, 0])
+        reading = numbers[:, 1] * length
+        return Shots.array(table.name, station, directions, reading, table.convention, **noise)
+    except InputError as error:
+        raise InputError(error.found, error.expected, error.path or path) from error
+
+
+def _directions(path: Path, zone: FloatArray) -> FloatArray:
+    """Return the direction (N, 3) of the zone of each reading."""
+    try:
+        table = pl.read_csv(path)
+        numbers = {name: table[name].cast(pl.Float64).to_numpy() for name in table.columns}
+    except (pl.exceptions.PolarsError, OSError) as error:
+        what = str(error).splitlines()[0][:120]
+        expected = "CSV with zone, x, y, z or zone, x_deg, y_deg"
+        raise InputError(f"no table ({what})", expected, path) from error
+    if {"zone", "x", "y", "z"} <= numbers.keys():
+        u = np.stack([numbers[a] for a in "xyz"], axis=1)
+    elif {"zone", "x_deg", "y_deg"} <= numbers.keys():
+        x, y = (np.tan(numbers[f"{a}_deg"] * DEG) for a in "xy")
+        u = np.stack((x, y, np.ones_like(x)), axis=1)
+    else:
+        found = f"columns {', '.join(table.columns)}"
+        raise InputError(found, "zone, x, y, z or zone, x_deg, y_deg", path, 1)
+    place = {float(name): i for i, name in enumerate(numbers["zone"])}
+    lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
+    if lacking:
+        raise InputError(f"no zone {lacking[0]:g}", "a row for every zone that reads", path)
+    return np.asarray(u[[place[float(one)] for one in zone]])
+
+
+def _known(table: KnownTable) -> Known:
+    if table.value_mm is not None and table.value_deg is not None:
+        raise InputError("value_mm and value_deg in a table [[known]]", "one of the two")
+    value = (table.value_mm or 0.0) * MM + (table.value_deg or 0.0) * DEG
+    direction = None if table.direction is None else np.array(table.direction)
+    if table.position_mm is not None:
+        direction = np.array(table.position_mm) * MM
+    pose = None
+    if table.pose_mm_deg is not None:
+        if len(table.pose_mm_deg) != 6:
+            found = f"pose_mm_deg of {len(table.pose_mm_deg)} numbers"
+            raise InputError(found, "6: x, y, z, A, B, C")
+        pose = np.eye(4)
+        pose[:3, 3] = np.array(table.pose_mm_deg[:3]) * MM
+        turn = Rotation.from_euler("ZYX", table.pose_mm_deg[3:], degrees=True)
+        pose[:3, :3] = turn.as_matrix()
+    faces = None
+    if table.faces is not None:
+        if any(len(face) != 4 for face in table.faces):
+            raise InputError("faces of a body that are not four numbers", "a normal and an offset")
+        faces = np.array(table.faces) * [1.0, 1.0, 1.0, MM]
+    return Known(
+        table.relation,
+        table.of,
+        value,
+        table.sigma_mm * MM,
+        table.sigma_deg * DEG,
+        direction,
+        pose,
+        faces,
+    )

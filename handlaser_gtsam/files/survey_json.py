@@ -1,0 +1,143 @@
+"""Results of surveys as JSON; SI units, finite numbers only, null for what is undetermined."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..checks import require_kind
+from ..results.survey import SurveyCalibration
+from .calibration_file import Known, Many, Numbers, Vector, Version, WarningRecord
+from .checked_text import FileRecord, json_value, read_checked
+from .json_text import Record, json_text, record
+from .writing import path_of, write_text
+
+Matrix = Annotated[Many[Numbers], Field(min_length=3, max_length=3)]
+
+
+class SensorRecord(FileRecord, extra="ignore"):
+    """What exports need of a sensor of many rays."""
+
+    name: str
+    kind: str
+    rotation: Matrix
+    location_m: Vector
+    location_sigma_m: Known
+    rotation_sigma_rad: Known
+
+
+class BeamRecord(FileRecord, extra="ignore"):
+    """What exports need of a single beam."""
+
+    name: str
+    location_m: Vector
+    direction: Vector
+    range_error: Numbers
+    location_sigma_m: Known
+
+
+class SurveyFile(FileRecord, extra="ignore"):
+    """The result of a survey, as exports read it."""
+
+    format: Literal["handlaser-survey"]
+    version: Version
+    status: str
+    message: str
+    sensors: Many[SensorRecord]
+    beams: Many[BeamRecord]
+    warnings: Many[WarningRecord]
+
+
+def survey_text(result: SurveyCalibration) -> str:
+    """Return a result as JSON text."""
+    sensor = (
+        "name kind location_sigma_m rotation_sigma_rad covariance reading_sigma_m spot_error_m"
+        " shots rejected"
+    )
+    whole: Record = {
+        "status": result.status,
+        "message": result.message,
+        "verdict": {"usable": result.usable, "sentence": result.verdict},
+        "warnings": [record(one, WarningRecord) for one in result.warnings],
+        "sensors": [
+            record(one, sensor)
+            | {
+                "rotation": one.rotation,
+                "location_m": one.location,
+                "range_error": dict(one.range_error),
+                "working_distance_m": one.reading,
+                "range_errors_tested": [
+                    record(error, "code size sigma detectable found spot_shift")
+                    for error in one.errors
+                ],
+            }
+            for one in result.sensors.values()
+        ],
+        "beams": [
+            record(one, "name direction location_sigma_m readings rejected covariance")
+            | {
+                "location_m": one.location,
+                "direction_sigma_rad": one.direction_sigma,
+                "range_error": list(one.range_error),
+            }
+            for one in result.beams.values()
+        ],
+        "targets": [
+            {
+                "label": one.label,
+                "kind": one.kind,
+                "values": dict(one.values),
+                "sigma": dict(one.sigma),
+            }
+            for one in result.targets.values()
+        ],
+        "pose_sigma": {
+            "rotation_rad": result.pose_sigma[0],
+            "translation_m": result.pose_sigma[1],
+            "estimated": result.pose_sigma_estimated,
+        },
+        "known": [
+            {
+                "relation": one.known.relation,
+                "of": list(one.known.of),
+                "p_value": one.p_value,
+                "contradicted": one.contradicted,
+            }
+            for one in result.relations
+        ],
+        "rejected": [record(one, "sensor station target reason") for one in result.rejected],
+        "undetermined": list(result.undetermined),
+        "chi2": result.chi2,
+        "dof": result.dof,
+    }
+    return json_text("survey", whole)
+
+
+def write_survey(path: Path | str, result: SurveyCalibration) -> None:
+    """Write a result, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        What is no result of a survey, or a file that cannot be written.
+    """
+    require_kind("result", result, SurveyCalibration)
+    write_text(path_of(path), survey_text(result))
+
+
+def read_survey_result(path: Path | str) -> SurveyFile:
+    """Read what exports need of a result that was written.
+
+    Raises
+    ------
+    InputError
+    """
+    return read_checked(path, SurveyFile, json_value, "a result of handlaser, JSON")
+
+
+def is_survey_result(path: Path) -> bool:
+    """Tell whether a file holds the result of a survey."""
+    try:
+        return b'"handlaser-survey"' in path.read_bytes()[:200]
+    except OSError:
+        return False

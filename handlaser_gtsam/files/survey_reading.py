@@ -1,0 +1,90 @@
+"""Surveys read from files: stations with their targets, tables of points, and a rig file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..data.station_list import StationList
+from ..data.survey import Survey, kind_of
+from ..errors import InputError
+from ..model.sensor import Sensor
+from .logs.format import LogFormat
+from .range_cells import range_numbers
+from .recording_csv import POSE, PREFIX, stations_of
+from .rig_toml import Rig, read_rig
+from .table import read_table
+from .writing import path_of
+
+
+def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
+    """Read stations, and what the sensors of a rig file read there.
+
+    Parameters
+    ----------
+    path : Path or str
+        CSV with `plane` (labels such as `plane:A` or `sphere:S1`), `station` and poses, as a
+        recording; `range_NAME` of single beams may stand there, too. Or a log of poses, where the rig
+        file says how it is written.
+    rig : Rig, Path or str
+
+    Raises
+    ------
+    InputError
+    """
+    path = path_of(path)
+    rig = rig if isinstance(rig, Rig) else read_rig(rig)
+    stations, ranges, beams = _stations(path, rig)
+    if rig.survey is None:
+        return Survey(stations, (), ranges, beams)
+    shots = rig.survey.shots(stations.station_names)
+    return Survey(stations, shots, ranges, beams, rig.survey.known)
+
+
+def is_survey(path: Path, rig: Rig) -> bool:
+    """Tell whether a recording is a survey: by its rig file, or by labels that are no planes."""
+    if rig.survey is not None:
+        return True
+    if rig.log.stated or path.suffix.lower() != ".csv":
+        return False
+    try:
+        labels = read_table(path, ("plane", *POSE)).frame["plane"].unique().to_list()
+        return any(label and ":" in label and kind_of(label) != "plane" for label in labels)
+    except Exception:  # what is wrong with it is said by whatever reads it as a recording
+        return False
+
+
+def _stations(path: Path, rig: Rig) -> tuple[StationList, np.ndarray | None, tuple[str, ...]]:
+    """Return stations, ranges (M, B) of beams, and the names of these."""
+    if rig.log.stated or path.suffix.lower() != ".csv":
+        return _of_log(path, rig.log), None, ()
+    table = read_table(path, ("plane", *POSE))
+    for name in ("plane", *POSE):
+        if name not in table.frame.columns:
+            raise table.fault(f"no column {name!r}", f"{name!r}", name)
+    R, t, labels, names = stations_of(table)
+    stations = StationList(R, t, labels, names)
+    columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
+    if not columns:
+        return stations, None, ()
+    ranges, _ = range_numbers(table, columns, rig.sensor)
+    return stations, ranges, tuple(name.removeprefix(PREFIX) for name in columns)
+
+
+def _of_log(path: Path, given: LogFormat) -> StationList:
+    """Return the stations of a log of poses that has labels, or one target for all."""
+    from .logs.format_checks import convention_of
+    from .logs.motion import Means, Raw
+    from .logs.poses import hand_poses
+    from .logs.rows import rows_of
+    from .logs.tables import read_log_table
+
+    rows = rows_of(read_log_table(path, given), given, Sensor(), readings=False)
+    assert rows.poses is not None
+    each = Means.of_groups(np.arange(len(rows.poses)))
+    raw = Raw(rows.poses, convention_of(given), given.inverted, each)
+    R, t = hand_poses(*raw.poses(), raw.convention, given.tool, given.base)
+    labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
+    if not all(labels):
+        expected = "a column plane, --plane-column NAME, or one label for all by --plane"
+        raise InputError("no target of the stations", expected, path)
+    return StationList(R, t, tuple(labels), tuple(rows.names))

@@ -1,0 +1,520 @@
+"""The result of a survey: where sensors sit, what they looked at, and how far to trust it."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..data.survey import Known
+from ..data.value import Value
+from ..errors import CalibrationWarning
+from ..estimation.dense import dense_rows, unknowns_of
+from ..estimation.estimate import SIGNIFICANCE, kept_blocks
+from ..estimation.survey import SurveyEstimate
+from ..estimation.survey_rows import Rows
+from ..model.distributions import gaussian_quantile, gaussian_sf
+from ..model.families import BEAM, FAMILIES, PLANE
+from ..model.geometry import skew
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import ERRORS, SENSOR
+from ..quantities import IN_MM, NEGLIGIBLE, POWER
+from ..text import count, some
+from .spot_error import radius
+
+Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
+MANY_REJECTED = 0.1
+"""Part of the shots that are rejected from which on it is a warning."""
+ON_ONE_CIRCLE = 0.02
+"""Normals are on one circle about a direction if their spread along it is below this."""
+NAMES = 4
+"""Names that a sentence lists."""
+ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
+"""Coordinates of a sensor that are turns, in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SensorError(Value):
+    """A range error of all rays of a sensor that the model leaves out.
+
+    Attributes
+    ----------
+    code : "k0", "k1", "k2" or "scale"
+    size, sigma : float
+        Most probable size, with its standard deviation.
+    detectable : float
+        The smallest size that would be found with a probability of `POWER`.
+    found : bool
+    spot_shift : float
+        How far it moves a spot of this sensor if it is of size 1 [m].
+    """
+
+    code: str
+    size: float
+    sigma: float
+    detectable: float
+    found: bool
+    spot_shift: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SensorMount(Value):
+    """A sensor of many rays in the hand.
+
+    Attributes
+    ----------
+    name, kind : str
+    rotation : (3, 3)
+        hand_R_sensor.
+    location : (3,)
+        Origin of the sensor in the hand [m].
+    range_error : mapping
+        Range errors that were estimated: k0 [m], k1, k2 [1/m], scale.
+    covariance : (6 + free, 6 + free)
+        Of a turn and a shift in the sensor's own frame [rad], [m], in the order of `gtsam.Pose3`, then
+        of the range errors; NaN where undetermined.
+    location_sigma : (3,)
+        Along the axes of the hand [m].
+    rotation_sigma : (3,)
+        About the axes of the sensor [rad].
+    reading_sigma : float
+        Standard deviation of a reading [m].
+    reading : float
+        Working distance: the median reading [m].
+    spot_error : float
+        Radius around a spot at that distance that holds it with 95 % [m].
+    shots, rejected : int
+    errors : tuple of SensorError
+    """
+
+    name: str
+    kind: str
+    rotation: FloatArray
+    location: FloatArray
+    range_error: Mapping[str, float]
+    covariance: FloatArray
+    location_sigma: FloatArray
+    rotation_sigma: FloatArray
+    reading_sigma: float
+    reading: float
+    spot_error: float
+    shots: int
+    rejected: int
+    errors: tuple[SensorError, ...]
+
+    def matrix(self) -> FloatArray:
+        """Return hand_T_sensor (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation, self.location
+        return T
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class BeamMount(Value):
+    """A single beam in the hand.
+
+    Attributes
+    ----------
+    name : str
+    location, direction : (3,)
+        [m], unit vector.
+    range_error : (k1, k2)
+    covariance : (7, 7)
+        Of location, direction (two tangents), k1 and k2.
+    location_sigma : (3,)
+    direction_sigma : float
+        The larger one [rad].
+    readings, rejected : int
+    """
+
+    name: str
+    location: FloatArray
+    direction: FloatArray
+    range_error: tuple[float, float]
+    covariance: FloatArray
+    location_sigma: FloatArray
+    direction_sigma: float
+    readings: int
+    rejected: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyTarget(Value):
+    """What was looked at.
+
+    Attributes
+    ----------
+    label, kind : str
+    values : mapping
+        Of a plane `nx, ny, nz, b` with n . x + b = 0; of a sphere `x, y, z, radius`; of a point
+        `x, y, z`; world frame [m].
+    sigma : mapping
+        Of a plane `tilt` [rad] and `offset` [m]; else as the values.
+    """
+
+    label: str
+    kind: str
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RejectedShot(Value):
+    """A shot, or a reading of a beam, that was left out.
+
+    Attributes
+    ----------
+    sensor, station, target : str
+    reason : str
+        `contradicted` by the others, or `too-few-points`.
+    """
+
+    sensor: str
+    station: str
+    target: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class KnownTested(Value):
+    """A relation, and whether the readings agree with it.
+
+    Attributes
+    ----------
+    known : Known
+    p_value : float
+        Probability of a larger contradiction by chance.
+    contradicted : bool
+    """
+
+    known: Known
+    p_value: float
+    contradicted: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyCalibration(Value):
+    """Sensors, beams and targets of a survey, with their uncertainty.
+
+    Attributes
+    ----------
+    status : str
+        `converged`; `undetermined`; `contradicted`, where the readings do not fit each other;
+        `not_converged`.
+    message : str
+        The same in words.
+    sensors, beams, targets : mappings by name
+    pose_sigma : (rotation, translation)
+        Standard deviations of the hand pose an axis that were counted [rad], [m]; NaN where covariances
+        were stated.
+    pose_sigma_estimated : bool
+        Whether one of them was estimated.
+    undetermined : tuple of str
+        What is undetermined, in sentences, and what determines it.
+    relations : tuple of KnownTested
+    rejected : tuple of RejectedShot
+    warnings : tuple of CalibrationWarning
+    chi2, dof : float, int
+    """
+
+    status: Status
+    message: str
+    sensors: Mapping[str, SensorMount]
+    beams: Mapping[str, BeamMount]
+    targets: Mapping[str, SurveyTarget]
+    pose_sigma: tuple[float, float]
+    pose_sigma_estimated: bool
+    undetermined: tuple[str, ...]
+    relations: tuple[KnownTested, ...]
+    rejected: tuple[RejectedShot, ...]
+    warnings: tuple[CalibrationWarning, ...]
+    chi2: float
+    dof: int
+
+    @property
+    def usable(self) -> bool:
+        """Whether it can be used."""
+        return self.status == "converged" and not any(
+            one.code == "relation-contradicted" for one in self.warnings
+        )
+
+    @property
+    def verdict(self) -> str:
+        """What to do with it, in one sentence."""
+        if self.status != "converged":
+            why = self.undetermined[:2] if self.undetermined else (self.message,)
+            return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
+        parts = [
+            f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
+            f"{sensor.reading * IN_MM:.0f} mm)"
+            for sensor in self.sensors.values()
+        ]
+        parts += [
+            f"beam {beam.name} located to {beam.location_sigma.max() * IN_MM:.2g} mm (1 sigma)"
+            for beam in self.beams.values()
+        ]
+        opening = "Usable" if not self.warnings else "Usable with care"
+        if not self.usable:
+            opening = "Not usable"
+        words = some(parts, NAMES)
+        if self.warnings:
+            words += f"; {self.warnings[0].message.rstrip('.')}"
+        return f"{opening}: {words}."
+
+
+def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
+    """Return the result of an estimate."""
+    rows, estimate, survey = found.rows, found.estimate, found.rows.survey
+    effects = _effects(found) if estimate.status == "converged" else {}
+    sensors = {
+        shots.name: _sensor(found, i, effects.get(i, ())) for i, shots in enumerate(survey.shots)
+    }
+    beams = {name: _beam(found, i) for i, name in enumerate(survey.beam_names)}
+    targets = {
+        label: _target(found, family, i, label)
+        for family, labels in rows.targets.items()
+        for i, label in enumerate(labels)
+    }
+    rejected = tuple(_rejected(found))
+    turn, shift = found.noise.pose
+    stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
+    relations = tuple(KnownTested(t.known, t.p_value, t.contradicted) for t in found.tests)
+    undetermined = tuple(_undetermined(found)) if estimate.undetermined else ()
+    return SurveyCalibration(
+        estimate.status,
+        undetermined[0] if undetermined else estimate.message,
+        sensors,
+        beams,
+        targets,
+        (math.nan, math.nan) if stated else (turn, shift),
+        bool(np.isnan(found.stated.pose).any()),
+        undetermined,
+        relations,
+        rejected,
+        tuple(_warnings(found, sensors, relations, rejected)),
+        estimate.chi2,
+        estimate.dof,
+    )
+
+
+def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...]) -> SensorMount:
+    rows, shots = found.rows, found.rows.survey.shots[member]
+    x = found.estimate.values[SENSOR.name][member]
+    R = x[:9].reshape(3, 3)
+    own = found.estimate.marginal(SENSOR.name, member)
+    names = _free_names(found, member)
+    kept = [i for i, name in enumerate(names) if name not in ERRORS or name in shots.free]
+    C = own[np.ix_(kept, kept)]
+    items = [
+        i for i, it in enumerate(rows.items) if (it.family, it.member) == (SENSOR.name, member)
+    ]
+    reading = float(np.median(shots.reading))
+    spot = _spot_of(shots.kind, shots.across, reading)
+    J = np.hstack((-skew(spot), np.eye(3)))
+    S = C[3:6, 3:6]
+    return SensorMount(
+        shots.name,
+        shots.kind,
+        R,
+        x[9:12],
+        {name: float(x[12 + ERRORS.index(name)]) for name in shots.free},
+        C,
+        np.sqrt(np.diagonal(R @ S @ R.T)),
+        np.sqrt(np.diagonal(C)[:3]),
+        float(found.noise.sigma[member]),
+        reading,
+        radius(J @ C[:6, :6] @ J.T) if np.isfinite(C[:6, :6]).all() else math.inf,
+        len(items),
+        int((~found.used[items]).sum()),
+        errors,
+    )
+
+
+def _free_names(found: SurveyEstimate, member: int) -> list[str]:
+    first = f"{SENSOR.name}[{member}]."
+    return [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
+
+
+def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
+    """Return the spot of the ray in the middle, at a reading [m], in the frame of the sensor."""
+    middle = np.median(across, axis=0)[None]
+    rays = KINDS[kind].rays(middle)
+    return np.asarray(rays.origin[0] + reading * rays.direction[0])
+
+
+def _beam(found: SurveyEstimate, member: int) -> BeamMount:
+    x, C = found.estimate.values[BEAM.name][member], found.estimate.marginal(BEAM.name, member)
+    rows = found.rows
+    items = [i for i, it in enumerate(rows.items) if (it.family, it.member) == (BEAM.name, member)]
+    turn = C[3:5, 3:5]
+    known = bool(np.isfinite(turn).all())
+    return BeamMount(
+        rows.survey.beam_names[member],
+        x[:3],
+        x[3:6],
+        (float(x[6]), float(x[7])),
+        C,
+        np.sqrt(np.diagonal(C)[:3]),
+        math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
+        len(items),
+        int((~found.used[items]).sum()),
+    )
+
+
+def _target(found: SurveyEstimate, family: str, member: int, label: str) -> SurveyTarget:
+    x, C = found.estimate.values[family][member], found.estimate.marginal(family, member)
+    sigma = np.sqrt(np.diagonal(C))
+    names = FAMILIES[family].coordinates
+    if family != PLANE.name:
+        values = dict(zip(names, x.tolist(), strict=True))
+        return SurveyTarget(label, family, values, dict(zip(names, sigma.tolist(), strict=True)))
+    n, offset = x[:3], float(x[3] - x[:3] @ x[4:])
+    values = {"nx": float(n[0]), "ny": float(n[1]), "nz": float(n[2]), "b": offset}
+    tilt = float(sigma[:2].max())
+    return SurveyTarget(label, family, values, {"tilt": tilt, "offset": float(sigma[2])})
+
+
+def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
+    rows, stations = found.rows, found.rows.survey.stations
+    for item, used in zip(rows.items, found.used, strict=True):
+        if not used:
+            name = _source(rows, item.family, item.member)
+            station = stations.station_names[item.station]
+            yield RejectedShot(name, station, rows.label(item.target), "contradicted")
+    for member, at in rows.lost:
+        yield RejectedShot(
+            rows.survey.shots[member].name,
+            stations.station_names[at],
+            stations.plane_labels[at],
+            "too-few-points",
+        )
+
+
+def _source(rows: Rows, family: str, member: int) -> str:
+    if family == SENSOR.name:
+        return rows.survey.shots[member].name
+    return rows.survey.beam_names[member]
+
+
+def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
+    """Return tests of the range errors that are held at zero, by sensor."""
+    problem, estimate = found.problem, found.estimate
+    blocks = kept_blocks(problem, estimate)
+    values = {name: x[None] for name, x in estimate.values.items()}
+    whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
+    if SENSOR.name not in values:
+        return {}
+    J, e = dense_rows(blocks, values, whole).whitened()
+    own = problem.places()
+    index = [whole.names.index(name) for name in own.names]
+    A = J[:, index]
+    scale = np.sqrt((A**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    pseudo = np.linalg.pinv(A / scale, rcond=NEGLIGIBLE)
+    tested: list[tuple[int, str, FloatArray]] = []
+    for member in range(len(found.rows.survey.shots)):
+        for code in ERRORS:
+            name = f"{SENSOR.name}[{member}].{code}"
+            column = J[:, whole.names.index(name)]
+            if name not in own.names and column.any():
+                tested.append((member, code, column))
+    cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(tested), 1)))
+    effects: dict[int, list[SensorError]] = {}
+    for member, code, column in tested:
+        moved = pseudo @ column
+        rest = column - A / scale @ moved
+        left = float(rest @ rest)
+        if left <= NEGLIGIBLE * float(column @ column):
+            continue  # it only moves the mount: nothing tells it, and nothing needs to
+        size, sigma = -float(rest @ e) / left, left**-0.5
+        place = own.place[SENSOR.name][member] + np.arange(6)
+        shots = found.rows.survey.shots[member]
+        spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
+        turn = (moved / scale)[place]
+        shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
+        power = float(gaussian_quantile(POWER))
+        effects.setdefault(member, []).append(
+            SensorError(code, size, sigma, (cut + power) * sigma, abs(size) > cut * sigma, shift)
+        )
+    return {member: tuple(some_) for member, some_ in effects.items()}
+
+
+def _warnings(
+    found: SurveyEstimate,
+    sensors: Mapping[str, SensorMount],
+    relations: tuple[KnownTested, ...],
+    rejected: tuple[RejectedShot, ...],
+) -> Iterator[CalibrationWarning]:
+    for tested in relations:
+        if tested.contradicted:
+            words = (
+                f"the readings contradict what is said to be known: {tested.known.words} "
+                f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
+            )
+            yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+    for sensor in sensors.values():
+        for error in sensor.errors:
+            if error.found:
+                p = 2.0 * float(gaussian_sf(abs(error.size) / error.sigma))
+                words = (
+                    f"{sensor.name} reads with an error {error.code} of {error.size:.3g} +- "
+                    f'{error.sigma:.2g} (p = {p:.1g}); free = ["{error.code}"] estimates it'
+                )
+                yield CalibrationWarning(
+                    "range-error", words, {"sensor": sensor.name, "size": error.size}
+                )
+    out = [one for one in rejected if one.reason == "contradicted"]
+    if len(out) > MANY_REJECTED * len(found.rows.items):
+        words = (
+            f"{len(out)} of {len(found.rows.items)} shots contradict the others and are left out: "
+            f"{some([f'{one.sensor} at {one.station}' for one in out], NAMES)}; are their labels right?"
+        )
+        yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
+    if found.rows.lost:
+        words = f"{count(len(found.rows.lost), 'shot')} with too few points on their target"
+        yield CalibrationWarning("too-few-points", words, {"shots": len(found.rows.lost)})
+
+
+def _undetermined(found: SurveyEstimate) -> Iterator[str]:
+    """Yield what is undetermined in words, and why where that is known."""
+    for direction in found.estimate.undetermined:
+        words = [_coordinate(found.rows, name) for name in direction.split(", ")]
+        yield f"undetermined, moving together: {some(words, NAMES)}"
+    yield from _circles(found)
+
+
+def _coordinate(rows: Rows, name: str) -> str:
+    family, _, rest = name.partition("[")
+    member, _, coordinate = rest.partition("].")
+    if family in (SENSOR.name, BEAM.name):
+        whose = _source(rows, family, int(member))
+        return f"{ANGLES.get(coordinate, coordinate)} of {family} {whose}"
+    if family == "body":
+        return f"{coordinate} of the body of {rows.bodies[int(member)].of[0]}"
+    words = {"n1": "tilt", "n2": "tilt"}.get(coordinate, coordinate)
+    return f"{words} of {rows.targets[family][int(member)]}"
+
+
+def _circles(found: SurveyEstimate) -> Iterator[str]:
+    """Yield sensors that saw one plane whose normals, in their frame, lie on one circle."""
+    rows, stations = found.rows, found.rows.survey.stations
+    values = found.estimate.values
+    for member, shots in enumerate(rows.survey.shots):
+        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        planes = {i.target for i in own}
+        if len(planes) != 1 or next(iter(planes))[0] != PLANE.name:
+            continue
+        n = values[PLANE.name][next(iter(planes))[1], :3]
+        station = [i.station for i in own]
+        X = values[SENSOR.name][member, :9].reshape(3, 3)
+        m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
+        spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
+        if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
+            axis = ", ".join(f"{x:.2f}" for x in axes[-1])
+            yield (
+                f"{shots.name} saw its plane at one angle to the direction ({axis}) of its own frame "
+                "throughout, as on a cone or in turns about one axis: its shift along it and the "
+                "offset of the plane are one number; tilt it by another angle, or add a second plane"
+            )
