@@ -6,9 +6,12 @@ if TYPE_CHECKING:
     from .calibration_file import CalibrationFile as CalibrationFile
     from .logs.report import LogReport as LogReport
     from .rig_planning import Plans as Plans
+    from .rig_survey import SurveyTables as SurveyTables
     from .rig_toml import Rig as Rig
     from .runs_parquet import read_runs as read_runs
     from .runs_parquet import write_runs as write_runs
+    from .survey_json import SurveyFile as SurveyFile
+    from .survey_json import read_survey_result as read_survey_result
 else:
     from ..lazy import lazy_names
 
@@ -19,6 +22,8 @@ else:
             "logs.report": "LogReport",
             "rig_planning": "Plans",
             "rig_toml": "Rig",
+            "rig_survey": "SurveyTables",
             "runs_parquet": "read_runs write_runs",
+            "survey_json": "SurveyFile read_survey_result",
         },
     )

@@ -19,7 +19,13 @@ if TYPE_CHECKING:
     from .reports import ScaledSolution as ScaledSolution
     from .reports import StartReport as StartReport
     from .spot_error import VarianceShares as VarianceShares
+    from .survey import BeamMount as BeamMount
+    from .survey import KnownTested as KnownTested
+    from .survey import RejectedShot as RejectedShot
+    from .survey import SensorError as SensorError
+    from .survey import SensorMount as SensorMount
     from .survey import SurveyCalibration as SurveyCalibration
+    from .survey import SurveyTarget as SurveyTarget
     from .systematic import SystematicError as SystematicError
     from .verdict import Verdict as Verdict
 else:
@@ -35,7 +41,8 @@ else:
             "reports": "Beam BeamMixture Determined Fit NoiseComponent"
             " Plane RangeErrorScales ScaledSolution StartReport",
             "spot_error": "VarianceShares",
-            "survey": "SurveyCalibration",
+            "survey": "BeamMount KnownTested RejectedShot SensorError SensorMount"
+            " SurveyCalibration SurveyTarget",
             "systematic": "SystematicError",
             "verdict": "Verdict",
         },

@@ -1,0 +1,230 @@
+"""Surveys from files: the page on sensors runs as written, and what is wrong with a file is said."""
+
+import json
+import shutil
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import polars as pl
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+
+FOLDER = ROOT / "examples" / "profiler"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of the example."""
+    return shutil.copytree(FOLDER, tmp_path / "profiler")
+
+
+def truth():
+    return np.array(json.loads((FOLDER / "truth.json").read_text())["hand_T_sensor"])
+
+
+def off(result, name="scanner"):
+    """The error of a mount, as the covariance has it, in standard deviations of each coordinate."""
+    found, T = result.sensors[name], truth()
+    R = found.rotation
+    turn = Rotation.from_matrix(R.T @ T[:3, :3]).as_rotvec()
+    return np.concatenate((turn, R.T @ (T[:3, 3] - found.location)))
+
+
+def test_the_example_is_calibrated_within_its_sigmas():
+    result = hl.calibrate(hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml"))
+    error, C = off(result), result.sensors["scanner"].covariance
+    assert result.status == "converged"
+    assert error @ np.linalg.solve(C, error) < 22.5  # 0.1 % of chi2 with six degrees of freedom
+    ball = result.targets["sphere:ball"]
+    radius = json.loads((FOLDER / "truth.json").read_text())["ball"]["radius"]
+    assert abs(ball.values["radius"] - radius) < 4.0 * ball.sigma["radius"]
+
+
+def test_from_log_to_urdf_and_report(handlaser, folder):
+    result, report = folder / "result.json", folder / "report.html"
+    words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, out, err = handlaser(*words, "--out", str(result), "--report", str(report))
+    assert (code, err) == (0, "")
+    assert out.startswith("Usable: scanner within")
+    assert "sphere:ball" in out
+    page = report.read_text()
+    assert 'data-figure="profiles"' in page
+    assert "Usable" in page
+    code, out, err = handlaser("export", str(result), "--to", "urdf", "--link", "flange")
+    assert (code, err) == (0, "")
+    origin = ET.fromstring(f"<robot>{out}</robot>").find("joint/origin")
+    content = json.loads(result.read_text())["sensors"][0]
+    assert [float(x) for x in origin.get("xyz").split()] == pytest.approx(content["location_m"])
+    R = Rotation.from_euler("xyz", [float(x) for x in origin.get("rpy").split()]).as_matrix()
+    assert pytest.approx(np.array(content["rotation"])) == R
+    code, _, err = handlaser("export", str(result), "--to", "c")
+    assert code == 2
+    assert "hold frames" in err
+
+
+def test_json_on_stdout_is_what_out_writes(handlaser, folder):
+    words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--json"]
+    code, out, _ = handlaser(*words, "--out", str(folder / "result.json"))
+    assert code == 0
+    assert out == (folder / "result.json").read_text()
+    content = json.loads(out)
+    assert content["format"] == "handlaser-survey"
+    assert content["verdict"]["usable"] is True
+
+
+def test_a_recording_in_metres_with_a_beam_and_parquet(folder):
+    """The same stations as a recording in CSV, points as Parquet in metres, and a beam beside."""
+    survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    of = survey.stations
+    q = Rotation.from_matrix(of.world_R_hand).as_quat()
+    columns = {"plane": of.plane_labels, "station": of.station_names}
+    columns |= {name: of.world_t_hand[:, i] for i, name in enumerate("xyz")}
+    columns |= {name: q[:, i] for i, name in enumerate(("qx", "qy", "qz", "qw"))}
+    columns["range_laser"] = [0.2 if label == "plane:plate" else None for label in of.plane_labels]
+    pl.DataFrame(columns).write_csv(folder / "stations.csv")
+    points = pl.read_csv(folder / "profiles.csv").with_columns(pl.col("x", "z") * 1e-3)
+    points.write_parquet(folder / "profiles.parquet")
+    (folder / "other.toml").write_text(
+        '[[sensors]]\nname = "scanner"\nkind = "profiler"\npoints = "profiles.parquet"\nunits = "m"\n'
+    )
+    again = hl.read_survey(folder / "stations.csv", folder / "other.toml")
+    assert again.beam_names == ("laser",)
+    assert np.isfinite(again.ranges).sum() == 12
+    first, second = survey.shots[0], again.shots[0]
+    assert second.reading == pytest.approx(first.reading, abs=1e-12)
+    assert (second.station == first.station).all()
+
+
+def test_zones_conventions_and_echoes(tmp_path):
+    zones = tmp_path / "zones.csv"
+    zones.write_text("zone,x_deg,y_deg\n0,-10,0\n1,10,0\n2,0,10\n")
+    (tmp_path / "d.csv").write_text(
+        "station,zone,reading,echo\ns,0,100,1\ns,0,300,2\ns,1,110,1\ns,2,0,1\ns,2,,2\n"
+    )
+    stations = "plane,station,x,y,z,qx,qy,qz,qw\nA,s,0,0,0,0,0,0,1\n"
+    (tmp_path / "s.csv").write_text(stations)
+    text = (
+        '[[sensors]]\nname = "tof"\nkind = "array"\npoints = "d.csv"\nzones = "zones.csv"\n'
+        'convention = "perpendicular"\necho = "far"\n'
+    )
+    (tmp_path / "rig.toml").write_text(text)
+    shots = hl.read_survey(tmp_path / "s.csv", tmp_path / "rig.toml").shots[0]
+    c = np.cos(np.radians(10.0))
+    assert shots.reading == pytest.approx([0.3 / c, 0.11 / c])
+    assert shots.across[0] == pytest.approx([-np.sin(np.radians(10)), 0.0, c])
+
+
+def known(folder, text):
+    rig = folder / "rig.toml"
+    rig.write_text(rig.read_text() + text)
+    return hl.read_survey(folder / "poses.csv", rig)
+
+
+def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
+    radius = json.loads((FOLDER / "truth.json").read_text())["ball"]["radius"] * 1e3
+    plain = hl.calibrate(hl.read_survey(folder / "poses.csv", folder / "rig.toml"))
+    row = '\n[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nsigma_mm = 0.001\n'
+    right = hl.calibrate(known(folder, row + f"value_mm = {radius}\n"))
+    assert not right.relations[0].contradicted
+    assert (
+        right.targets["sphere:ball"].sigma["radius"] < plain.targets["sphere:ball"].sigma["radius"]
+    )
+    shutil.copy(FOLDER / "rig.toml", folder / "rig.toml")
+    wrong = hl.calibrate(known(folder, row + f"value_mm = {radius + 0.2}\n"))
+    assert wrong.relations[0].contradicted
+    assert not wrong.usable
+    code, _, err = handlaser(
+        "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--quiet"
+    )
+    assert code == 4
+    assert "radius of sphere:ball" in err
+
+
+BAD = {
+    "a kind that is none": ('kind = "profiler"', 'kind = "lidar"', "sensors.0.kind = 'lidar'"),
+    "no table of points": ('"profiles.csv"', '"other.csv"', "no readable file"),
+    "columns of another kind": ('kind = "profiler"', 'kind = "scanner"', "no column 'angle'"),
+    "zones of a profiler": ("[[sensors]]", '[[sensors]]\nzones = "z.csv"', "zones of scanner"),
+    "a range error that is none": ("[[sensors]]", '[[sensors]]\nfree = ["k0"]', "range error"),
+    "noise across and none along": ("[[sensors]]", "[[sensors]]\nsigma_across_mm = 1.0", "sigma"),
+    "a field that is none": ("[[sensors]]", "[[sensors]]\nscale = 2", "unknown field"),
+    "a relation of nothing": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:x"]\nsigma_mm = 1\n[[sensors]]',
+        "no 'sphere:x'",
+    ),
+    "a relation without a sigma": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\n[[sensors]]',
+        "no sigma of radius",
+    ),
+    "a relation that is none": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "near"\nof = ["sphere:ball"]\n[[sensors]]',
+        "near",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_wrong_rig_file_is_refused_in_one_line(case, folder, handlaser):
+    old, new, words = BAD[case]
+    rig = folder / "rig.toml"
+    assert old in rig.read_text()
+    rig.write_text(rig.read_text().replace(old, new))
+    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+WRONG_POINTS = {
+    "a station that is not there": ("P3,", "Q3,", "'Q3'"),
+    "a word": ("P3,", "P3,x", "a number, or nothing"),
+    "no station": ("P3,", ",", "the name of a station"),
+    "a header without a column": ("station,x,z", "station,x,y", "no column 'z'"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_POINTS)
+def test_a_wrong_table_of_points_is_refused_in_one_line(case, folder, handlaser):
+    old, new, words = WRONG_POINTS[case]
+    points = folder / "profiles.csv"
+    points.write_text(points.read_text().replace(old, new, 1))
+    code, out, err = handlaser(
+        "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+    )
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_options_of_beams_are_refused(folder, handlaser):
+    words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, _, err = handlaser(*words, "--range-error", "k1")
+    assert code == 2
+    assert "options of beams" in err
+    with pytest.raises(hl.InputError, match="options or progress"):
+        hl.calibrate(
+            hl.read_survey(folder / "poses.csv", folder / "rig.toml"),
+            options=hl.CalibrationOptions(),
+        )
+
+
+def test_what_is_undetermined_is_said_and_the_exit_code_is_3(folder, handlaser):
+    """The plate alone, and one station of it many times over: nothing tells the shift."""
+    poses = pl.read_csv(folder / "poses.csv")
+    one = poses.row(0, named=True)
+    rows = [{**one, "Point": name} for name in poses["Point"].to_list()[:12]]
+    pl.DataFrame(rows).write_csv(folder / "poses.csv")
+    points = pl.read_csv(folder / "profiles.csv").filter(pl.col("station") == "P1")
+    every = [points.with_columns(station=pl.lit(f"P{i + 1}")) for i in range(12)]
+    pl.concat(every).write_csv(folder / "profiles.csv")
+    code, out, _ = handlaser(
+        "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+    )
+    assert code == 3
+    assert "undetermined" in out
