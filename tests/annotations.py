@@ -17,7 +17,9 @@ WHOLE_MODULES = {"scenes", "simulate", "starts"}
 def is_inside(kind: type) -> bool:
     """Tell of what evaluations share and blocks are made of: its users import it from there."""
     module = kind.__module__
-    return ".factors." in module or module.endswith(("model.block", "model.ranges"))
+    return ".factors." in module or module.endswith(
+        ("model.block", "model.ranges", "estimation.dense")
+    )
 
 
 def offered() -> dict[str, object]:

@@ -6,6 +6,7 @@ if TYPE_CHECKING:
     from .calibration_file import CalibrationFile as CalibrationFile
     from .logs.report import LogReport as LogReport
     from .rig_planning import Plans as Plans
+    from .rig_survey import SensorTable as SensorTable
     from .rig_survey import SurveyTables as SurveyTables
     from .rig_toml import Rig as Rig
     from .runs_parquet import read_runs as read_runs
@@ -22,7 +23,7 @@ else:
             "logs.report": "LogReport",
             "rig_planning": "Plans",
             "rig_toml": "Rig",
-            "rig_survey": "SurveyTables",
+            "rig_survey": "SensorTable SurveyTables",
             "runs_parquet": "read_runs write_runs",
             "survey_json": "SurveyFile read_survey_result",
         },
