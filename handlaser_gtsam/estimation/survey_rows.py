@@ -206,7 +206,7 @@ def blocks_of(
     """
     alike: dict[tuple[str, str, int], list[Item]] = defaultdict(list)
     for item in items:
-        size = 1 if item.shot is None else len(item.shot.shape)
+        size = 1 if item.shot is None else len(item.shot.reading)
         alike[item.family, item.target[0], size].append(item)
     blocks: list[Block] = []
     groups: list[list[Item]] = []

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, frozen, frozen_indices, gathered
 from ..data.parameters import Parameters
@@ -47,7 +48,9 @@ ALTERNATIONS = 30
 RADII = (1.0, 1.02, 1.06, 1.12, 1.25, 1.5)
 """An unknown radius is tried at these times the second largest circle of the shots."""
 RANDOM = 300
-"""Random directions of a beam that sees spheres only."""
+"""Random mounts that are tried where nothing else leads to a good fit."""
+POOR = 25.0
+"""A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
 MET = 0.95
@@ -83,9 +86,13 @@ def start_of(rows: Rows, sigmas: Mapping[tuple[str, int], float]) -> Started:
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
         found = _searched(rows, entity, own, candidates, sigmas)
+        if entity[0] == SENSOR.name and (found is None or found[1] > POOR):
+            more = _searched(rows, entity, own, _random_mounts(), sigmas)
+            if more is not None and (found is None or more[1] < found[1]):
+                found = more
         if found is not None:
             best[entity], cost, targets = found
-            ends[entity] = cost, targets
+            ends[entity] = cost / len(own), targets
     without = tuple(entity for entity in entities if entity not in best)
     if without:
         return Started(None, without)
@@ -139,7 +146,7 @@ def _from_planes(rows: Rows) -> dict[tuple[str, int], FloatArray]:
         shots = rows.survey.shots[entity[1]]
         kind = KINDS[shots.kind]
         rays, shape = kind.rays(_virtual_across(shots.across)), shape_of(kind, PLANE.name)
-        for item in own:
+        for item in filter(_shaped, own):
             assert item.shot is not None
             d = shape.ranges(item.shot.shape[None], rays)[0]
             entries += [
@@ -240,12 +247,18 @@ def _others(rows: Rows, entity: tuple[str, int], own: Sequence[Item]) -> list[Fl
         found = list(_beam_on_points(rows, points)) if points else []
         return found + (_random_beams() if seen == {SPHERE.name} else [])
     found = list(_swept(rows, [item for item in own if item.target[0] == PLANE.name]))
-    spheres = [item for item in own if item.target[0] == SPHERE.name]
+    spheres = [item for item in own if item.target[0] == SPHERE.name and _shaped(item)]
     return found + list(_from_spheres(rows, entity[1], spheres))
+
+
+def _shaped(item: Item) -> bool:
+    """Tell whether a shot has a shape of its own."""
+    return item.shot is not None and bool(np.isfinite(item.shot.shape).all())
 
 
 def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     """Yield the mounts that fit best before the plane with most shots, normals tried."""
+    items = list(filter(_shaped, items))
     if not items:
         return
     planes = np.bincount([item.target[1] for item in items])
@@ -378,6 +391,12 @@ def _random_beams() -> list[FloatArray]:
     return list(np.hstack((r, v, np.zeros((RANDOM, 2)))))
 
 
+def _random_mounts() -> list[FloatArray]:
+    rng = np.random.default_rng(RANDOM)
+    turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
+    return list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
+
+
 def _mount(R: FloatArray, t: FloatArray) -> FloatArray:
     return np.concatenate((R.ravel(), t, np.zeros(SENSOR.size - 12)))
 
@@ -445,7 +464,7 @@ def _searched(
         return None
     cost, k = best
     ends = {target: ended.values[target[0]][k, target[1]] for target in targets}
-    return ended.values[entity[0]][k, entity[1]], cost / len(own), ends
+    return ended.values[entity[0]][k, entity[1]], cost, ends
 
 
 def _concerns(labels: Sequence[str], rows: Rows, own: Sequence[Item]) -> bool:

@@ -1,4 +1,4 @@
-r"""A shot of many rays on one target, as a handful of rows: exact compression, and wrong points left out.
+r"""A shot of many rays on one target, as a handful of rows: compressed, wrong points left out.
 
 What n readings of a shot say of where the target is in the sensor's frame is the shape that fits them
 best, with its information: two numbers for a line in a profile, three for a plane or a circle, four for
@@ -24,12 +24,14 @@ from .sensors.kinds import Kind
 
 FAR = 4.5
 """Points farther than this many standard deviations from the shape of their shot are left out."""
+FEW = 4
+"""A sphere is hardly known from up to this many times as many points as it has numbers."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 VOTING = 128
 """Points that vote on trial shapes."""
 FLATTEST = 3.0
-"""Rays that stand for a shot meet the target with a cosine of at least one over this."""
+"""Rays that count meet the target with a cosine of at least one over this."""
 MOST_STEPS = 12
 """Gauss-Newton steps of a shape: a good start takes four."""
 SETTLED = 1e-10
@@ -39,7 +41,9 @@ SETTLED = 1e-10
 class Shape(Protocol):
     """What a target looks like in the frame of a sensor."""
 
-    size: int
+    @property
+    def size(self) -> int:
+        """Return how many numbers it has."""
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         """Return shapes (H, size) through sets of readings (H, m), linear least squares each."""
@@ -148,8 +152,8 @@ class Condensed:
 
     Attributes
     ----------
-    shape : (r,)
-        In the sensor's frame.
+    shape : (q,)
+        In the sensor's frame; NaN where it has too few points.
     rays : Rayset
         r rays of the shot.
     reading : (r,)
@@ -187,7 +191,9 @@ def condensed(
     ratio: float = 0.0,
     sigma: float | None = None,
 ) -> Condensed | None:
-    """Return a shot in a few rows; None where it has too few points, or too few different rays.
+    """Return a shot in a few rows; None where no shape fits its points.
+
+    A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
 
     Parameters
     ----------
@@ -203,11 +209,17 @@ def condensed(
         Standard deviation of a reading [m], where it is known.
     """
     shape, rays = shape_of(kind, target), kind.rays(across)
-    if len(reading) < shape.size:
-        return None
+    few = FEW * shape.size if target == "sphere" else shape.size - 1
+    if len(reading) <= few:
+        return _as_they_are(shape, rays, reading)
     first, kept = _robust(shape, rays, reading, sigma)
-    if first is None or kept.sum() < shape.size:
+    if first is None:
         return None
+    kept = kept & _steep(shape, first, rays)
+    if kept.sum() < shape.size:
+        return None
+    if kept.sum() <= few:
+        return _as_they_are(shape, _rows(rays, kept), reading[kept], kept)
     found, rays, d, at = first, _rows(rays, kept), reading[kept], _rows(rays, kept)
     for _ in range(MOST_STEPS):
         s = shape.ranges(found[None], at)[0]
@@ -233,6 +245,30 @@ def condensed(
     return _in_rows(shape, found, at, left, J, a, root, kept)
 
 
+def _as_they_are(
+    shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray | None = None
+) -> Condensed:
+    """Return readings as rows of their own; the shape only serves as a start, where there is one."""
+    n = len(reading)
+    found = None
+    if n >= shape.size:
+        through = shape.through(_stacked(rays, None), reading[None])
+        found = _refined(shape, through, rays, reading)
+    by_error = np.stack((np.ones(n), reading, reading**2, np.zeros(n)))
+    return Condensed(
+        np.full(shape.size, np.nan) if found is None else found,
+        rays,
+        reading,
+        np.eye(n),
+        by_error,
+        np.zeros(0),
+        np.zeros((0, len(by_error))),
+        0.0,
+        0,
+        np.ones(n, dtype=bool) if kept is None else kept,
+    )
+
+
 def _in_rows(
     shape: Shape,
     found: FloatArray,
@@ -250,11 +286,7 @@ def _in_rows(
     diagonal = np.abs(np.diagonal(R))
     if not np.isfinite(s).all() or diagonal.min() < NEGLIGIBLE * diagonal.max():
         return None
-    # Rays that graze the target soon miss it where it is not yet known well.
-    steep = np.flatnonzero(np.linalg.norm(a, axis=1) < FLATTEST)
-    if len(steep) < shape.size:
-        return None
-    nodes = steep[_nodes((W * unit)[steep])]
+    nodes = _nodes(W * unit)
     G = np.linalg.solve(R.T, (J[nodes] * unit).T).T  # its rows have the covariance G G'
     mix = np.linalg.inv(G).T
     moved = (a * rays.origin_by_scale).sum(axis=1)
@@ -307,6 +339,14 @@ def _robust(
             return None, kept
         best = again
     return best, kept
+
+
+def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
+    """Tell which rays do not graze the target: their readings err most, and soon they miss it."""
+    s = shape.ranges(found[None], rays)[0]
+    hit = np.isfinite(s)
+    a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
+    return np.asarray(hit & (np.linalg.norm(a, axis=1) < FLATTEST))
 
 
 def _refined(
