@@ -260,6 +260,9 @@ class Survey(Value):
         What single beams read [m], NaN for nothing.
     beam_names : B strings
     known : tuple of Known
+    aiming_sigma : float, optional
+        Standard deviation of a spot across its ray where it is aimed at a point [m]; learned where not
+        given.
 
     Raises
     ------
@@ -273,8 +276,11 @@ class Survey(Value):
     ranges: FloatArray | None = None
     beam_names: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
+    aiming_sigma: float | None = None
 
     def __post_init__(self) -> None:
+        if self.aiming_sigma is not None:
+            require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
         object.__setattr__(self, "shots", _tuple_of("shots", self.shots, Shots))
         object.__setattr__(self, "known", _tuple_of("known", self.known, Known))

@@ -7,11 +7,12 @@ is left of the residuals is
     -2 log L = sum log|V| + log|X' inv(V) X| + e' Q e + sum (m log phi + q / phi),
 
 with Q = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V), and the last sum over what shots tell of the
-noise inside them (q squares, m degrees of freedom). Patterson and Thompson, Biometrika 58 (1971), 545-554.
+noise inside them (q squares, m degrees of freedom): Patterson and Thompson, Biometrika 58 (1971).
 The sizes of pose errors have half-Cauchy priors, and their variances are means over what the likelihood
 and these priors leave possible, because the mode is often zero where there are few stations.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -32,7 +33,7 @@ MOST_TIMES = 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inside:
-    """What shots tell of the noise inside them, by sensor.
+    """What shots tell of the noise inside them, by source of noise.
 
     Attributes
     ----------
@@ -51,7 +52,7 @@ class Components:
     Attributes
     ----------
     sigma : (n,)
-        Standard deviation of a reading of each sensor and beam [m].
+        Standard deviation of a reading of each sensor, of all beams, and of the aiming at points [m].
     pose : (rotation, translation)
         Standard deviations of the hand pose an axis [rad], [m].
     """
@@ -116,7 +117,7 @@ def components(
     rows : DenseRows
         In the standard deviations `now`, without common columns.
     source : (R,)
-        Which sensor or beam each row is of; -1 for none.
+        Whose noise each row has, a number among `sigma`; -1 for none.
     inside : Inside
     now, stated : Components
         NaN in `stated` is what is not.
@@ -138,7 +139,7 @@ def components(
 
     def value(x: FloatArray) -> float:
         factor, pose = unpacked(x)
-        own = sum(2.0 * np.log1p((pose[i] / prior[i]) ** 2) for i in wanted)
+        own = sum(2.0 * math.log1p((pose[i] / prior[i]) ** 2) for i in wanted)
         return likelihood(factor, *pose) + own
 
     if not len(open_) and not wanted:

@@ -86,7 +86,7 @@ class DenseRows:
         if not self.common.shape[1]:
             return rows
         sums = self._sums(self.common[:, :, None] * rows[:, None])
-        return rows - np.einsum("rc,rcq->rq", self.common, sums[self.station])
+        return np.asarray(rows - np.einsum("rc,rcq->rq", self.common, sums[self.station]))
 
     def whitened(self) -> tuple[FloatArray, FloatArray]:
         """Return derivatives and residuals of rows that are independent, of one unit."""
@@ -140,13 +140,14 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
         if station is None:
             station = own + np.arange(G * S).reshape(G, S)
             own += G * S
-        parts.append(tuple(a.reshape(G * S, -1) for a in (J, columns[-1], P, U, station)))
+        numbers = (J, columns[-1], P, U, station.astype(float))
+        parts.append(tuple(a.reshape(G * S, -1) for a in numbers))
         where.append(slice(first, first + G * S))
         shapes.append((G, S))
         first += G * S
     J, e, P, U, station = (np.concatenate(some) for some in zip(*parts, strict=True))
-    _, station = np.unique(station[:, 0], return_inverse=True)
-    return DenseRows(J, e[:, 0], P, U, station.ravel(), where, shapes)
+    number = np.unique(station[:, 0], return_inverse=True)[1].ravel()
+    return DenseRows(J, e[:, 0], P, U, number, where, shapes)
 
 
 def with_pose_errors(

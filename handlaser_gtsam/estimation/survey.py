@@ -6,25 +6,36 @@ eliminates, chi2. Shots are tested as wholes, because their points share what ma
 within a shot were sorted out when it was condensed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known, Survey
 from ..errors import InputError
 from ..model.block import Block
-from ..model.distributions import chi2_quantile, chi2_sf
+from ..model.distributions import chi2_quantile, chi2_sf, f_sf
 from ..model.families import BEAM
+from ..model.known import BODY, held
 from ..model.relations import Relation
 from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
 from ..quantities import MM, MOST_ROUNDS
 from .components import Components, Inside, components
 from .dense import dense_rows, pose_roots, tests_of, with_pose_errors
 from .estimate import SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
-from .survey_rows import Item, Rows, blocks_of, priors_of, relations_of, rows_of
+from .survey_rows import (
+    AIMING,
+    AIMING_SIGMA,
+    Item,
+    Rows,
+    blocks_of,
+    priors_of,
+    relations_of,
+    rows_of,
+)
 from .survey_starts import start_of
 
 GROSS = 6.0
@@ -37,6 +48,8 @@ MOST_LEFT_OUT = 0.4
 """Largest part of the shots that may be left out."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
+HELD = 0.01
+"""A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
 LEAST_SIGMA = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
@@ -96,6 +109,7 @@ class _State:
     used: BoolArray
     relations: Sequence[tuple[Known, Relation]]
     linearity: float
+    learning: bool
 
     def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, list[list[Item]]]:
         """Return the problem of the items that count, and the items of the groups of its blocks."""
@@ -103,18 +117,27 @@ class _State:
         blocks, groups = blocks_of(items, self.sigmas(), self.values)
         if pose_errors:
             blocks = with_pose_errors(blocks, self.values, self.pose_covariance())
-        more: list[Block] = [*priors_of(self.rows, self.linearity)]
+        more: list[Block] = [*priors_of(self.rows, self.linearity), *self._held()]
         more += [relation for _, relation in self.relations]
         unknown = self.rows.unknown()
         return BlockProblem([*blocks, *more], self.values, unknown, self.rows.length), groups
 
+    def _held(self) -> Iterator[Block]:
+        """Yield what holds bodies along what their faces leave open."""
+        for body, known in enumerate(self.rows.bodies):
+            assert known.faces is not None
+            pose = self.values[BODY.name][0, body]
+            sigma = HELD * min(self.rows.length, 1.0)
+            relation = held(body, pose, known.faces, sigma)
+            if relation is not None:
+                yield relation
+
     def sigmas(self) -> dict[tuple[str, int], float]:
-        """Return the standard deviation of a reading of each sensor and beam."""
-        sensors = len(self.rows.survey.shots)
-        return {
-            (SENSOR.name, i) if i < sensors else (BEAM.name, i - sensors): float(s)
-            for i, s in enumerate(self.sizes.sigma)
-        }
+        """Return the standard deviation of a reading of each sensor and beam, and of the aiming."""
+        *sensors, beams, aiming = self.sizes.sigma.tolist()
+        found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
+        found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
+        return found | {AIMING: aiming}
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""
@@ -125,9 +148,12 @@ class _State:
         S = np.diag([turn**2] * 3 + [shift**2] * 3)
         return np.broadcast_to(S, (count, 6, 6))
 
-    def source(self, item: Item) -> int:
-        """Return the number of the sensor or beam of an item."""
-        return item.member + (len(self.rows.survey.shots) if item.family == BEAM.name else 0)
+    def sources(self, item: Item, rows: int) -> list[int]:
+        """Return whose noise each row of an item has: sensors, then all beams, then the aiming."""
+        own = len(self.rows.survey.shots) if item.family == BEAM.name else item.member
+        if item.target[0] != POINT.name:
+            return [own] * rows
+        return [own, *[len(self.sizes.sigma) - 1] * (rows - 1)]
 
 
 def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> SurveyEstimate:
@@ -145,7 +171,8 @@ def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> Su
     stated = _stated(rows, noise)
     sizes = _first_sizes(stated, inside, noise)
     used = np.ones(len(rows.items), dtype=bool)
-    state = _State(rows, noise, {}, sizes, used, relations_of(rows), linearity)
+    learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
+    state = _State(rows, noise, {}, sizes, used, relations_of(rows), linearity, learning)
     started = start_of(rows, state.sigmas())
     if started.values is None:
         names = ", ".join(_name(rows, *entity) for entity in started.without)
@@ -167,8 +194,8 @@ def _name(rows: Rows, family: str, member: int) -> str:
 
 
 def _inside(rows: Rows) -> Inside:
-    """Return what the shots of each sensor tell of the noise inside them; beams tell nothing."""
-    count = len(rows.survey.shots) + len(rows.survey.beam_names)
+    """Return what shots tell of the noise inside them; beams and the aiming tell nothing."""
+    count = len(rows.survey.shots) + 2
     squares, dof = np.zeros((2, count))
     for member in range(len(rows.survey.shots)):
         shots = [i.shot for i in rows.items if i.family == SENSOR.name and i.member == member]
@@ -184,8 +211,11 @@ def _inside(rows: Rows) -> Inside:
 def _stated(rows: Rows, noise: Noise) -> Components:
     """Return what is stated of the noise, NaN for what is not."""
     sigma = [np.nan if shots.sigma is None else shots.sigma for shots in rows.survey.shots]
-    beams = np.nan if noise.range_sigma is None else noise.range_sigma
-    sigma += [beams] * len(rows.survey.beam_names)
+    for used, given, otherwise in (
+        (bool(rows.survey.beam_names), noise.range_sigma, FIRST_SIGMA),
+        (POINT.name in rows.targets, rows.survey.aiming_sigma, AIMING_SIGMA),
+    ):
+        sigma.append(given if given is not None else np.nan if used else otherwise)
     turn, shift = noise.pose_rotation_sigma, noise.pose_translation_sigma
     if noise.pose_covariance is not None:
         turn = shift = 1.0
@@ -196,6 +226,7 @@ def _stated(rows: Rows, noise: Noise) -> Components:
 def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components:
     own = np.sqrt(inside.squares / np.maximum(inside.dof, 1.0))
     own = np.where(inside.dof > 0.0, np.maximum(own, LEAST_SIGMA), FIRST_SIGMA)
+    own[-1] = AIMING_SIGMA
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
     prior = noise.pose_rotation_prior, noise.pose_translation_prior
     turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
@@ -205,7 +236,7 @@ def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components
 def _leave_out_gross(state: _State) -> None:
     """Leave out shots that are far from what most agree on, before sizes are learned."""
     for _ in range(ROBUST_ROUNDS):
-        problem, groups = state.problem()
+        problem, _ = state.problem()
         again = minimum(problem, list(problem.blocks), state.values)
         if again is None:
             return
@@ -215,7 +246,6 @@ def _leave_out_gross(state: _State) -> None:
         kept = misfit <= GROSS * max(typical, 1.0)
         if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
             return
-        del groups
         state.used = kept
 
 
@@ -239,7 +269,7 @@ def _settle(state: _State, inside: Inside, stated: Components) -> None:
     """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes."""
     prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
     for _ in range(MOST_ROUNDS * 4):
-        problem, groups = state.problem()
+        problem, _ = state.problem()
         again = minimum(problem, list(problem.blocks), state.values)
         if again is None:
             return
@@ -252,7 +282,7 @@ def _settle(state: _State, inside: Inside, stated: Components) -> None:
 
 def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[float, float]) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
-    if not np.isnan([*stated.sigma, *stated.pose]).any():
+    if not state.learning:
         return False
     problem, groups = state.problem(pose_errors=False)
     rows = problem.rows(problem.blocks, state.values)
@@ -260,7 +290,7 @@ def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[flo
     by_pose = rows.by_pose
     root = pose_roots(state.pose_covariance())
     for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
-        source[part] = np.repeat([state.source(item) for item in some], shape[1])
+        source[part] = np.concatenate([state.sources(item, shape[1]) for item in some])
         if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
             station = np.repeat([item.station for item in some], shape[1])
             by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
@@ -283,7 +313,7 @@ def _worst_changed(state: _State) -> bool:
     tested, number = np.unique(group[group >= 0], return_inverse=True)
     group[group >= 0] = number
     chi2, dof = tests_of(rows, group)
-    p = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
+    p = _by_chance(chi2, dof, len(rows.residuals) - rows.derivatives.shape[1], state)
     worst = int(p.argmin())
     if p[worst] < SIGNIFICANCE / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used.copy()
@@ -302,6 +332,18 @@ def _worst_changed(state: _State) -> bool:
     return True
 
 
+def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: _State) -> FloatArray:
+    """Return the probability that a shot is so far off by chance.
+
+    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
+    be wrong: the ratio to what the others say of the noise follows an F distribution.
+    """
+    some = np.maximum(dof, 1)
+    by_f = f_sf(chi2 / some, some, max(redundancy, 1))
+    p = by_f if state.learning else chi2_sf(chi2, some)
+    return np.where(dof > 0, p, 1.0)
+
+
 def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
     """Test each relation against everything else."""
     if not state.relations:
@@ -309,7 +351,7 @@ def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
     rows = problem.rows(problem.blocks, state.values)
     group = np.full(len(rows.residuals), -1)
     first = len(rows.where) - len(state.relations)
-    number = {}
+    number: dict[int, int] = {}
     for part, (known, _) in zip(rows.where[first:], state.relations, strict=True):
         group[part] = number.setdefault(id(known), len(number))
     chi2, dof = tests_of(rows, group)

@@ -24,7 +24,7 @@ from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere
 from ..quantities import MM
 
-TARGETS = {PLANE.name: Plane, SPHERE.name: Sphere}
+TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name: Sphere}
 """Targets that rays meet, by family."""
 LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
@@ -32,8 +32,10 @@ RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
 HELD = 1e9
 """Inverse of a standard deviation that holds a range error at zero."""
+AIMING = ("aiming", 0)
+"""Names the standard deviation of spots across their rays, where they are aimed at points."""
 AIMING_SIGMA = 0.5 * MM
-"""Standard deviation of a spot across its ray, where it is aimed at a point [m]."""
+"""Its first value [m]: about the width of a spot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,7 +202,7 @@ def blocks_of(
     ----------
     items : sequence of Item
     sigmas : mapping
-        Standard deviation of a reading of each sensor and beam [m].
+        Standard deviation of a reading of each sensor and beam, and of the aiming [m].
     values : mapping
         Where spots on points are seen along their rays.
     """
@@ -220,7 +222,8 @@ def blocks_of(
             reading = np.array([item.reading for item in some])[None, :, None]
             sensor = Beam(member)
             if target == POINT.name:
-                blocks.append(_on_points(sensor, robot, seen, reading, sigma, station, values))
+                across = sigmas[AIMING]
+                blocks.append(_on_points(sensor, robot, seen, reading, sigma, across, values))
             else:
                 weights = _weights(sigma, station, 1)
                 blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights))
@@ -273,12 +276,12 @@ def _on_points(
     seen: IntArray,
     reading: FloatArray,
     sigma: FloatArray,
-    station: IntArray,
+    across: float,
     values: Values,
 ) -> SpotsOnPoints:
     directions = values[BEAM.name][0, sensor.member, 3:6]
-    root = np.stack((1.0 / sigma, *[np.full(len(sigma), 1.0 / AIMING_SIGMA)] * 2), axis=1)[None]
-    weights = Weights(root, None, np.repeat(station[:, None], 3, axis=1))
+    root = np.stack((1.0 / sigma, *[np.full(len(sigma), 1.0 / across)] * 2), axis=1)[None]
+    weights = Weights(root, None, np.repeat(robot.member[:, None], 3, axis=1))
     return SpotsOnPoints(sensor, robot, seen, reading, axes_along(directions), weights)
 
 

@@ -151,7 +151,7 @@ def _from_planes(rows: Rows) -> dict[tuple[str, int], FloatArray]:
             d = shape.ranges(item.shot.shape[None], rays)[0]
             entries += [
                 (item.target[1], count + j, item.station, float(d[j]))
-                for j in np.flatnonzero(np.isfinite(d))
+                for j in np.flatnonzero(np.isfinite(d)).tolist()
             ]
         virtual[entity] = (
             list(range(count, count + len(rays.origin))),
@@ -359,7 +359,7 @@ def _linear_mount(
     columns = x[: 3 * len(axes)].reshape(-1, 3)
     if flat:
         columns = np.stack((columns[0], np.cross(columns[1], columns[0]), columns[1]))
-    X = _nearest(columns.T)
+    X = _nearest(np.asarray(columns.T))
     at = np.einsum("nij,nj->ni", R, m @ X.T) + t
     flat_fixed = fixed.reshape(3 * n, -1)
     y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
@@ -510,7 +510,7 @@ def _target_through(family: str, p: FloatArray, ahead: FloatArray) -> FloatArray
         normal = normal if normal @ ahead > 0.0 else -normal
         return np.concatenate((normal, [0.0], centre))
     if family == POINT.name:
-        return centre
+        return np.asarray(centre)
     rows = np.column_stack((2.0 * (p - centre), np.ones(len(p))))
     c = np.linalg.lstsq(rows, ((p - centre) ** 2).sum(axis=1), rcond=1e-6)[0]
     return np.append(centre + c[:3], np.sqrt(max(c[3] + c[:3] @ c[:3], 1e-6)))

@@ -179,6 +179,43 @@ def face(
     return Relation(((PLANE.name, plane), (BODY.name, body)), rule)
 
 
+def held(body: int, pose: FloatArray, faces: FloatArray, sigma: float) -> Relation | None:
+    """Return that a body stays where it is along what its faces leave open; None where nothing is.
+
+    Two faces that meet leave a shift along their edge, parallel ones two shifts and a turn; where the
+    body is along these makes no difference to anything else.
+
+    Parameters
+    ----------
+    body : int
+    pose : (12,)
+        Where it is.
+    faces : (F, 4)
+        Their normals and offsets in its frame.
+    sigma : float
+        How far it may go [rad], [m]: it has to be less than what counts as undetermined.
+    """
+    normals = faces[:, :3] / np.linalg.norm(faces[:, :3], axis=1)[:, None]
+    turns = np.concatenate((skew(normals).reshape(-1, 3), np.zeros((len(faces), 3))))
+    shifts = np.concatenate((np.zeros((3 * len(faces), 3)), normals))
+    _, size, axes = np.linalg.svd(np.hstack((turns, shifts)))
+    size = np.append(size, np.zeros(6))[:6]
+    open_ = axes[size < 1e-6]
+    if not len(open_):
+        return None
+    R0, t0 = pose[:9].reshape(3, 3), pose[9:]
+
+    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+        E = R0.T @ x[:, :9].reshape(-1, 3, 3)
+        turn = Rotation.from_matrix(E).as_rotvec()
+        by = np.zeros((len(x), 6, 6))
+        by[:, :3, :3], by[:, 3:, 3:] = _turned_by(turn), E
+        e = np.concatenate((turn, (x[:, 9:] - t0) @ R0), axis=1)
+        return e @ open_.T / sigma, (open_ @ by / sigma,)
+
+    return Relation(((BODY.name, body),), rule)
+
+
 def mounted_at(sensor: int, pose: FloatArray, sigma: float, sigma_angle: float) -> Relation:
     """Return that a sensor sits where a drawing has it: hand_T_sensor (4, 4)."""
 

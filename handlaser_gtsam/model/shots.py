@@ -288,7 +288,7 @@ def _in_rows(
         return None
     nodes = _nodes(W * unit)
     G = np.linalg.solve(R.T, (J[nodes] * unit).T).T  # its rows have the covariance G G'
-    mix = np.linalg.inv(G).T
+    mix: FloatArray = np.linalg.inv(G).T
     moved = (a * rays.origin_by_scale).sum(axis=1)
     moved += s * (a * rays.direction_by_scale).sum(axis=1)
     E = np.stack((np.ones_like(s), s, s**2, -moved), axis=1)
@@ -369,8 +369,8 @@ def _refined(
 
 def _nodes(W: FloatArray) -> IntArray:
     """Return as many rows as there are columns, far from dependent."""
-    _, _, order = qr(W.T, mode="economic", pivoting=True)
-    return np.sort(np.asarray(order[: W.shape[1]], dtype=np.intp))
+    order: IntArray = np.asarray(qr(W.T, mode="economic", pivoting=True)[2], dtype=np.intp)
+    return np.sort(order[: W.shape[1]])
 
 
 def _rows(rays: Rayset, which: IntArray | BoolArray) -> Rayset:

@@ -403,9 +403,9 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     problem, estimate = found.problem, found.estimate
     blocks = kept_blocks(problem, estimate)
     values = {name: x[None] for name, x in estimate.values.items()}
-    whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
     if SENSOR.name not in values:
         return {}
+    whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
     J, e = dense_rows(blocks, values, whole).whitened()
     own = problem.places()
     index = [whole.names.index(name) for name in own.names]
