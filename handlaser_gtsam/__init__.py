@@ -86,7 +86,7 @@ if TYPE_CHECKING:
     from .files.stations_csv import write_stations as write_stations
     from .files.study_picture import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
-    from .model.plausible import Plausible as Plausible
+    from .model.effects.plausible import Plausible as Plausible
     from .model.sensor import Sensor as Sensor
     from .pipeline import calibrate as calibrate
     from .planning.plan import plan as plan
@@ -130,7 +130,7 @@ else:
             "files.stations_csv": "read_stations write_stations",
             "files.study_picture": "write_study_picture",
             "files.study_toml": "read_study",
-            "model.plausible": "Plausible",
+            "model.effects.plausible": "Plausible",
             "model.sensor": "Sensor",
             "pipeline": "calibrate",
             "planning.plan": "plan",

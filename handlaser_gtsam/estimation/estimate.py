@@ -19,13 +19,13 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block, Values, impossible, whitened
-from ..model.distributions import chi2_sf, gaussian_quantile
+from ..model.distributions import chi2_sf, gaussian_quantile, needed
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..observability.rank import ObservabilityOptions
-from ..quantities import POWER, ROWS_AT_ONCE, SINGULAR
+from ..quantities import ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 
@@ -66,7 +66,7 @@ class BlockProblem(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Effect(Value):
+class TestedEffect(Value):
     """What a score test says of a systematic error.
 
     Attributes
@@ -203,7 +203,7 @@ def estimate(problem: BlockProblem) -> Estimate:
 
 def score_test(
     problem: BlockProblem, found: Estimate, columns: Mapping[str, Sequence[FloatArray]]
-) -> dict[str, Effect]:
+) -> dict[str, TestedEffect]:
     """Test for systematic errors that the model leaves out.
 
     Parameters
@@ -230,7 +230,7 @@ def score_test(
     values = {name: x[None] for name, x in found.values.items()}
     J, e, _ = _dense(problem, blocks, values)
     effects = {}
-    cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(columns), 1)))
+    critical, delta = needed(SIGNIFICANCE / max(len(columns), 1), None)
     for name, of_blocks in columns.items():
         a = np.concatenate(
             [
@@ -241,11 +241,10 @@ def score_test(
         rest = a - J @ np.linalg.lstsq(J, a, rcond=None)[0]
         left = float(rest @ rest)
         if left <= SINGULAR * float(a @ a):
-            effects[name] = Effect(np.nan, np.inf, np.inf, False)
+            effects[name] = TestedEffect(np.nan, np.inf, np.inf, False)
             continue
         size, sigma = float(rest @ e) / left, left**-0.5
-        detectable = (cut + float(gaussian_quantile(POWER))) * sigma
-        effects[name] = Effect(size, sigma, detectable, abs(size) > cut * sigma)
+        effects[name] = TestedEffect(size, sigma, delta * sigma, abs(size) > critical * sigma)
     return effects
 
 
