@@ -174,7 +174,8 @@ def find_consensus(
         best = min(screenings, key=_evidence, default=None)
         settled = best is not None and judge.fits_well(best[1])
     # Where a constant would predict the readings better than any start, no further start will do.
-    if not settled and start.tried[0][1] <= float(part.readings.distance.std()):
+    in_vain = float(part.readings.distance.std()) < start.tried[0][1] < np.inf
+    if not settled and not in_vain:
         last = find_start(readings, sigma, usable, earlier=start)
         plain = judge.screened(last.parameters)
         screenings += [] if plain is None else [(last.method, plain)]

@@ -18,7 +18,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..model.effects import OF_READINGS
-from ..model.effects.effect import Stations as Seen
+from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, PLANE
 from ..model.weighting import reading_sigmas, whitening
 from ..validation.simulate import Stations, read_back
@@ -91,7 +91,7 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     by_beam[:, each, each] = J[..., : BEAM.dim]
     rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
-        seen = Seen(belief.mean, readings, readings.station, np.arange(beams))
+        seen = SeenStations(belief.mean, readings, readings.station, np.arange(beams))
         errors = np.stack([OF_READINGS[code](seen, 1.0) for code in belief.errors], axis=1)
         by_errors = errors.reshape(count, beams, -1)
         rows[..., belief.first_error : belief.first_plane] = by_errors

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from ..arrays import FloatArray, IntArray
 from ..model.effects import EFFECTS
-from ..model.effects.effect import Everywhere, OnPlanes, Stations
+from ..model.effects.effect import Everywhere, OnPlanes, SeenStations
 from .projection import LinearRows, Projection
 
 
@@ -145,7 +145,7 @@ class PlaneErrors:
 
 def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
     """Return all effects of the registry: those of all readings, and a family of each other one."""
-    stations = Stations(rows.at, rows.readings, rows.position, rows.channel)
+    stations = SeenStations(rows.at, rows.readings, rows.position, rows.channel)
     everywhere: list[tuple[str, Everywhere]] = []
     families: list[CommonErrors | PlaneErrors] = []
     for code, effect in EFFECTS.items():

@@ -6,10 +6,10 @@ is then the location of the beam along itself, or the offset of the plane.
 
 import numpy as np
 
-from .effect import Effect, OnPlanes, Stations
+from .effect import Effect, OnPlanes, SeenStations
 
 
-def members(stations: Stations) -> OnPlanes:
+def members(stations: SeenStations) -> OnPlanes:
     """Return the bias of every beam on every plane."""
     readings = stations.readings
     first = np.full((readings.planes, readings.beams), np.iinfo(np.intp).max)

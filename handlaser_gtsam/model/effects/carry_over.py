@@ -8,10 +8,10 @@ not explain of the difference would be these errors.
 import numpy as np
 
 from ...arrays import FloatArray
-from .effect import Effect, Stations
+from .effect import Effect, SeenStations
 
 
-def column(stations: Stations, _largest: float) -> FloatArray:
+def column(stations: SeenStations, _largest: float) -> FloatArray:
     """Return the derivatives (N,); zero without a reading of the channel before at the same station."""
     readings, expected, station = stations.readings, stations.expected, stations.first[1]
     order = np.argsort(stations.channel)

@@ -5,7 +5,7 @@ Planes with more than `MOST_SPLITS` splits are tested at this number of them.
 
 import numpy as np
 
-from .effect import Effect, OnPlanes, Stations
+from .effect import Effect, OnPlanes, SeenStations
 
 LEAST_STATIONS = 2
 """Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
@@ -13,7 +13,7 @@ MOST_SPLITS = 32
 """Evenly spaced splits at which a plane with more is tested: neighbours hardly differ."""
 
 
-def members(stations: Stations) -> OnPlanes:
+def members(stations: SeenStations) -> OnPlanes:
     """Return the displacements of every plane, from each of its stations on."""
     readings, row = stations.readings, stations.first[0]
     order = np.lexsort((stations.position[row], readings.plane[row]))

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 WARMING = 8.0
 """A sensor that warms up does so within an eighth of the recording: a few minutes of half an hour."""
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 2) by a steady drift, and by that of a sensor that warms up."""
     steady = stations.longer * (stations.time - 0.5)
     warming = -stations.longer * np.exp(-WARMING * stations.time)

@@ -24,7 +24,7 @@ from ..weighting import slopes
 UNKNOWNS = "the unknowns of the calibration in this recording"
 
 
-class Stations:
+class SeenStations:
     """Readings at a solution, as the effects see them.
 
     Parameters
@@ -169,14 +169,14 @@ class Effect:
     anywhere: str = ""
     of_sensor: Mapping[str, float] = field(default_factory=dict)
     of_cell: float | None = None
-    members: Callable[[Stations], Everywhere | OnPlanes] | None = None
-    of_readings: Callable[[Stations, float], FloatArray] | None = None
+    members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
+    of_readings: Callable[[SeenStations, float], FloatArray] | None = None
     power: int | None = None
     least_beams: int = 1
     is_k1: bool = False
     across: bool = False
 
-    def at(self, stations: Stations) -> Everywhere | OnPlanes | None:
+    def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""
         if self.of_readings is not None:
             column = self.of_readings(stations, float(stations.readings.level.max()))

@@ -2,10 +2,10 @@
 
 from ...arrays import FloatArray
 from ..equation import cosines
-from .effect import Effect, Stations
+from .effect import Effect, SeenStations
 
 
-def column(stations: Stations, _largest: float) -> FloatArray:
+def column(stations: SeenStations, _largest: float) -> FloatArray:
     """Return the derivatives (N,) by an error at an incidence of 45 degrees."""
     return stations.longer * (1.0 / cosines(stations.scene) ** 2 - 1.0)
 

@@ -4,15 +4,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 1) by a lag of one step."""
     return Everywhere(stations.by_pose(steps(stations))[:, None])
 
 
-def steps(stations: Stations) -> FloatArray:
+def steps(stations: SeenStations) -> FloatArray:
     """Return the step (omega, u) (S, 6) of the hand at every station.
 
     It is half the way from the previous station of the plane to the next, or the whole way to or from

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 1), with the square of each spot's distance from the middle."""
     spot, readings = stations.spots, stations.readings
     square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)

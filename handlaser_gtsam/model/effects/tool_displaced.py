@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from .displaced import LEAST_STATIONS
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 DIRECTIONS = np.array(
     [
@@ -25,7 +25,7 @@ TOOL_STEPS = 7
 them correlates by 0.88 or more with one of the two."""
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 3) by a metre along x, y and z for every time at which it may happen.
 
     The first displacement is steady, and its position -1; the others begin at a station.

@@ -5,10 +5,10 @@ They count from the origin of the plane's frame, in which the plane shifts.
 
 import numpy as np
 
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 1) by translations twice as large."""
     readings, row = stations.readings, stations.first[0]
     shift = np.einsum("mij,mi->mj", readings.world_R_hand[row], readings.world_t_hand[row])

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .effect import Effect, Everywhere, Stations
+from .effect import Effect, Everywhere, SeenStations
 
 
-def members(stations: Stations) -> Everywhere:
+def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 1) by turns twice as large."""
     R = stations.readings.world_R_hand[stations.first[0]]
     turn = Rotation.from_matrix(Rotation.from_matrix(R).mean().as_matrix().T @ R).as_rotvec()
