@@ -2,7 +2,8 @@
 
 Whether a file was read wrongly is asked of some fifty changes of one recording. Each gets the few
 directions whose laser spots are flattest, and the steps from all of them are taken in one batch. In 40
-recordings of a cell with mistakes this named the same changes as promising as all cheap starts did.
+simulated recordings of a cell, 24 of them with a mistake that a change undoes, this found the same
+changes promising as all cheap starts did.
 """
 
 from collections.abc import Sequence
