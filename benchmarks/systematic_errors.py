@@ -138,7 +138,7 @@ def of_member(
 ) -> tuple[float, FloatArray]:
     """Return the detectable size, and its effect, of the error of `scene` with this seed."""
     from handlaser_gtsam.results.projection import linear_rows
-    from handlaser_gtsam.results.systematic_tests import ScoreTests
+    from handlaser_gtsam.results.score_tests import ScoreTests
 
     _, truth = cell(scene, np.random.default_rng(seed))
     plane, other = truth.subject

@@ -105,13 +105,13 @@ def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path):
 
 def test_every_code_has_its_row():
     """Of verdicts, systematic errors, and warnings, whose codes stand in calls all over the package."""
-    from handlaser_gtsam.results.systematic_words import WORDING
+    from handlaser_gtsam.model.effects import EFFECTS
     from handlaser_gtsam.results.verdict import OPENING
 
     page = (ROOT / "docs" / "messages.md").read_text()
     first = " ".join(re.findall(r"^\| (.*?) \|", page, re.MULTILINE))
     listed = set(re.findall(r"`([a-z-]+)`", first))
-    assert {*OPENING, *WORDING} <= listed
+    assert {*OPENING, *EFFECTS} <= listed
     codes = set()
     for path in (ROOT / "handlaser_gtsam").rglob("*.py"):
         for call in re.findall(r"CalibrationWarning\(\s*\"([a-z-]+)\"", path.read_text()):

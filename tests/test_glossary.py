@@ -7,9 +7,9 @@ import pytest
 from helpers import GRIPPER, ROOT, degenerate
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.results.correlations import LABELS
 from handlaser_gtsam.results.description import rendering, screen
-from handlaser_gtsam.results.systematic_words import WORDING
 from handlaser_gtsam.results.verdict import OPENING
 
 PAGE = (ROOT / "docs" / "glossary.md").read_text()
@@ -122,7 +122,7 @@ def test_what_lines_begin_with_and_heads_of_tables(
 
 def test_words_of_the_code_are_there():
     """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
-    words = [*LABELS, *OPENING.values(), *WORDING]
+    words = [*LABELS, *OPENING.values(), *EFFECTS]
     assert set(words) <= set(TERMS), set(words) - set(TERMS)
 
 

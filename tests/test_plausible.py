@@ -8,7 +8,8 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
-from handlaser_gtsam.model.plausible import KINDS
+from handlaser_gtsam.model.effects import EFFECTS
+from handlaser_gtsam.model.effects.plausible import KINDS
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.information import recorded_rows, with_errors
 from handlaser_gtsam.results.limits import Limits
@@ -186,7 +187,7 @@ def test_kinds_are_fields_of_rig_files(kind, tmp_path):
     sizes = sensor.plausible_sizes(0.1)
     assert sizes["incidence"] == pytest.approx(2e-4)
     assert sizes["lag"] == 0.0
-    assert sizes["cubic"] == pytest.approx(0.1 * KINDS[kind].cubic)
+    assert sizes["cubic"] == pytest.approx(0.1 * EFFECTS["cubic"].of_sensor[kind])
 
 
 def test_where_a_kind_is_stated_not_only_random_errors_count(tmp_path, handlaser):

@@ -7,10 +7,13 @@ import pytest
 from helpers import bench, largest_error, motion, recording_of, simulated
 from scipy.spatial.transform import Rotation
 
+from benchmarks.odd_files import shuffled
 from handlaser_gtsam import model
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.options import CalibrationOptions
+from handlaser_gtsam.estimation.task import STEPS_IN_VAIN
+from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
@@ -18,6 +21,7 @@ from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
 from handlaser_gtsam.starts.excerpt import excerpt_of
+from handlaser_gtsam.starts.glance import mean_squares_at_a_glance
 from handlaser_gtsam.starts.growing import PartialStart, grow
 from handlaser_gtsam.starts.lifted import lifted_starts
 from handlaser_gtsam.starts.sweep import sweep_starts
@@ -325,3 +329,30 @@ def test_of_starts_that_end_at_one_optimum_the_first_one_tried_is_named(monkeypa
         monkeypatch.setattr("handlaser_gtsam.starts.choice.refine_many", rounded)
         named.add(find_start(readings, 3e-5).method)
     assert named == {"sweep"}
+
+
+def test_a_glance_at_many_recordings_is_one_at_each():
+    """Ways to read one file are looked at in one batch: none may depend on the others."""
+    right, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    turned_wrongly = replace(right, world_R_hand=np.swapaxes(right.world_R_hand, 1, 2))
+    many = [one.readings() for one in (right, turned_wrongly, right)]
+    together = mean_squares_at_a_glance(many)
+    alone = np.concatenate([mean_squares_at_a_glance([one]) for one in many])
+    # The sums are the same, in another order.
+    assert together == pytest.approx(alone, rel=1e-6)
+    assert together[1] > 1e4 * together[0]
+
+
+def test_readings_that_a_constant_predicts_better_are_given_up_early(monkeypatch, tmp_path):
+    """Where readings belong to other stations, a thorough search and many steps are in vain."""
+    asked = []
+
+    def counted(*args, **kwargs):
+        asked.append(kwargs.get("earlier"))
+        return find_start(*args, **kwargs)
+
+    monkeypatch.setattr("handlaser_gtsam.outliers.consensus.find_start", counted)
+    result = calibrate(read_recording(shuffled(tmp_path / "shuffled.csv", {})))
+    assert asked == [None]
+    assert [one.code for one in result.warnings] == ["no-fit"]
+    assert result.iterations <= STEPS_IN_VAIN

@@ -13,19 +13,21 @@ from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings
 from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.estimation.solve import settle
+from handlaser_gtsam.model.distributions import needed, two_sided
+from handlaser_gtsam.model.effects import EFFECTS
+from handlaser_gtsam.model.effects.tool_displaced import DIRECTIONS
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
+from handlaser_gtsam.quantities import POWER
 from handlaser_gtsam.results.projection import linear_rows
+from handlaser_gtsam.results.score_tests import ScoreTests, alike
 from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
-from handlaser_gtsam.results.systematic_columns import DIRECTIONS
-from handlaser_gtsam.results.systematic_tests import POWER, ScoreTests, alike, needed, two_sided
-from handlaser_gtsam.results.systematic_words import WORDING
 
 SIGMA = 1e-4
 BY_NATURE = {"inverse-cosine", "tilt", "tool-frame", "range-offset"}
-TESTED = tuple(code for code in WORDING if code not in BY_NATURE)
+TESTED = tuple(code for code in EFFECTS if code not in BY_NATURE)
 FREE, NONE = (np.inf, np.inf), (0.0, 0.0)
 
 

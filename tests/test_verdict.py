@@ -11,13 +11,13 @@ from helpers import GRIPPER, degenerate, error_of, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import CalibrationWarning
 from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.improvement import improvement
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
 from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
-from handlaser_gtsam.results.systematic_words import WORDING
 from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.verdict import verdict_of_validation
@@ -411,6 +411,6 @@ def test_what_is_not_determined_or_does_not_fit_has_a_cause(calibration, recordi
 def test_what_may_hide_has_a_code_and_sizes(recording):
     options = hl.CalibrationOptions(sensor=hl.Sensor(kind="triangulation"))
     found = written(hl.calibrate(recording, hl.Noise(3e-5), options))["may_hide"]
-    assert found["code"] in WORDING
+    assert found["code"] in EFFECTS
     assert found["spot_shift_m"] > 0.0
     assert found["size"] > 0.0

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .estimate import BlockProblem as BlockProblem
-    from .estimate import Effect as Effect
     from .estimate import Estimate as Estimate
+    from .estimate import TestedEffect as TestedEffect
     from .estimate import score_test as score_test
     from .information import NoiseSet as NoiseSet
     from .learned import LearnedScales as LearnedScales
@@ -20,7 +20,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "estimate": "BlockProblem Effect Estimate score_test",
+            "estimate": "BlockProblem Estimate TestedEffect score_test",
             "information": "NoiseSet",
             "learned": "LearnedScales",
             "many_recordings": "SolvedMany solve_many",

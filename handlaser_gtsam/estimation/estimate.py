@@ -19,13 +19,13 @@ from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block, Values, impossible
-from ..model.distributions import chi2_sf, gaussian_quantile
+from ..model.distributions import chi2_sf, gaussian_quantile, needed
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..observability.rank import ObservabilityOptions
-from ..quantities import POWER, ROWS_AT_ONCE, SINGULAR
+from ..quantities import ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
@@ -79,7 +79,7 @@ class BlockProblem(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Effect(Value):
+class TestedEffect(Value):
     """What a score test says of a systematic error.
 
     Attributes
@@ -216,7 +216,7 @@ def estimate(problem: BlockProblem) -> Estimate:
 
 def score_test(
     problem: BlockProblem, found: Estimate, columns: Mapping[str, Sequence[FloatArray]]
-) -> dict[str, Effect]:
+) -> dict[str, TestedEffect]:
     """Test for systematic errors that the model leaves out.
 
     Parameters
@@ -242,7 +242,7 @@ def score_test(
     values = {name: x[None] for name, x in found.values.items()}
     J, e = problem.rows(blocks, values).whitened()
     effects = {}
-    cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(columns), 1)))
+    critical, delta = needed(SIGNIFICANCE / max(len(columns), 1), None)
     for name, of_blocks in columns.items():
         a = np.concatenate(
             [
@@ -253,11 +253,10 @@ def score_test(
         rest = a - J @ np.linalg.lstsq(J, a, rcond=None)[0]
         left = float(rest @ rest)
         if left <= SINGULAR * float(a @ a):
-            effects[name] = Effect(np.nan, np.inf, np.inf, False)
+            effects[name] = TestedEffect(np.nan, np.inf, np.inf, False)
             continue
         size, sigma = float(rest @ e) / left, left**-0.5
-        detectable = (cut + float(gaussian_quantile(POWER))) * sigma
-        effects[name] = Effect(size, sigma, detectable, abs(size) > cut * sigma)
+        effects[name] = TestedEffect(size, sigma, delta * sigma, abs(size) > critical * sigma)
     return effects
 
 

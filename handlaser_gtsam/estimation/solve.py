@@ -58,7 +58,7 @@ def settle(
     """Solve jointly, find unknown scales, and diagnose the solution.
 
     The integration over the scales is left to `Solved.finished`: it is not needed before the readings
-    are chosen.
+    are chosen. Of readings that do not fit no scale is learned.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def settle(
     task = SolutionTask(readings, noise, options, scale, prior)
     first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
-    if first.at.status == "interrupted" or unknown or task.is_exact():
+    if first.at.status == "interrupted" or unknown or task.is_exact() or not task.fits:
         return Solved(task, first)
     scales, base = unknown_scales(readings, noise, options, task.sigma)
     known = start_of(scales, max(task.sigma, LEAST_SIGMA), task.length)

@@ -42,6 +42,13 @@ as long as all steps of the reduction."""
 COARSE_TOLERANCE = 1e-2
 """Standard deviations that an equally weighted solution may be off where another follows it."""
 
+NO_FIT = 0.1
+"""An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
+digit."""
+STEPS_IN_VAIN = 100
+"""Steps from a start that is no fit, after which readings that still are none fit nothing: without a
+minimum to arrive at, the search would go on to the end."""
+
 
 class SolutionTask:
     """Solves a choice of readings, and remembers what was found of their rank and sigma."""
@@ -60,7 +67,7 @@ class SolutionTask:
         self.length = readings.typical_range()
         self.learns = options.linearity is not None and prior is None
         self.prior = prior
-        self.determined = False
+        self.determined, self.fits = False, True
         if self.learns:
             self.prior = self.prior_of(np.full(2, options.linearity))
 
@@ -77,13 +84,24 @@ class SolutionTask:
         known = self.noise.range_sigma
         weight = known or (self.scale or 0.0) or UNIT_SIGMA
         for _ in range(MOST_ROUNDS):
-            ended = self.minimized(self.readings, start, weight, coarse=self.learns)
+            doubtful = self._is_no_fit(residuals_or_infinite(start, self.readings))
+            most = STEPS_IN_VAIN if doubtful else None
+            ended = self.minimized(self.readings, start, weight, coarse=self.learns, most=most)
+            self.fits = not self._is_no_fit(ended.residual)
+            if doubtful and self.fits and ended.status == "max_iterations":
+                start = ended.parameters
+                continue
             self.sigma = self._estimated_sigma(ended)
             settled = self.prior is None or self.sigma > 0.5 * weight or self.redundancy <= 0
             if known or settled or self.loss != GAUSSIAN or self.sigma < LEAST_SIGMA:
                 break
             weight, start = self.sigma, ended.parameters
         return self.diagnosed(ended, known or self.sigma)
+
+    def _is_no_fit(self, residual: FloatArray) -> bool:
+        """Tell whether residuals (N,) [m] are no fit; outliers that a loss bounds are none."""
+        rms = float(np.sqrt(residual @ residual / len(residual)))
+        return self.loss == GAUSSIAN and rms > NO_FIT * self.readings.spread()
 
     @property
     def redundancy(self) -> int:
@@ -174,8 +192,11 @@ class SolutionTask:
         noise: float | Whitening,
         *,
         coarse: bool = False,
+        most: int | None = None,
     ) -> Minimum:
         """Minimise on the reduction; by GTSAM where a robust loss weighs correlated readings.
+
+        `coarse` asks for the tolerance of a solution that another follows, `most` for fewer steps.
 
         Raises
         ------
@@ -185,6 +206,8 @@ class SolutionTask:
         solver = self._solver(start)
         if coarse and self.determined:
             solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE_TOLERANCE))
+        if most is not None:
+            solver = replace(solver, max_iterations=min(solver.max_iterations, most))
         if isinstance(noise, Whitening) and noise.is_coupled and self.loss != GAUSSIAN:
             return self._by_gtsam(readings, start, noise, solver)
         used = np.arange(2) < self.terms

@@ -29,7 +29,7 @@ from pydantic import Strict, create_model
 
 from ..data.noise import Noise
 from ..errors import InputError
-from ..model.plausible import Plausible
+from ..model.effects.plausible import Plausible
 from ..model.sensor import Sensor
 from ..quantities import DEG, IN_DEG, IN_MM, MM
 from ..results.limits import Limits

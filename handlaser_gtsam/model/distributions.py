@@ -22,8 +22,11 @@ from scipy.special import (
 )
 
 from ..arrays import FloatArray, IntArray
+from ..quantities import POWER
 
 Numbers = float | FloatArray | IntArray
+GAUSSIAN_DOF = 1e5
+"""With more degrees of freedom an estimated scale is as good as given."""
 
 
 def gaussian_cdf(x: Numbers) -> FloatArray:
@@ -92,6 +95,25 @@ def f_quantile(p: Numbers, dof: Numbers, below: Numbers) -> FloatArray:
 def beta_quantile(p: Numbers, a: Numbers, b: Numbers) -> FloatArray:
     """Return what a beta variate stays below with probability p."""
     return _array(betaincinv(_array(a), _array(b), _array(p)))
+
+
+def two_sided(z: FloatArray, dof: int | None) -> FloatArray:
+    """Return the probability of a larger |z|: Gaussian, or Student's with dof - 1."""
+    tail = gaussian_sf(np.abs(z)) if dof is None else student_sf(np.abs(z), dof - 1)
+    return np.asarray(2.0 * tail)
+
+
+def needed(level: float, dof: int | None) -> tuple[float, float]:
+    """Return the critical |z| at a level, and the mean of z that exceeds it with probability `POWER`.
+
+    The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
+    Student.
+    """
+    gaussian = -float(gaussian_quantile(0.5 * level))
+    if dof is None or dof > GAUSSIAN_DOF:
+        return gaussian, gaussian + float(gaussian_quantile(POWER))
+    critical = -float(student_quantile(0.5 * level, dof - 1))
+    return critical, student_mean(1.0 - POWER, dof - 1, critical)
 
 
 def _array(values: ArrayLike) -> FloatArray:

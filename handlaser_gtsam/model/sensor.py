@@ -12,7 +12,7 @@ from ..data.recording import Readings, Recording
 from ..errors import InputError, NumberError
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from . import equation
-from .plausible import KINDS, Plausible, plausible_sizes
+from .effects.plausible import KINDS, Plausible, plausible_sizes
 
 MOST_LINEARITY = 0.3
 """No sensor is less linear, as a part of the reading."""
@@ -59,7 +59,7 @@ class Sensor:
         require_number("max_incidence", self.max_incidence, 0.0, right, above=True, unit="rad")
         require_number("linearity", self.linearity, NEGLIGIBLE, MOST_LINEARITY)
         if self.kind is not None:
-            require_word("kind", self.kind, tuple(KINDS))
+            require_word("kind", self.kind, KINDS)
         require_kind("plausible", self.plausible, Plausible)
 
     @property

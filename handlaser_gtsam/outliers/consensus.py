@@ -1,7 +1,7 @@
 """Which readings agree on one solution, before that solution is trusted.
 
 The plain start is screened first. The robust search follows only where that screening does not
-settle the matter, and a thorough plain search only where nothing else fits.
+settle the matter, and a thorough plain search only where nothing else fits, but something is explained.
 """
 
 from collections.abc import Sequence
@@ -173,7 +173,9 @@ def find_consensus(
             screenings += [] if tight is None else [(METHOD, tight)]
         best = min(screenings, key=_evidence, default=None)
         settled = best is not None and judge.fits_well(best[1])
-    if not settled:
+    # Where a constant would predict the readings better than any start, no further start will do.
+    in_vain = float(part.readings.distance.std()) < start.tried[0][1] < np.inf
+    if not settled and not in_vain:
         last = find_start(readings, sigma, usable, earlier=start)
         plain = judge.screened(last.parameters)
         screenings += [] if plain is None else [(last.method, plain)]

@@ -9,10 +9,10 @@ from ..arrays import FloatArray
 from ..checks import require_kind, require_number, require_word
 from ..data.value import Value
 from ..errors import InputError
+from ..model.effects import OF_READINGS
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
-from ..results.systematic_columns import OF_READINGS
 from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT = 1e-4
@@ -67,7 +67,7 @@ class Goal:
             )
         require_kind("tells", self.tells, tuple, "codes of systematic errors in a tuple")
         for code in self.tells:
-            require_word("tells", code, OF_READINGS)
+            require_word("tells", code, tuple(OF_READINGS))
 
     @property
     def stated(self) -> bool:

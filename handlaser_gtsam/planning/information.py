@@ -17,9 +17,10 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
+from ..model.effects import OF_READINGS
+from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, PLANE
 from ..model.weighting import reading_sigmas, whitening
-from ..results.systematic_columns import OF_READINGS, errors_of_readings
 from ..validation.simulate import Stations, read_back
 from .belief import Belief
 
@@ -90,9 +91,9 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     by_beam[:, each, each] = J[..., : BEAM.dim]
     rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
-        errors = errors_of_readings(belief.mean, readings, x, np.arange(beams))
-        wanted = [OF_READINGS.index(code) for code in belief.errors]
-        by_errors = errors[:, wanted].reshape(count, beams, -1)
+        seen = SeenStations(belief.mean, readings, readings.station, np.arange(beams))
+        errors = np.stack([OF_READINGS[code](seen, 1.0) for code in belief.errors], axis=1)
+        by_errors = errors.reshape(count, beams, -1)
         rows[..., belief.first_error : belief.first_plane] = by_errors
     for plane in range(len(belief.plane_names)):
         first, here = belief.first_plane + PLANE.dim * plane, stations.plane == plane

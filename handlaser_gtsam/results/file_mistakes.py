@@ -3,7 +3,7 @@
 A recording that does not fit as it stands is read as if each mistake were undone (`rereading`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain, combinations, product
@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
-from .rereading import MUCH_BETTER, Change, Rereading, misfit, misfits, one_beam, tells
+from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 
 ALIKE = 4.0
 """Of several hypotheses those are named whose misfit is within this factor of the least."""
@@ -63,13 +63,13 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
     measure = partial(_misfit, terms=terms)
     if rejected is None:
         rounds: list[list[Iterator[Rereading]]] = [
-            [_promising(recording, terms), _swaps(recording, terms), _unit_changes(recording)],
-            [_mixed_labels(recording, terms), _on_the_way(recording, terms)],
+            [_promising(recording), _swaps(recording), _unit_changes(recording)],
+            [_mixed_labels(recording), _on_the_way(recording)],
         ]
     else:
         rounds = [[_exchanges(recording, rejected), _second_plates(recording, rejected)]]
         if rejected.mean() > MANY_LOST:
-            rounds.append([_mixed_labels(recording, terms)])
+            rounds.append([_mixed_labels(recording)])
     for mistakes in rounds:  # those that take long are tried only where the others explain nothing
         without = misfits(recording, chain.from_iterable(mistakes), measure)
         if not without:
@@ -87,16 +87,25 @@ def _misfit(recording: Recording, effort: Effort, terms: int) -> float:
     return misfit(recording, terms, effort)
 
 
-def _promising(recording: Recording, terms: int) -> Iterator[Rereading]:
+def _glance(recording: Recording) -> float:
+    """Return how badly a recording fits as it is."""
+    return float(glances(recording, [_as_it_is])[0])
+
+
+def _as_it_is(recording: Recording) -> Recording:
+    return recording
+
+
+def _promising(recording: Recording) -> Iterator[Rereading]:
     """Yield the mistakes of poses or units without which one beam fits far better at a glance."""
     one, _ = one_beam(recording)
-    now = misfit(one, terms, "glance")
-    for words, undone in HYPOTHESES.items():
-        if now >= PROMISING * misfit(undone(one), terms, "glance"):
+    now, *without = glances(one, [_as_it_is, *HYPOTHESES.values()]).tolist()
+    for (words, undone), value in zip(HYPOTHESES.items(), without, strict=True):
+        if now >= PROMISING * value:
             yield Rereading(words, undone)
 
 
-def _swaps(recording: Recording, terms: int) -> Iterator[Rereading]:
+def _swaps(recording: Recording) -> Iterator[Rereading]:
     """Two beams exchanged before one plane; exchanged everywhere they would only change names.
 
     Without that plane the others fit far better, and their beams tell which two were exchanged.
@@ -105,14 +114,14 @@ def _swaps(recording: Recording, terms: int) -> Iterator[Rereading]:
     pairs = list(combinations(range(len(beams)), 2))
     if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
         return
-    now = misfit(recording, terms, "glance")
+    now = _glance(recording)
     for group in range(min(GROUPS, planes)):
         out = np.arange(planes) % GROUPS == group
         try:
             rest = recording.part(~out[recording.plane_of_station])
         except InputError:
             continue
-        if rest.beam_names != beams or now < PROMISING * misfit(rest, terms, "glance"):
+        if rest.beam_names != beams or now < PROMISING * _glance(rest):
             continue
         for plane, (i, j) in product(np.flatnonzero(out).tolist(), pairs):
             name = recording.plane_names[plane]
@@ -219,15 +228,15 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
             yield words, np.where(rows, metres, 1.0)
 
 
-def _mixed_labels(recording: Recording, terms: int) -> Iterator[Rereading]:
+def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
     """One label for two positions of the plate, or two labels exchanged from some station on.
 
     A plane whose stations do not fit by themselves, while the stations of other planes do, holds
     stations of another plane.
     """
     planes = range(len(recording.plane_names))
-    alone = [_misfit_of_planes(recording, (p,), terms) for p in planes]
-    whole = misfit(recording, terms, "glance")
+    alone = [_misfit_of_plane(recording, p) for p in planes]
+    whole = _glance(recording)
     too_small = [p for p in planes if alone[p] is None]
     mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
     if len(mixed) > 2:
@@ -242,7 +251,7 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[Rereading]:
         rows = np.isin(recording.plane_of_station, group)
         part = recording.part(rows)
         undone = _parted if len(names) == 1 else _relabelled
-        split = _best_split(part, partial(undone, names=names), terms)
+        split = _best_split(part, partial(undone, names=names))
         if split is None:
             continue
         station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
@@ -252,15 +261,15 @@ def _mixed_labels(recording: Recording, terms: int) -> Iterator[Rereading]:
         yield Rereading(words, partial(undone, names=names, split=late))
 
 
-def _on_the_way(recording: Recording, terms: int) -> Iterator[Rereading]:
+def _on_the_way(recording: Recording) -> Iterator[Rereading]:
     """Yield that readings were taken on the way to the next station, or from the last.
 
     Near the right part of the way the misfit is quadratic in it: a parabola through three tells it.
     """
     one, _ = one_beam(recording)
-    values = {0.0: misfit(one, terms, "glance")}
-    for share in SHARES:
-        values[share] = misfit(_moved_on(one, share), terms, "glance")
+    shares = (0.0, *SHARES)
+    moves = [partial(_moved_on, share=share) for share in shares]
+    values = dict(zip(shares, glances(one, moves).tolist(), strict=True))
     for _ in range(len(SHARES)):
         best = min(values, key=lambda share: values[share])
         near = sorted(values, key=lambda share: abs(share - best))[:3]
@@ -268,7 +277,7 @@ def _on_the_way(recording: Recording, terms: int) -> Iterator[Rereading]:
         share = float(np.clip(-0.5 * b / a, SHARES[0], SHARES[-1])) if a > 0.0 else best
         if min(abs(share - known) for known in values) < CLOSE_SHARE:
             break
-        values[share] = misfit(_moved_on(one, share), terms, "glance")
+        values[share] = _glance(_moved_on(one, share))
     if values[0.0] < PROMISING * values[best] or best == 0.0:
         return
     where = (
@@ -295,31 +304,30 @@ def _moved_on(recording: Recording, share: float) -> Recording:
     return replace(recording, world_R_hand=moved, world_t_hand=t + part * (t[other] - t))
 
 
-def _misfit_of_planes(recording: Recording, planes: tuple[int, ...], terms: int) -> float | None:
-    """Return the misfit of some planes alone; None where they have too few readings to tell."""
-    part = recording.part(np.isin(recording.plane_of_station, planes))
-    return misfit(part, terms, "glance") if tells(part) else None
+def _misfit_of_plane(recording: Recording, plane: int) -> float | None:
+    """Return the misfit of a plane alone; None where it has too few readings to tell."""
+    part = recording.part(recording.plane_of_station == plane)
+    return _glance(part) if tells(part) else None
 
 
-def _best_split(part: Recording, undone: Callable[..., Recording], terms: int) -> int | None:
+def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None:
     """Return the station from which on a change lowers the misfit most; None where it hardly does."""
     count = len(part.station_names)
+    values: dict[int, float] = {}
 
-    def value(split: int) -> float:
-        return misfit(undone(part, split=split), terms, "glance")
+    def look(splits: Iterable[int]) -> None:
+        new = [split for split in splits if 0 < split < count and split not in values]
+        changes = [partial(undone, split=split) for split in new]
+        values.update(zip(new, glances(part, changes).tolist(), strict=True))
 
-    grid = sorted({int(s) for s in np.linspace(2, count - 2, SPLITS).round() if 0 < s < count})
-    values = {split: value(split) for split in grid}
+    look(sorted({int(s) for s in np.linspace(2, count - 2, SPLITS).round()}))
     step = max((count - 4) // (SPLITS - 1), 1)
     while step >= 1:
         best = min(values, key=lambda split: values[split])
-        for split in (best - step, best + step):
-            if 0 < split < count and split not in values:
-                values[split] = value(split)
+        look((best - step, best + step))
         step //= 2
     best = min(values, key=lambda split: values[split])
-    promising = misfit(part, terms, "glance") >= PROMISING * values[best]
-    return best if promising else None
+    return best if _glance(part) >= PROMISING * values[best] else None
 
 
 def _of_another_plane(name: str, station: str) -> str:

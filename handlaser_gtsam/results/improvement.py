@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..model.effects import EFFECTS
 from .calibration_fields import CalibrationData
 from .limits import LimitCheck
 from .significance import FEW_DEGREES
 from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
-from .systematic_words import WORDING
 from .warnings import MANY_OUTLIERS
 
 DOMINANT = 0.5
@@ -88,7 +88,7 @@ def improvement(
         words = "less noise of sensor or robot (more stations do not lower residuals)"
         return Improvement("limit-rms", words)
     if doubtful is not None:
-        return Improvement("hidden", f"to see it, {WORDING[doubtful.code].reveal}")
+        return Improvement("hidden", f"to see it, {EFFECTS[doubtful.code].reveal}")
     if "correlated-in-time" in codes:
         return Improvement(
             "stops", "stopping at the stations (errors of neighbouring stations go together)"

@@ -6,17 +6,18 @@ Logs try the conventions in which poses are written, calibrations that do not fi
 `file_mistakes`.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.ordering import sorted_readings
-from ..data.recording import Recording
+from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
 from ..starts import Effort, find_start
+from ..starts.glance import mean_squares_at_a_glance
 
 MUCH_BETTER = 100.0
 """Another way is taken to be the right one where it lowers the mean squared residual by this factor."""
@@ -60,18 +61,44 @@ def misfits(
     return found
 
 
+def glances(recording: Recording, changes: Sequence[Change]) -> FloatArray:
+    """Return the misfit (C,) of a recording after every change, at a glance.
+
+    It is infinite where the changed recording is none. Recordings of one shape are solved together.
+    """
+    order = sorted_readings(recording)[1]
+    shapes: dict[tuple[bytes, ...], list[tuple[int, Readings]]] = {}
+    for i, change in enumerate(changes):
+        with suppress(HandlaserError):
+            changed = change(recording)
+            same = changed.plane_labels == recording.plane_labels
+            ordered = (order.stations, order.beams, order.planes)
+            readings = changed.readings_in(*ordered) if same else sorted_readings(changed)[0]
+            shape = tuple(x.tobytes() for x in (readings.station, readings.beam, readings.plane))
+            shapes.setdefault(shape, []).append((i, readings))
+    found = np.full(len(changes), np.inf)
+    for alike in shapes.values():
+        which, each = [i for i, _ in alike], [_about_planes(readings) for _, readings in alike]
+        variance = [max(float(readings.distance.var()), 1e-300) for readings in each]
+        found[which] = mean_squares_at_a_glance(each) / variance
+    return found
+
+
+def _about_planes(readings: Readings) -> Readings:
+    return readings.seen_from(readings.plane_means(readings.world_t_hand))
+
+
 def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.inf) -> float:
     """Return the mean squared residual in parts of the variance of the readings: no unit matters.
 
     It is infinite where a beam lies farther from the hand's origin than `reach` [m]: readings in a
     wrong unit can fit a beam that is metres away.
     """
-    readings, _ = sorted_readings(recording)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = _about_planes(sorted_readings(recording)[0])
     start = find_start(readings, None, terms, effort=effort)
     if not np.linalg.norm(start.parameters.locations, axis=1).max() <= reach:
         return np.inf
-    return float(start.tried[0][1] ** 2) / max(float(np.nanvar(recording.ranges)), 1e-300)
+    return float(start.tried[0][1] ** 2) / max(float(readings.distance.var()), 1e-300)
 
 
 def one_beam(

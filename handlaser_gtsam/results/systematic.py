@@ -1,7 +1,7 @@
 r"""Systematic errors: tested for, and bounded where they cannot be seen.
 
 With e the whitened residuals, J the whitened Jacobian of all unknowns (pseudo-observations of a
-prior on k included), A the whitened column of an alternative (`systematic_columns`) and A_perp = A - J
+prior on k included), A the whitened column of an effect (`model.effects`) and A_perp = A - J
 inv(J'J) J'A, a size a of that error makes e = A a + J x + noise, and
 
     z = A_perp'e / (sigma |A_perp|) ~ N(0, 1) if a = 0,    a^ = A_perp'e / A_perp'A_perp,
@@ -12,8 +12,7 @@ to r and v is the external reliability (Baarda, A testing procedure for use in g
 1968). Where the common factor of the noise was estimated, z has the scale of what A_perp leaves,
 and a t distribution.
 
-All members of all families are tested together with Holm's correction, which needs no independence.
-Planes with more than `systematic_columns.MOST_SPLITS` splits are tested at this number of them.
+All members of all effects are tested together with Holm's correction, which needs no independence.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,13 +23,13 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
+from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import LinearRows
+from .score_tests import ScoreTests, alike
 from .significance import FAMILY_LEVEL
-from .systematic_tests import ScoreTests, alike
-from .systematic_words import WORDING, may_also_be
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -167,9 +166,11 @@ def systematic_errors(
             most = plausible.get(str(tests.codes[member]), np.inf)
             reports.append(_report(tests, member, subject, explained[number], others, names, most))
     tested = {report.code for report in reports}
-    confounded = [code for code in WORDING if code not in tested]
-    if rows.readings.beams == 1:
-        confounded = [code for code in confounded if code != "carry-over"]
+    confounded = [
+        code
+        for code, effect in EFFECTS.items()
+        if code not in tested and rows.readings.beams >= effect.least_beams
+    ]
     return (
         *reports,
         *(_confounded(tests, code, names, plausible) for code in confounded),
@@ -187,7 +188,7 @@ def _report(
 ) -> SystematicError:
     """Return the report of an error that was tested, given its clearest member."""
     code, p, size = str(tests.codes[member]), float(tests.p[member]), float(tests.size[member])
-    words, beams, found = WORDING[code], names.sorted_beams(), p < FAMILY_LEVEL
+    words, beams, found = EFFECTS[code], names.sorted_beams(), p < FAMILY_LEVEL
     family = np.flatnonzero((tests.codes == code) & tests.determined)
     unnoticed = _largest_moves(tests, family, tests.unnoticed[family])
     estimated = _largest_moves(tests, np.array([member]), tests.size[[member]])
@@ -228,15 +229,13 @@ def _confounded(
     tests: ScoreTests, code: str, names: BeamAndPlaneNames, plausible: Mapping[str, float]
 ) -> SystematicError:
     """Return the report of an error that the recording cannot show."""
-    words, size = WORDING[code], plausible.get(code, np.inf)
+    words, size = EFFECTS[code], plausible.get(code, np.inf)
     family = np.flatnonzero(tests.codes == code)
     unknown = np.full((tests.rows.readings.beams, 3), np.nan)
     unknown_spot = np.full((len(unknown), 4, 3), np.nan)
     shift, turn, spot = unknown, unknown, unknown_spot
-    if code == "tilt" and np.isfinite(size):
-        # Readings that err by size times tan(tilt): with dr across the beam a plane that is tilted by
-        # the angle a towards dr is met |dr| tan a earlier. The side to which the sensor is turned is
-        # unknown, and any will do.
+    if words.across and np.isfinite(size):
+        # The side to which the sensor is turned is unknown, and any will do.
         shift = size * model.tangent_basis(tests.rows.at.directions)[:, :, 0]
         turn, spot = np.zeros_like(shift), np.zeros((len(shift), 4, 3))
         spot[:, 0] = shift
@@ -293,7 +292,7 @@ def _subject(
     """Return in words which plane, beam or station a member concerns."""
     number, beam = int(tests.plane[member]), int(tests.beam[member])
     if number < 0:
-        if tests.codes[member] != "tool-displaced":
+        if "{subject}" not in EFFECTS[str(tests.codes[member])].phrase:
             return ""
         first = int(tests.position[member])
         return "little by little" if first < 0 else f"from station {stations[first]} on"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import CalibrationWarning
+from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
@@ -13,7 +14,6 @@ from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE, count, some
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
-from .systematic_words import WORDING, may_also_be
 
 OPENING = {
     "usable": "Usable",
@@ -220,7 +220,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         others = f" ({may_also_be(one.alike)})" if one.alike else ""
-        yield f"the readings show {WORDING[one.code].with_size(one.size, one.subject)}{others}"
+        yield f"the readings show {EFFECTS[one.code].with_size(one.size, one.subject)}{others}"
     if found.usable and found.limits:
         nearest = max(found.limits, key=lambda one: one.ratio)
         yield f"within the limits ({nearest.comparison})"
@@ -231,7 +231,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
 
 def hidden_words(one: SystematicError, whole: float) -> str:
     """Say how far a spot may be off [m] if a systematic error is there unnoticed."""
-    words = WORDING[one.code]
+    words = EFFECTS[one.code]
     return (
         f"up to {_mm(whole)} mm if there is {words.with_size(one.unnoticed)}, which is plausible and "
         "this recording would not show"

@@ -13,6 +13,7 @@ from ..errors import CalibrationWarning
 from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
+from ..estimation.task import NO_FIT
 from ..model.distributions import chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
@@ -26,9 +27,6 @@ from .significance import FAR_SIGMAS, FEW_DEGREES, SINGLE_LEVEL
 SUSPICIOUS_FIT = 0.06
 """An rms residual above this part of the readings' spread is suspicious: a file read wrongly has
 more."""
-NO_FIT = 0.1
-"""An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
-digit."""
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
 SAME_PLACE = 1e-3
@@ -173,11 +171,12 @@ def fit_warnings(
     """
     parameters, variances = solution.best, solution.variances
     treated = variances is not None and variances.pose is not None
+    poor = fit.rms > NO_FIT * readings.spread()  # then the errors of the poses were not looked at
     return (
         *_of_the_file(readings, parameters, fit),
         *_same_mounts(parameters, fit, names),
         *_wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated),
-        *(() if treated else _pose_errors(fit, noise)),
+        *(() if treated or poor else _pose_errors(fit, noise)),
         *_large_pose_errors(solution.scales),
         *_of_the_noise(fit, solution.redundancy),
     )

@@ -51,7 +51,7 @@ def refine(start: Parameters, readings: Readings, terms: int, iterations: int) -
 
 def refine_many(
     starts: Sequence[Parameters],
-    readings: Readings,
+    readings: Readings | Sequence[Readings],
     terms: int,
     iterations: int,
     loss: Loss = GAUSSIAN,
@@ -66,7 +66,7 @@ def refine_many(
     Parameters
     ----------
     starts : Parameters, each
-    readings : Readings
+    readings : Readings, or one of the same beams, planes and stations for every start
     terms : int
         Range-error terms that are refined with the rest.
     iterations : int
@@ -76,14 +76,17 @@ def refine_many(
     scale : LossScale, optional
         Not needed for the Gaussian loss.
     """
-    limit = MOST_RESIDUAL * float(np.quantile(readings.distance, 0.75))
-    share = max(ROWS_AT_ONCE // max(len(readings), 1), 1)
+    common = isinstance(readings, Readings)
+    each = [readings] if isinstance(readings, Readings) else readings
+    limit = MOST_RESIDUAL * max(float(np.quantile(one.distance, 0.75)) for one in each)
+    share = max(ROWS_AT_ONCE // max(len(each[0]), 1), 1)
     refined: list[Refined | None] = []
     for first in range(0, len(starts), share):
         tell("search")
         some = starts[first : first + share]
+        read = each if common else each[first : first + share]
         problem, block = beam_problem(
-            [readings], terms, 1.0, len(some), loss=loss, scale=scale, limit=limit
+            read, terms, 1.0, len(some), loss=loss, scale=scale, limit=limit
         )
         tolerance = CANDIDATE_TOLERANCE * float(np.sqrt(problem.dof))
         options = LevenbergOptions(

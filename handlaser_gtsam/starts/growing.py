@@ -74,13 +74,15 @@ def grow(start: PartialStart, readings: Readings) -> Parameters:
     What the readings do not determine gets the solution of least norm, so that a solver can run
     and the diagnosis can say what is missing.
     """
+    wanted = readings.beams + readings.planes
+    known = start.known_beams().sum() + start.known_planes().sum()
     for least_norm in (False, True):
-        while True:
-            before = start.known_beams().sum() + start.known_planes().sum()
+        before = -1
+        while before < known < wanted:
+            before = known
             _grow_planes(start, readings, least_norm)
             _grow_beams(start, readings, least_norm)
-            if start.known_beams().sum() + start.known_planes().sum() == before:
-                break
+            known = start.known_beams().sum() + start.known_planes().sum()
     # What no reading reaches gets a harmless value.
     beams, planes = ~start.known_beams(), ~start.known_planes()
     start.locations[beams] = 0.0

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...model.effects.effect import size_in_words
 from ...quantities import IN_MM
 from ...text import count, some
 from ..correlations import STRONG
 from ..improvement import WELL_CONDITIONED
 from ..lines import NAMES_IN_LINE, small_mm
 from ..systematic import SystematicError
-from ..systematic_words import size_in_words
 from .noise import noise_words, range_error_words
 from .tables import (
     NONE,

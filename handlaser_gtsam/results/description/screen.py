@@ -3,11 +3,11 @@
 And in full, where every table is asked for.
 """
 
+from ...model.effects.effect import size_in_words
 from ...quantities import IN_MM
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
 from ..systematic import SystematicError
-from ..systematic_words import size_in_words
 from .description import Description
 from .evidence import moved
 from .rendering import PLAIN, full_table, text_lines, text_table

@@ -12,20 +12,12 @@ import numpy as np
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..model.distributions import (
-    gaussian_cdf,
-    gaussian_quantile,
-    gaussian_sf,
-    student_mean,
-    student_quantile,
-    student_sf,
-)
+from ..model.distributions import gaussian_cdf, gaussian_sf, needed, two_sided
+from ..model.effects import EFFECTS
 from ..model.families import BEAM
-from ..quantities import POWER
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
+from .score_members import score_members
 from .significance import CONFIDENCE, FAMILY_LEVEL, holm
-from .systematic_columns import systematic_columns
-from .systematic_words import WORDING
 
 CONFOUNDED_SHARE = 1e-6
 """An error is confounded where the unknowns explain all but this part of its column. Rounding makes up
@@ -39,8 +31,6 @@ STRAINED_SHARE = 0.95
 this part: to 0.04 to 0.1 for a cubic range error, to 0.7 or more for all others. A cubic error that is
 there widens the prior: with a half here it was judged beside the widened prior, and found in 96 of 100
 recordings instead of the 80 that its stated size promises."""
-GAUSSIAN_DOF = 1e5
-"""With more degrees of freedom an estimated scale is as good as given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +90,7 @@ class ScoreTests:
         growth: float = 1.0,
     ) -> None:
         self.rows, self.dof, self.growth, prior = rows, dof, growth, rows.prior
-        self.kinds = systematic_columns(rows)
+        self.kinds = score_members(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
@@ -150,10 +140,11 @@ class ScoreTests:
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
-        most = np.array([UNKNOWN_SIZE * unit[WORDING[code].unit] for code in self.codes.tolist()])
+        most = np.array([UNKNOWN_SIZE * unit[EFFECTS[code].unit] for code in self.codes.tolist()])
         determined = (share > CONFOUNDED_SHARE) & (left > (scale / most) ** 2)
         if (self.rows.prior[:, 0] > 0.0).all():
-            determined &= self.codes != "translation-scale"
+            is_k1 = [code for code, effect in EFFECTS.items() if effect.is_k1]
+            determined &= ~np.isin(self.codes, is_k1)
         return np.asarray(determined)
 
     def _test(self, scale: float) -> None:
@@ -192,21 +183,25 @@ class ScoreTests:
     def spots(self, members: IntArray, sizes: FloatArray) -> FloatArray:
         """Return by how much laser spots are wrong (m, B, 4, 3), by powers 0 to 3 of the reading [m].
 
-        The spot x = r + g(d) v is wrong by dr + g(d) dv + (d dk1 + d^2 dk2) v, and by what a cubic
-        error itself makes g wrong by. Other errors of readings are nothing at right angles, amid the
-        recording, or where all channels read alike, which is where spots are judged.
+        The spot x = r + g(d) v is wrong by dr + g(d) dv + (d dk1 + d^2 dk2) v, and by what the error
+        itself makes g wrong by.
         """
         at, x = self.rows.at, self._moved_by(members, sizes)
         k, v, turn = at.range_errors[:, :, None], at.directions, self._turns(x)
-        cubic = np.where(self.codes[members] == "cubic", sizes, 0.0)
-        fourth = cubic / self.rows.readings.level.max() ** 3
         parts = (
             x[:, :, :3],
             (1.0 + k[:, 0]) * turn + x[:, :, 5:6] * v,
             k[:, 1] * turn + x[:, :, 6:7] * v,
-            fourth[:, None, None] * v,
+            np.zeros_like(turn),
         )
-        return np.stack(parts, axis=2)
+        spots = np.stack(parts, axis=2)
+        for number, member in enumerate(members.tolist()):
+            power = EFFECTS[str(self.codes[member])].power
+            if power is not None:
+                spots[number, :, power] += (
+                    sizes[number] / self.rows.readings.level.max() ** power * v
+                )
+        return spots
 
     def _moved_by(self, members: IntArray, sizes: FloatArray) -> FloatArray:
         """Return by how much the unknowns of every beam (m, B, 7) are wrong."""
@@ -274,25 +269,6 @@ class ScoreTests:
                 words.append("")
                 kept.append(number)
         return words
-
-
-def two_sided(z: FloatArray, dof: int | None) -> FloatArray:
-    """Return the probability of a larger |z|: Gaussian, or Student's with dof - 1."""
-    tail = gaussian_sf(np.abs(z)) if dof is None else student_sf(np.abs(z), dof - 1)
-    return np.asarray(2.0 * tail)
-
-
-def needed(level: float, dof: int | None) -> tuple[float, float]:
-    """Return the critical |z| at a level, and the mean of z that exceeds it with probability `POWER`.
-
-    The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
-    Student.
-    """
-    gaussian = -float(gaussian_quantile(0.5 * level))
-    if dof is None or dof > GAUSSIAN_DOF:
-        return gaussian, gaussian + float(gaussian_quantile(POWER))
-    critical = -float(student_quantile(0.5 * level, dof - 1))
-    return critical, student_mean(1.0 - POWER, dof - 1, critical)
 
 
 def alike(rho: FloatArray, delta: float) -> BoolArray:

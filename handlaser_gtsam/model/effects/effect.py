@@ -1,0 +1,205 @@
+"""What a systematic error is: its column of derivatives, its plausible size, and the words for it.
+
+A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
+With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h farther
+along n changes e by c h, a reading that is f too long by -g'(d) f, and a true hand pose that is xi
+beside the recorded one by -J xi.
+
+An effect of all readings has one column or several. An effect of single planes has one column, as if
+it were everywhere, and for every member the rows in which it counts.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...data.parameters import Parameters
+from ...data.readings import Readings
+from ..equation import Linearization, Scene, linearize, residuals, scene
+from ..weighting import slopes
+
+UNKNOWNS = "the unknowns of the calibration in this recording"
+
+
+class SeenStations:
+    """Readings at a solution, as the effects see them.
+
+    Parameters
+    ----------
+    at : Parameters
+    readings : Readings
+        Sorted, every plane in a frame amid its own stations.
+    position : (N,)
+        Order in time of each reading's station in the recording.
+    channel : (B,)
+        Which column of the recording each beam is.
+    """
+
+    def __init__(
+        self, at: Parameters, readings: Readings, position: IntArray, channel: IntArray
+    ) -> None:
+        self.at, self.readings, self.position, self.channel = at, readings, position, channel
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """From 0 at the first station of the recording to 1 at the last (N,)."""
+        return np.asarray(self.position / max(int(self.position.max()), 1))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The readings with their beams and planes."""
+        return scene(self.at, self.readings)
+
+    @cached_property
+    def longer(self) -> FloatArray:
+        """Derivatives (N,) by readings that are too long."""
+        return -slopes(self.at, self.readings)
+
+    @cached_property
+    def linear(self) -> Linearization:
+        """Derivatives by planes, beams and hand poses."""
+        return linearize(self.scene, self.readings.level, with_pose=True)
+
+    @cached_property
+    def first(self) -> tuple[IntArray, IntArray]:
+        """A row of every station that has readings (S,), and which of these each row is of (N,)."""
+        _, row, station = np.unique(self.readings.station, return_index=True, return_inverse=True)
+        return row, station
+
+    @cached_property
+    def spots(self) -> FloatArray:
+        """Where the beams meet their planes (N, 3) [m]."""
+        return np.asarray(self.linear.normal / self.linear.offset[:, None])
+
+    @cached_property
+    def expected(self) -> FloatArray:
+        """Predicted readings (N,) [m]."""
+        d = self.readings.distance
+        return np.asarray(d - residuals(self.scene, d) / self.longer)
+
+    def by_pose(self, error: FloatArray) -> FloatArray:
+        """Return derivatives (N,) by hands that are (omega, u) (S, 6) beside their recorded poses."""
+        return -np.asarray(np.einsum("ni,ni->n", self.linear.pose, error[self.first[1]]))
+
+
+@dataclass(frozen=True, slots=True)
+class Everywhere:
+    """Members that concern all readings.
+
+    Attributes
+    ----------
+    columns : (N, c)
+    mix : (c, m), optional
+        Of which columns each member is the sum; each is one by itself where it is not given.
+    since : (m,), optional
+        Position in the recording from which on each member counts, -1 for the whole of it.
+    """
+
+    columns: FloatArray
+    mix: FloatArray | None = None
+    since: IntArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OnPlanes:
+    """Members that concern one plane each.
+
+    Attributes
+    ----------
+    column : (N,)
+        As if the error were everywhere.
+    plane, beam, since : (m,)
+        Of every member: its plane, the one beam it concerns (-1 for all), and the position in the
+        recording of the first station it concerns. It counts from there on.
+    """
+
+    column: FloatArray
+    plane: IntArray
+    beam: IntArray
+    since: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effect:
+    """One kind of systematic error.
+
+    Attributes
+    ----------
+    code : str
+    phrase : str
+        The error, with {size} and {subject} to be filled in.
+    remedy : str
+    reveal : str
+        What would show an error that may be there unseen.
+    unit : str
+        Of its size: "m", or "1" for a part.
+    confounded : str
+        What it is confounded with.
+    anywhere : str
+        The subject where no member is meant.
+    of_sensor : mapping of str to float
+        Its largest plausible size by kind of sensor, as a part of the measuring range.
+    of_cell : float, optional
+        Its largest plausible size with any sensor.
+    members : callable, optional
+        Returns its columns at the stations; None for an error that no recording can show.
+    of_readings : callable, optional
+        Instead of `members`, for an error that a reading has by itself, whenever it is taken: returns
+        its column (N,) for the stations and the reading [m] at which its size is meant.
+    power : int, optional
+        Power of the reading by which it moves the laser spots along their beams; they stay where not
+        given, because spots are judged at right angles, amid the recording, all channels alike.
+    least_beams : int
+        With fewer beams there is no such error.
+    is_k1 : bool
+        Whether k1 of all beams is the same, so that it shows only where the model has none.
+    across : bool
+        Whether a location of the beam that is off to the side by its size is the same.
+    """
+
+    code: str
+    phrase: str
+    remedy: str
+    reveal: str = ""
+    unit: str = "m"
+    confounded: str = UNKNOWNS
+    anywhere: str = ""
+    of_sensor: Mapping[str, float] = field(default_factory=dict)
+    of_cell: float | None = None
+    members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
+    of_readings: Callable[[SeenStations, float], FloatArray] | None = None
+    power: int | None = None
+    least_beams: int = 1
+    is_k1: bool = False
+    across: bool = False
+
+    def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
+        """Return its members at the stations; None where no recording can show it."""
+        if self.of_readings is not None:
+            column = self.of_readings(stations, float(stations.readings.level.max()))
+            return Everywhere(column[:, None])
+        return None if self.members is None else self.members(stations)
+
+    def with_size(self, size: float, subject: str | None = None) -> str:
+        """Return the phrase with a size, and a subject: any one where none is meant."""
+        whose = self.anywhere if subject is None else subject
+        return self.phrase.format(size=size_in_words(size, self.unit), subject=whose)
+
+    def without_size(self) -> str:
+        """Return the phrase for an error of unknown size."""
+        phrase = self.phrase.replace(" by {size}", "").replace(" of {size}", "")
+        return phrase.format(subject=self.anywhere)
+
+    def plausible(self, kind: str, measuring_range: float) -> float | None:
+        """Return its largest plausible size [unit] for a kind of sensor; None where none is known."""
+        if self.of_cell is not None:
+            return self.of_cell
+        return self.of_sensor[kind] * measuring_range if self.of_sensor else None
+
+
+def size_in_words(size: float, unit: str) -> str:
+    """Return a size with two digits, in mm or percent."""
+    return f"{size * 1e3:.2g} mm" if unit == "m" else f"{size * 100.0:.2g} %"
