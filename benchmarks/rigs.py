@@ -188,7 +188,7 @@ def _relations(rig: Any, plain: SurveyCalibration) -> Iterator[tuple[hl.Known, f
         if relation == "angle" and 0.2 < angle < 2.9:
             sigma = 1e-4
             tilts = [plain.targets[label].sigma["tilt"] for label in (first, second)]
-            both = float(np.hypot(sigma, np.hypot(*tilts)))
+            both = float(np.hypot(sigma, float(np.linalg.norm(tilts))))
             yield hl.Known("angle", (first, second), angle, 0.0, sigma), 10.0 * both
             return
 

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="type-arg,no-any-return,assignment"
 """Made-up measurements of range sensors on a moved hand, by signed distances of bodies.
 
 No ray is intersected in closed form here.  Each body gives the signed distance of any point to

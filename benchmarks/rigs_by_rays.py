@@ -1,3 +1,4 @@
+# mypy: disable-error-code="type-arg,no-any-return,assignment"
 """Made-up measurements of range sensors on a moved hand, by analytic ray intersection.
 
 A rig is a set of stations.  At each station the hand has a pose ``world_T_hand`` and each sensor,

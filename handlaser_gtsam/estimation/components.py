@@ -27,7 +27,7 @@ GRID = 9
 """Sizes of each pose error that the mean runs over."""
 WIDEST = 12.0
 """Sizes of pose errors are looked for up to this many times the larger of prior and mode."""
-MOST_TIMES = 1e4
+LARGEST_SIZE = 1e4
 """No pose error is more than this many times what its prior expects."""
 
 
@@ -147,7 +147,7 @@ def components(
     start = np.concatenate(
         (np.zeros(len(open_)), [max(now.pose[i] / prior[i], 0.1) for i in wanted])
     )
-    bounds = [(-8.0, 8.0)] * len(open_) + [(0.0, MOST_TIMES)] * len(wanted)
+    bounds = [(-8.0, 8.0)] * len(open_) + [(0.0, LARGEST_SIZE)] * len(wanted)
     best = minimize(value, start, method="L-BFGS-B", bounds=bounds).x
     factor, pose = unpacked(best)
     if wanted:

@@ -42,15 +42,15 @@ GROSS = 6.0
 """Shots farther than this many times the typical misfit are left out before anything is learned."""
 ROBUST_ROUNDS = 8
 """Rounds of leaving out gross shots; most settle within three."""
-SETTLED = 0.01
+SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots that may be left out."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
-HELD = 0.01
+BODY_HELD = 0.01
 """A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
-LEAST_SIGMA = 1e-9
+FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
 
@@ -127,7 +127,7 @@ class _State:
         for body, known in enumerate(self.rows.bodies):
             assert known.faces is not None
             pose = self.values[BODY.name][0, body]
-            sigma = HELD * min(self.rows.length, 1.0)
+            sigma = BODY_HELD * min(self.rows.length, 1.0)
             relation = held(body, pose, known.faces, sigma)
             if relation is not None:
                 yield relation
@@ -225,7 +225,7 @@ def _stated(rows: Rows, noise: Noise) -> Components:
 
 def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components:
     own = np.sqrt(inside.squares / np.maximum(inside.dof, 1.0))
-    own = np.where(inside.dof > 0.0, np.maximum(own, LEAST_SIGMA), FIRST_SIGMA)
+    own = np.where(inside.dof > 0.0, np.maximum(own, FINEST), FIRST_SIGMA)
     own[-1] = AIMING_SIGMA
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
     prior = noise.pose_rotation_prior, noise.pose_translation_prior
@@ -295,11 +295,11 @@ def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[flo
             station = np.repeat([item.station for item in some], shape[1])
             by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
     new = components(rows, source, inside, state.sizes, stated, prior)
-    new = Components(np.maximum(new.sigma, LEAST_SIGMA), new.pose)
+    new = Components(np.maximum(new.sigma, FINEST), new.pose)
     before = np.array([*state.sizes.sigma, *state.sizes.pose])
     after = np.array([*new.sigma, *new.pose])
     state.sizes = new
-    return bool((np.abs(after - before) > SETTLED * np.maximum(after, before)).any())
+    return bool((np.abs(after - before) > SIZES_SETTLED * np.maximum(after, before)).any())
 
 
 def _worst_changed(state: _State) -> bool:

@@ -30,7 +30,7 @@ LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
-HELD = 1e9
+HELD_AT_ZERO = 1e9
 """Inverse of a standard deviation that holds a range error at zero."""
 AIMING = ("aiming", 0)
 """Names the standard deviation of spots across their rays, where they are aimed at points."""
@@ -350,7 +350,7 @@ def priors_of(rows: Rows, linearity: float) -> list[Block]:
     if any(one.free for one in shots):
         free = np.array([[error in one.free for error in ERRORS] for one in shots])
         # Where another sensor has it free, an error that this one has not is held at zero.
-        root = np.where(free, 1.0 / RANGE_ERRORS, HELD) * free.any(axis=0)
+        root = np.where(free, 1.0 / RANGE_ERRORS, HELD_AT_ZERO) * free.any(axis=0)
         weights = Weights((root > 0.0).astype(float)[None])
         priors.append(VectorPrior(SENSOR.name, root[None], np.zeros(free.shape), weights))
     return priors

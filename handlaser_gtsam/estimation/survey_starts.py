@@ -53,7 +53,7 @@ POOR = 25.0
 """A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
-MET = 0.95
+ASIDE = 0.95
 """Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
 FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
@@ -520,7 +520,7 @@ def _met_by_all(x: FloatArray, p: FloatArray, u: FloatArray) -> FloatArray:
     """Return a sphere that is made larger, its near side where it was, until rays (n, 3) meet it."""
     w = p - x[:3]
     aside = np.linalg.norm(w - (w * u).sum(axis=1)[:, None] * u, axis=1)
-    more = max(float(aside.max()) / MET - x[3], 0.0)
+    more = max(float(aside.max()) / ASIDE - x[3], 0.0)
     ahead = u.mean(axis=0)
     return np.append(x[:3] + more * ahead / np.linalg.norm(ahead), x[3] + more)
 

@@ -22,19 +22,19 @@ from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
 from .sensors.fans import Rayset
 from .sensors.kinds import Kind
 
-FAR = 4.5
+FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are left out."""
-FEW = 4
+WEAK_SPHERE = 4
 """A sphere is hardly known from up to this many times as many points as it has numbers."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 VOTING = 128
 """Points that vote on trial shapes."""
-FLATTEST = 3.0
+MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
-MOST_STEPS = 12
+STEPS_OF_SHAPE = 12
 """Gauss-Newton steps of a shape: a good start takes four."""
-SETTLED = 1e-10
+SHAPE_SETTLED = 1e-10
 """A relative step of a shape below this is rounding."""
 
 
@@ -209,7 +209,7 @@ def condensed(
         Standard deviation of a reading [m], where it is known.
     """
     shape, rays = shape_of(kind, target), kind.rays(across)
-    few = FEW * shape.size if target == "sphere" else shape.size - 1
+    few = WEAK_SPHERE * shape.size if target == "sphere" else shape.size - 1
     if len(reading) <= few:
         return _as_they_are(shape, rays, reading)
     first, kept = _robust(shape, rays, reading, sigma)
@@ -221,7 +221,7 @@ def condensed(
     if kept.sum() <= few:
         return _as_they_are(shape, _rows(rays, kept), reading[kept], kept)
     found, rays, d, at = first, _rows(rays, kept), reading[kept], _rows(rays, kept)
-    for _ in range(MOST_STEPS):
+    for _ in range(STEPS_OF_SHAPE):
         s = shape.ranges(found[None], at)[0]
         if not np.isfinite(s).all():
             return None
@@ -235,7 +235,7 @@ def condensed(
         root = 1.0 / np.sqrt(1.0 + (ratio * slope) ** 2)
         step, *_ = np.linalg.lstsq(J * root[:, None], e * root, rcond=None)
         left = e - J @ step
-        if np.abs(step).max() <= SETTLED * np.abs(found).max():
+        if np.abs(step).max() <= SHAPE_SETTLED * np.abs(found).max():
             break
         found = found + step
         if ratio:
@@ -282,7 +282,7 @@ def _in_rows(
     s = shape.ranges(found[None], rays)[0]
     W = J * root[:, None]
     unit = 1.0 / np.maximum(np.sqrt((W**2).sum(axis=0)), TINY)
-    R = np.linalg.qr(W * unit, mode="r")
+    R: FloatArray = np.asarray(np.linalg.qr(W * unit, mode="r"), dtype=float)
     diagonal = np.abs(np.diagonal(R))
     if not np.isfinite(s).all() or diagonal.min() < NEGLIGIBLE * diagonal.max():
         return None
@@ -331,7 +331,9 @@ def _robust(
     for _ in range(4):
         e = np.abs(reading - shape.ranges(best[None], rays)[0])
         scale = MEDIAN_TO_SIGMA * float(np.median(e[kept])) if kept.any() else np.inf
-        kept = e <= FAR * max(scale, sigma or 0.0, SETTLED * float(np.median(reading)))
+        kept = e <= FAR_FROM_SHAPE * max(
+            scale, sigma or 0.0, SHAPE_SETTLED * float(np.median(reading))
+        )
         if kept.sum() <= shape.size:
             return None, kept
         again = _refined(shape, best[None], _rows(rays, kept), reading[kept])
@@ -346,7 +348,7 @@ def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
     s = shape.ranges(found[None], rays)[0]
     hit = np.isfinite(s)
     a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
-    return np.asarray(hit & (np.linalg.norm(a, axis=1) < FLATTEST))
+    return np.asarray(hit & (np.linalg.norm(a, axis=1) < MOST_SLANTED))
 
 
 def _refined(
@@ -354,7 +356,7 @@ def _refined(
 ) -> FloatArray | None:
     """Return the least-squares shape of all points, from a start (1, r); None where rays miss it."""
     found = start[0]
-    for _ in range(MOST_STEPS):
+    for _ in range(STEPS_OF_SHAPE):
         s = shape.ranges(found[None], rays)[0]
         hit = np.isfinite(s)
         if hit.sum() < shape.size or (~hit).mean() > 0.5:
@@ -390,4 +392,4 @@ def _stacked(rays: Rayset, sets: IntArray | None) -> Rayset:
 
 def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
     """Return the least-squares solutions (H, q) of rows (H, m, q)."""
-    return np.asarray((np.linalg.pinv(rows, rcond=SETTLED) @ right[..., None])[..., 0])
+    return np.asarray((np.linalg.pinv(rows, rcond=SHAPE_SETTLED) @ right[..., None])[..., 0])

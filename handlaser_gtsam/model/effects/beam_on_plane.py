@@ -28,7 +28,6 @@ BEAM_ON_PLANE = Effect(
     "same two planes",
     anywhere="one beam on one plane",
     members=members,
-    # Colours err as linearity does: see `cubic`.
     of_sensor={
         "triangulation": 0.002,
         "time-of-flight": 0.01,
@@ -37,3 +36,4 @@ BEAM_ON_PLANE = Effect(
         "other": 0.0,
     },
 )
+"""Colours err as linearity does: see `cubic`."""

@@ -32,7 +32,7 @@ CARRY_OVER = Effect(
     unit="1",
     of_readings=column,
     least_beams=2,
-    # The sampling capacitor brings C / (C + C_input) of the channel before along: 2 % for 20 pF at an
-    # input of 1 nF (Microchip, "Channel to channel crosstalk and error").
     of_cell=0.02,
 )
+"""The sampling capacitor brings C / (C + C_input) of the channel before along: 2 % for 20 pF at an
+input of 1 nF (Microchip, "Channel to channel crosstalk and error")."""

@@ -17,8 +17,6 @@ CUBIC = Effect(
     reveal="add stations over the whole span of ranges at the same angles of incidence",
     of_readings=column,
     power=3,
-    # Linearities: data sheets of the optoNCDT 1402, the SICK DT35 (10 mm, of a measuring range of 1 m
-    # or so), the confocalDT IFS2405 and the Omron E4PA.
     of_sensor={
         "triangulation": 0.002,
         "time-of-flight": 0.01,
@@ -27,3 +25,5 @@ CUBIC = Effect(
         "other": 0.0,
     },
 )
+"""Linearities: data sheets of the optoNCDT 1402, the SICK DT35 (10 mm, of a measuring range of 1 m
+or so), the confocalDT IFS2405 and the Omron E4PA."""

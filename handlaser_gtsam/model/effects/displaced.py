@@ -37,6 +37,6 @@ DISPLACED = Effect(
     reveal="record more stations before each plane, and repeat the first ones at the end",
     anywhere="one plane from some station on",
     members=members,
-    # Held by hand-tightened clamps a plate moves by up to 1 mm.
     of_cell=1e-3,
 )
+"""Held by hand-tightened clamps a plate moves by up to 1 mm."""

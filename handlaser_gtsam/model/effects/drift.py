@@ -21,8 +21,6 @@ DRIFT = Effect(
     remedy="let the sensor warm up, and record in a shorter time",
     reveal="repeat the first stations at the end",
     members=members,
-    # Over a warm-up by 10 K. Triangulation: 0.03 % a kelvin (data sheet of the optoNCDT 1402).
-    # Ultrasound: the speed of sound changes by 0.17 % a kelvin. The others as their accuracy.
     of_sensor={
         "triangulation": 0.003,
         "time-of-flight": 0.01,
@@ -31,3 +29,5 @@ DRIFT = Effect(
         "other": 0.0,
     },
 )
+"""Over a warm-up by 10 K. Triangulation: 0.03 % a kelvin (data sheet of the optoNCDT 1402).
+Ultrasound: the speed of sound changes by 0.17 % a kelvin. The others as their accuracy."""

@@ -16,10 +16,6 @@ INCIDENCE = Effect(
     remedy="measure at smaller angles of incidence, or give the sensor's largest incidence",
     reveal="add stations at 50 to 60 deg of incidence, where the sensor reads there",
     of_readings=column,
-    # Triangulation: tilts of 30 degrees change a reading by 0.5 % of the measuring range (operating
-    # instructions of the optoNCDT 1402, 1700 and 2300, "angle influences"). Ultrasound: within its cone
-    # a sensor reads the distance d cos a to the nearest point, which for small angles a is
-    # 1 - tan^2(a) / 2 times that along the beam. The others as their accuracy or linearity.
     of_sensor={
         "triangulation": 0.015,
         "time-of-flight": 0.01,
@@ -28,3 +24,7 @@ INCIDENCE = Effect(
         "other": 0.0,
     },
 )
+"""Triangulation: tilts of 30 degrees change a reading by 0.5 % of the measuring range (operating
+instructions of the optoNCDT 1402, 1700 and 2300, "angle influences"). Ultrasound: within its
+cone a sensor reads the distance d cos a to the nearest point, which for small angles a is 1 -
+tan^2(a) / 2 times that along the beam. The others as their accuracy or linearity."""

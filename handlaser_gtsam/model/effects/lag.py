@@ -40,6 +40,6 @@ LAG = Effect(
     reveal="reach some stations again from another side",
     unit="1",
     members=members,
-    # A reading is taken up to a tenth of a step before or after its pose.
     of_cell=0.1,
 )
+"""A reading is taken up to a tenth of a step before or after its pose."""

@@ -19,6 +19,6 @@ SAG = Effect(
     remedy="use a flatter plate, support it evenly, or measure a smaller part of it",
     reveal="add stations that look at the middle and at the edges of the plate from several sides",
     members=members,
-    # A machined face of up to 300 mm is flat to 0.2 mm (ISO 2768-2, class H).
     of_cell=2e-4,
 )
+"""A machined face of up to 300 mm is flat to 0.2 mm (ISO 2768-2, class H)."""

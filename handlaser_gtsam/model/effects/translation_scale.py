@@ -25,7 +25,7 @@ TRANSLATION_SCALE = Effect(
     confounded="k1 of all beams, because every length scales together",
     is_k1=True,
     members=members,
-    # Lengths of a six-axis arm are wrong by up to 0.65 mm over a metre (Slamani, Nubiola and Bonev,
-    # Industrial Robot 2012).
     of_cell=1e-3,
 )
+"""Lengths of a six-axis arm are wrong by up to 0.65 mm over a metre (Slamani, Nubiola and Bonev,
+Industrial Robot 2012)."""

@@ -20,6 +20,6 @@ TURN_SCALE = Effect(
     reveal="turn the hand further, and about other axes",
     unit="1",
     members=members,
-    # As the lengths: see `translation_scale`.
     of_cell=1e-3,
 )
+"""As the lengths: see `translation_scale`."""

@@ -9,10 +9,7 @@ TILT = Effect(
     "mean",
     reveal="calibrate once more with the sensor turned by half a turn about its beam",
     confounded="a location of the beam to the side",
-    # Readings that err by size times tan(tilt): with dr across the beam a plane that is tilted by the
-    # angle a towards dr is met |dr| tan a earlier.
     across=True,
-    # Triangulation: as `incidence`, where that grows with the tangent and has its sign.
     of_sensor={
         "triangulation": 0.0087,
         "time-of-flight": 0.01,
@@ -21,6 +18,9 @@ TILT = Effect(
         "other": 0.0,
     },
 )
+"""Readings that err by size times tan(tilt): with dr across the beam a plane that is tilted by the
+angle a towards dr is met |dr| tan a earlier. Triangulation: as `incidence`, where that grows
+with the tangent and has its sign."""
 INVERSE_COSINE = Effect(
     code="inverse-cosine",
     phrase="a range error proportional to 1/cos(incidence)",
