@@ -36,7 +36,7 @@ from .survey_rows import (
     relations_of,
     rows_of,
 )
-from .survey_starts import start_of
+from .survey_starts import TRIMMED, start_of
 
 GROSS = 6.0
 """Shots farther than this many times the typical misfit are left out before anything is learned."""
@@ -234,7 +234,11 @@ def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components
 
 
 def _leave_out_gross(state: _State) -> None:
-    """Leave out shots that are far from what most agree on, before sizes are learned."""
+    """Leave out shots that are far from what most agree on, before sizes are learned.
+
+    While most shots misfit, those that fit worst are left out and the rest is solved again (the
+    concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
+    """
     for _ in range(ROBUST_ROUNDS):
         problem, _ = state.problem()
         again = minimum(problem, list(problem.blocks), state.values)
@@ -242,8 +246,10 @@ def _leave_out_gross(state: _State) -> None:
             return
         state.values = again
         misfit = _misfits(state)
-        typical = float(np.median(misfit[state.used]))
+        typical = float(np.median(misfit))
         kept = misfit <= GROSS * max(typical, 1.0)
+        if kept.all() and typical > GROSS:
+            kept = misfit <= np.quantile(misfit, TRIMMED)
         if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
             return
         state.used = kept

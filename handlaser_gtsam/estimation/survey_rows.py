@@ -28,6 +28,8 @@ TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name
 """Targets that rays meet, by family."""
 LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
+NO_EDGE = 0.5
+"""Two lines that misfit a profile by more than this part of what one line does are no groove."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
 HELD_AT_ZERO = 1e9
@@ -178,17 +180,16 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     name = label.partition(":")[2]
     rows = rows[np.argsort(shots.across[rows, 0])]
     x, z = shots.across[rows, 0], shots.reading[rows]
-    best, cut = np.inf, 0
-    for i in range(LEAST_SEGMENT, len(rows) - LEAST_SEGMENT + 1):
-        squares = 0.0
-        for side in (slice(None, i), slice(i, None)):
-            A = np.column_stack((np.ones_like(x[side]), x[side]))
-            e = z[side] - A @ np.linalg.lstsq(A, z[side], rcond=None)[0]
-            squares += float(np.abs(e).sum())
-        if squares < best:
-            best, cut = squares, i
-    if not cut:
-        return []
+
+    def misfit(side: slice) -> float:
+        A = np.column_stack((np.ones_like(x[side]), x[side]))
+        return float(np.abs(z[side] - A @ np.linalg.lstsq(A, z[side], rcond=None)[0]).sum())
+
+    cuts = range(LEAST_SEGMENT, len(rows) - LEAST_SEGMENT + 1)
+    squares = [misfit(slice(None, i)) + misfit(slice(i, None)) for i in cuts]
+    if not squares or min(squares) > NO_EDGE * misfit(slice(None)):
+        return []  # one side alone, or what is no groove
+    cut = cuts[int(np.argmin(squares))]
     # A point at the edge may be of either side, or of both.
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 

@@ -267,7 +267,8 @@ class SurveyCalibration(Value):
 def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     """Return the result of an estimate."""
     rows, estimate, survey = found.rows, found.estimate, found.rows.survey
-    effects = _effects(found) if estimate.status == "converged" else {}
+    fits = estimate.status in ("converged", "contradicted")
+    effects = _effects(found) if fits else {}
     sensors = {
         shots.name: _sensor(found, i, effects.get(i, ())) for i, shots in enumerate(survey.shots)
     }

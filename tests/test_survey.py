@@ -1,0 +1,381 @@
+"""Sensors of many rays, spheres, points and relations: rows, starts, noise, and what is rejected."""
+
+import numpy as np
+import pytest
+from helpers import ROOT  # noqa: F401  # puts the benchmarks on the path
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_distance, rigs_by_rays
+from benchmarks.rigs import body_of, errors_of, survey_of
+from handlaser_gtsam.estimation.survey import estimate_survey
+from handlaser_gtsam.model import known
+from handlaser_gtsam.model.families import FAMILIES
+from handlaser_gtsam.model.ranges import PoseVariables, Ranges
+from handlaser_gtsam.model.sensors.kinds import KINDS
+from handlaser_gtsam.model.sensors.mounted import Mounted
+from handlaser_gtsam.model.shots import condensed
+from handlaser_gtsam.model.targets.plane import Plane
+
+EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+GENERATORS = {"rays": rigs_by_rays, "distance": rigs_by_distance}
+CASES = {
+    "profiler": ("profiler", {}),
+    "scanner": ("scanner", {}),
+    "array": ("array", {}),
+    "points": ("points", {}),
+    "sphere": ("profiler", {"targets": "sphere"}),
+    "planes and sphere": ("profiler", {"targets": "planes+sphere"}),
+    "array before a sphere": ("array", {"targets": "sphere"}),
+    "mixed": ("mixed", {}),
+    "wrong shots": ("profiler", {"wrong_shots": 0.1, "wrong_by": "station", "stations": 15}),
+}
+
+
+def far(rig, result):
+    """The smallest probability that chance makes a mount so far off."""
+    return min(
+        chi2.sf(float(error @ np.linalg.solve(C, error)), len(error))
+        for error, C in errors_of(rig, result)
+    )
+
+
+@pytest.mark.parametrize("generator", GENERATORS)
+@pytest.mark.parametrize("case", CASES)
+def test_mounts_are_found_without_a_start_within_their_covariance(case, generator):
+    kind, options = CASES[case]
+    for seed in (101, 102):
+        rig = getattr(GENERATORS[generator], kind)(seed, **options)
+        result = hl.calibrate(survey_of(rig), EXACT)
+        assert result.status == "converged", result.message
+        assert far(rig, result) > 1e-4
+
+
+def test_errors_of_the_hand_are_counted_stated_or_not():
+    hand = 5e-5, 1.7e-4
+    for noise in (
+        hl.Noise(pose_translation_sigma=hand[0], pose_rotation_sigma=hand[1]),
+        hl.Noise(pose_covariance=np.diag([hand[1] ** 2] * 3 + [hand[0] ** 2] * 3)),
+        hl.Noise(),
+    ):
+        rig = rigs_by_rays.profiler(7, hand_sigma=hand, planes=3, stations=14)
+        result = hl.calibrate(survey_of(rig), noise)
+        assert far(rig, result) > 1e-4
+        # Without them the standard deviations would be six times as small.
+        exact = hl.calibrate(survey_of(rigs_by_rays.profiler(7, planes=3, stations=14)), EXACT)
+        ratio = result.sensors["profiler"].location_sigma / exact.sensors["profiler"].location_sigma
+        assert ratio.min() > 2.0
+
+
+def test_wrong_shots_are_left_out_as_wholes():
+    options = {"wrong_shots": 0.1, "wrong_by": "station", "stations": 15, "planes": 2}
+    rig = rigs_by_rays.profiler(3, **options)
+    result = hl.calibrate(survey_of(rig), EXACT)
+    wrong = {int(s) for s in rig.tables["profiler"]["station"][rig.truth["wrong"]["profiler"]]}
+    out = {int(one.station) - 1 for one in result.rejected}
+    assert wrong
+    assert wrong == out
+
+
+def test_a_cone_is_refused_with_what_is_undetermined():
+    rig = rigs_by_rays.profiler(3, planes=1, motion="cone", stations=12)
+    result = hl.calibrate(survey_of(rig), EXACT)
+    assert result.status == "undetermined"
+    assert "z of sensor profiler" in result.message
+    assert "offset of plane:A" in result.message
+    assert any("cone" in words for words in result.undetermined)
+    sensor = result.sensors["profiler"]
+    assert np.isfinite(sensor.rotation_sigma).all()  # the turn is known all the same
+
+
+def test_covariances_are_gtsams_and_the_dense_inverse():
+    rig = rigs_by_rays.mixed(3)
+    found = estimate_survey(survey_of(rig), EXACT)
+    problem, estimate = found.problem, found.estimate
+    J, _ = problem.rows(
+        problem.blocks, {name: x[None] for name, x in estimate.values.items()}
+    ).whitened()
+    scale = np.sqrt(np.diagonal(estimate.covariance))
+    inverse = np.linalg.inv((J * scale).T @ (J * scale))
+    assert np.abs(estimate.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
+
+
+def profiles(count, seed=5, points=1000):
+    """Profiles of three planes with their hand poses, condensed and whole."""
+    rig = rigs_by_rays.profiler(seed, planes=3, stations=count)
+    rng = np.random.default_rng(0)
+    T = np.asarray(rig.truth["profiler"])
+    station, x, z = [], [], []
+    for i, label in enumerate(rig.label):
+        plane = rig.truth["targets"][label]
+        S = rig.truth["hand"][i] @ T
+        n, d = S[:3, :3].T @ plane["normal"], plane["normal"] @ S[:3, 3] + plane["offset"]
+        here = np.linspace(-0.02, 0.02, points)
+        station.append(np.full(points, i))
+        x.append(here)
+        # No point is so far off that it is left out.
+        noise = np.clip(rng.normal(size=points), -3.5, 3.5)
+        z.append(-(n[0] * here + d) / n[2] + 1e-4 * noise)
+    arrays = (np.concatenate(part) for part in (station, x, z))
+    shots = hl.Shots.profiler("profiler", *arrays, sigma=1e-4)
+    return rig, hl.Survey(hl.StationList(rig.R, rig.t, tuple(rig.label)), (shots,))
+
+
+def whole_block(survey, labels):
+    """The block that holds every point."""
+    shots = survey.shots[0]
+    count = len(survey.stations)
+    rays = KINDS["profiler"].rays(shots.across)
+    shape = (count, -1)
+
+    def grouped(vectors):
+        return np.moveaxis(vectors.reshape(*shape, 3), 2, 0)[:, None]
+
+    member = np.array([labels.index(label) for label in survey.stations.plane_labels])
+    d = shots.reading.reshape(1, *shape)
+    by_error = np.stack((np.ones_like(d), d, d * d, np.zeros_like(d)))
+    sensor = Mounted(np.zeros(count, int), grouped(rays.origin), grouped(rays.direction), by_error)
+    return Ranges(sensor, Plane(member), PoseVariables(np.arange(count)), d)
+
+
+def test_condensed_shots_say_what_all_points_say():
+    """20 x 3 shots of 1000 points: the same normal equations at the minimum, and the same minimum."""
+    _, survey = profiles(20)
+    found = estimate_survey(survey, EXACT)
+    values = {name: x[None] for name, x in found.estimate.values.items()}
+    whole = whole_block(survey, list(found.rows.targets["plane"]))
+    problem = hl.estimation.BlockProblem([whole], values, found.problem.unknown, 0.2)
+    rows = problem.rows([whole], values)
+    J, e = rows.derivatives / 1e-4, rows.residuals / 1e-4
+    step = np.linalg.lstsq(J, -e, rcond=None)[0]
+    sigma = np.sqrt(np.diagonal(found.estimate.covariance))
+    assert np.abs(step / sigma).max() < 1e-5  # the same minimum
+    inverse = np.linalg.inv((J * sigma).T @ (J * sigma))
+    assert np.abs(inverse - found.estimate.covariance / np.outer(sigma, sigma)).max() < 1e-6
+
+
+def test_noise_across_a_profile_pulls_no_slope():
+    """Noise in x as large as in z: the slopes of many shots have no bias, and their stated spread."""
+    rng = np.random.default_rng(1)
+    x = np.linspace(-0.025, 0.025, 100)
+    off = []
+    for _ in range(200):
+        noise = rng.normal(scale=5e-4, size=(2, 100))
+        shot = condensed(
+            KINDS["profiler"], "plane", (x + noise[0])[:, None], 0.1 + 0.5 * x + noise[1], 1.0
+        )
+        off.append(shot.shape[1] - 0.5)
+    assert abs(np.mean(off)) < 4.0 * np.std(off) / np.sqrt(200)
+
+
+def test_more_points_bring_no_bias_with_errors_of_the_hand():
+    """The mean error of mounts, in their standard deviations, with 50 and with 1000 points a shot."""
+    hand = 1e-4, 3e-4
+    noise = hl.Noise(pose_translation_sigma=hand[0], pose_rotation_sigma=hand[1])
+    for points in (50, 1000):
+        mean = np.zeros(6)
+        for seed in range(12):
+            rig, survey = profiles(8, seed, points)
+            rng = np.random.default_rng(seed)
+            R = (
+                rig.R
+                @ Rotation.from_rotvec(rng.normal(scale=hand[1], size=(len(rig.R), 3))).as_matrix()
+            )
+            t = rig.t + np.einsum("nij,nj->ni", rig.R, rng.normal(scale=hand[0], size=rig.t.shape))
+            stations = hl.StationList(R, t, survey.stations.plane_labels)
+            result = hl.calibrate(hl.Survey(stations, survey.shots), noise)
+            (error, C) = next(errors_of(rig, result))
+            mean += error / np.sqrt(np.diagonal(C)) / 12
+        assert np.abs(mean).max() < 4.0 / np.sqrt(12)
+
+
+def planes(rng):
+    n = rng.normal(size=3)
+    return np.concatenate((n / np.linalg.norm(n), rng.normal(size=1), rng.normal(size=3)))
+
+
+def motion(rng):
+    turn = Rotation.random(random_state=rng).as_matrix().ravel()
+    return np.concatenate((turn, rng.normal(size=3)))
+
+
+RELATIONS = {
+    "angle": known.at_an_angle("plane", 0, 1, 1.2, 1e-3),
+    "angle of beams": known.at_an_angle("beam", 0, 1, 1.2, 1e-3),
+    "along": known.along(0, np.array([0.0, 0.1, 1.0]), 1e-3),
+    "upright": known.upright(0, np.array([0.0, 0.1, 1.0]), 1e-3),
+    "plane": known.plane_at(0, np.array([0.0, 0.1, 1.0]), 0.3, 1e-3, 1e-3),
+    "radius": known.radius(0, 0.1, 1e-3),
+    "position": known.position("sphere", 0, np.ones(3), 1e-3),
+    "distance": known.distance(("sphere", 0), ("point", 0), 0.5, 1e-3),
+    "face": known.face(0, 0, np.array([0.0, 0.1, 1.0]), 0.2, 1e-3, 1e-3),
+    "mount": known.mounted_at(0, np.eye(4), 1e-3, 1e-3),
+    "mounts": known.mounted_together(0, 1, np.eye(4), 1e-3, 1e-3),
+    "beam": known.beam_at(0, np.zeros(3), np.array([0.0, 0.1, 1.0]), 1e-3, 1e-3),
+    "held": known.held(0, np.append(np.eye(3).ravel(), np.zeros(3)), np.eye(2, 4), 1e-2),
+}
+
+
+@pytest.mark.parametrize("case", RELATIONS)
+def test_rows_of_relations_are_derivatives(case):
+    rng = np.random.default_rng(3)
+    beams = rng.normal(size=(2, 8))
+    beams[:, 3:6] /= np.linalg.norm(beams[:, 3:6], axis=1)[:, None]
+    values = {
+        "plane": np.stack([planes(rng), planes(rng)])[None],
+        "beam": beams[None],
+        "sphere": rng.normal(size=(1, 1, 4)),
+        "point": rng.normal(size=(1, 1, 3)),
+        "body": motion(rng)[None, None],
+        "sensor": np.stack([np.append(motion(rng), np.zeros(4)) for _ in range(2)])[None],
+    }
+    relation = RELATIONS[case]
+    columns = relation.evaluate(values).columns
+    for slot in relation.slots():
+        family = FAMILIES[slot.family]
+        for c in range(family.dim):
+            delta = np.zeros((*values[slot.family].shape[:2], family.dim))
+            delta[0, slot.member[0], c] = 1e-6
+            sides = [
+                relation.evaluate(
+                    {**values, slot.family: family.retract(values[slot.family], sign * delta)}
+                ).columns[-1]
+                for sign in (1.0, -1.0)
+            ]
+            slope = (sides[0] - sides[1]) / 2e-6
+            mine = columns[slot.columns.start + c]
+            assert np.abs(mine - slope).max() < 1e-5 * max(np.abs(slope).max(), 1e3)
+
+
+def test_parallel_planes_have_right_derivatives_where_they_are_parallel():
+    rng = np.random.default_rng(3)
+    first, second = planes(rng), planes(rng)
+    second[:3] = first[:3]
+    relation, values = (
+        known.parallel(0, 1, 0.3, 1e-3, 1e-3),
+        {"plane": np.stack((first, second))[None]},
+    )
+    columns = relation.evaluate(values).columns
+    for slot in relation.slots():
+        for c in range(3):
+            delta = np.zeros((1, 2, 3))
+            delta[0, slot.member[0], c] = 1e-6
+            moved = [
+                relation.evaluate(
+                    {"plane": FAMILIES["plane"].retract(values["plane"], sign * delta)}
+                ).columns[-1]
+                for sign in (1.0, -1.0)
+            ]
+            slope = (moved[0] - moved[1]) / 2e-6
+            assert np.abs(columns[slot.columns.start + c] - slope).max() < 0.02
+
+
+def test_a_body_ties_its_planes_and_one_wrong_face_is_named():
+    rig = rigs_by_rays.profiler(2, targets="body")
+    (body,) = body_of(rig)
+    free = hl.calibrate(survey_of(rig), EXACT)
+    tied = hl.calibrate(survey_of(rig, [body]), EXACT)
+    assert not tied.relations[0].contradicted
+    assert far(rig, tied) > 1e-4
+    ratio = tied.sensors["profiler"].location_sigma / free.sensors["profiler"].location_sigma
+    assert ratio.max() < 1.001
+    faces = body.faces.copy()
+    faces[0, 3] += 0.005
+    wrong = hl.Known("body", body.of, sigma=1e-5, sigma_angle=1e-5, faces=faces)
+    assert hl.calibrate(survey_of(rig, [wrong]), EXACT).relations[0].contradicted
+
+
+def test_a_groove_is_two_planes():
+    """A V of two planes at right angles, seen as one profile."""
+    rng = np.random.default_rng(2)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix(), [0.05, -0.02, 0.1]
+    sides = (
+        (np.array([1.0, 0.0, 1.0]) / np.sqrt(2), 0.0),
+        (np.array([-1.0, 0.0, 1.0]) / np.sqrt(2), 0.0),
+    )
+    poses, station, x, z = [], [], [], []
+    for i in range(16):
+        turn = Rotation.from_euler(
+            "xyz", [180 + rng.uniform(-20, 20), *rng.uniform(-15, 15, 2)], degrees=True
+        )
+        S = np.eye(4)
+        S[:3, :3] = turn.as_matrix()
+        S[:3, 3] = [rng.uniform(-0.005, 0.005), rng.uniform(-0.05, 0.05), rng.uniform(0.12, 0.2)]
+        here = np.linspace(-0.03, 0.03, 200)
+        depth = np.stack(
+            [-(n @ (S[:3, :1] * here + S[:3, 3:]) + b) / (n @ S[:3, 2]) for n, b in sides]
+        ).min(axis=0)
+        poses.append(S @ np.linalg.inv(T))
+        station.append(np.full(200, i))
+        x.append(here)
+        z.append(depth + rng.normal(scale=2e-5, size=200))
+    P = np.array(poses)
+    shots = hl.Shots.profiler("p", *(np.concatenate(a) for a in (station, x, z)))
+    survey = hl.Survey(hl.StationList(P[:, :3, :3], P[:, :3, 3], ("groove:V",) * 16), (shots,))
+    result = hl.calibrate(survey, EXACT)
+    assert result.status == "converged"
+    assert set(result.targets) == {"plane:V.left", "plane:V.right"}
+    R = result.sensors["p"].rotation
+    turn = Rotation.from_matrix(R.T @ T[:3, :3]).as_rotvec()
+    error = np.concatenate((turn, R.T @ (T[:3, 3] - result.sensors["p"].location)))
+    C = result.sensors["p"].covariance
+    assert error @ np.linalg.solve(C, error) < 22.5
+
+
+def test_a_range_error_that_is_held_is_found_and_freed():
+    """A scanner that reads 0.2 mm too short: found by the test, and right once it is free."""
+    rig = rigs_by_rays.scanner(4, planes=3, stations=14)
+    rig.tables["scanner"]["reading"] -= 2e-4
+    held = hl.calibrate(survey_of(rig), EXACT)
+    (error,) = [e for e in held.sensors["scanner"].errors if e.code == "k0"]
+    assert error.found
+    assert error.size == pytest.approx(2e-4, abs=5.0 * error.sigma)
+    assert any(w.code == "range-error" for w in held.warnings)
+    table = rig.tables["scanner"]
+    shots = hl.Shots.scanner(
+        "scanner", table["station"], table["angle"], table["reading"], free=("k0",)
+    )
+    stations = hl.StationList(rig.R, rig.t, tuple(rig.label))
+    free = hl.calibrate(hl.Survey(stations, (shots,)), EXACT)
+    sigma = float(np.sqrt(free.sensors["scanner"].covariance[6, 6]))
+    assert free.sensors["scanner"].range_error["k0"] == pytest.approx(2e-4, abs=5.0 * sigma)
+    assert far(rig, free) > 1e-4
+
+
+BAD = {
+    "another kind": (lambda: hl.Shots("a", "lidar", [0], [[0.0]], [1.0]), "kind"),
+    "not finite": (lambda: hl.Shots.profiler("a", [0], [0.0], [np.nan]), "not finite"),
+    "other lengths": (lambda: hl.Shots.profiler("a", [0], [0.0, 1.0], [1.0]), "shapes"),
+    "a range of zero": (lambda: hl.Shots.scanner("a", [0], [0.0], [0.0]), "above zero"),
+    "stations that are no numbers": (lambda: hl.Shots.profiler("a", ["x"], [0.0], [1.0]), "whole"),
+    "directions behind": (lambda: hl.Shots.array("a", [0], [[0, 0, -1.0]], [1.0]), "above zero"),
+    "a relation of one": (lambda: hl.Known("angle", ("plane:A",), 1.0, 0.0, 1.0), "of 2"),
+    "a station that is not there": (
+        lambda: hl.Survey(
+            hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("A",)),
+            (hl.Shots.profiler("a", [1], [0.0], [1.0]),),
+        ),
+        "station 1",
+    ),
+    "a label of no kind": (
+        lambda: hl.Survey(
+            hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("cube:A",)),
+            (hl.Shots.profiler("a", [0], [0.0], [1.0]),),
+        ),
+        "cube:A",
+    ),
+    "nothing read": (
+        lambda: hl.Survey(hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("A",))),
+        "without readings",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_no_survey_is_refused_in_one_line(case):
+    make, words = BAD[case]
+    with pytest.raises(hl.InputError, match=words) as caught:
+        make()
+    assert "\n" not in str(caught.value)
