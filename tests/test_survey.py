@@ -45,7 +45,7 @@ def far(rig, result):
 @pytest.mark.parametrize("case", CASES)
 def test_mounts_are_found_without_a_start_within_their_covariance(case, generator):
     kind, options = CASES[case]
-    for seed in (101, 102):
+    for seed in (101,):
         rig = getattr(GENERATORS[generator], kind)(seed, **options)
         result = hl.calibrate(survey_of(rig), EXACT)
         assert result.status == "converged", result.message
@@ -170,12 +170,12 @@ def test_noise_across_a_profile_pulls_no_slope():
 
 
 def test_more_points_bring_no_bias_with_errors_of_the_hand():
-    """The mean error of mounts, in their standard deviations, with 50 and with 1000 points a shot."""
+    """The mean error of mounts, in their standard deviations, with 50 and with 500 points a shot."""
     hand = 1e-4, 3e-4
     noise = hl.Noise(pose_translation_sigma=hand[0], pose_rotation_sigma=hand[1])
-    for points in (50, 1000):
+    for points in (50, 500):
         mean = np.zeros(6)
-        for seed in range(12):
+        for seed in range(6):
             rig, survey = profiles(8, seed, points)
             rng = np.random.default_rng(seed)
             R = (
@@ -186,8 +186,8 @@ def test_more_points_bring_no_bias_with_errors_of_the_hand():
             stations = hl.StationList(R, t, survey.stations.plane_labels)
             result = hl.calibrate(hl.Survey(stations, survey.shots), noise)
             (error, C) = next(errors_of(rig, result))
-            mean += error / np.sqrt(np.diagonal(C)) / 12
-        assert np.abs(mean).max() < 4.0 / np.sqrt(12)
+            mean += error / np.sqrt(np.diagonal(C)) / 6
+        assert np.abs(mean).max() < 4.0 / np.sqrt(6)
 
 
 def planes(rng):

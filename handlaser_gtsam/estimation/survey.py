@@ -351,7 +351,7 @@ def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: _State) 
 
 
 def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
-    """Test each relation against everything else."""
+    """Test each relation against the readings and all relations that are not contradicted."""
     if not state.relations:
         return ()
     rows = problem.rows(problem.blocks, state.values)
@@ -360,10 +360,21 @@ def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
     number: dict[int, int] = {}
     for part, (known, _) in zip(rows.where[first:], state.relations, strict=True):
         group[part] = number.setdefault(id(known), len(number))
-    chi2, dof = tests_of(rows, group)
-    p = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
     different = list({id(known): known for known, _ in state.relations}.values())
+    p_value, contradicted = np.ones(len(different)), np.zeros(len(different), dtype=bool)
+    while not contradicted.all():
+        # What a false relation does to true ones must not count against them: without those found.
+        out = np.isin(group, np.flatnonzero(contradicted))
+        rows.derivatives[out], rows.residuals[out] = 0.0, 0.0
+        _, number_left = np.unique(np.where(out, -1, group), return_inverse=True)
+        chi2, dof = tests_of(rows, number_left - 1)
+        left = np.flatnonzero(~contradicted)
+        p_value[left] = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
+        worst = left[p_value[left].argmin()]
+        if p_value[worst] >= SIGNIFICANCE / len(different):
+            break
+        contradicted[worst] = True
     return tuple(
-        RelationTest(known, float(x), bool(x < SIGNIFICANCE / len(different)))
-        for known, x in zip(different, p, strict=True)
+        RelationTest(known, float(p), bool(wrong))
+        for known, p, wrong in zip(different, p_value, contradicted, strict=True)
     )

@@ -26,6 +26,9 @@ FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are left out."""
 WEAK_SPHERE = 4
 """A sphere is hardly known from up to this many times as many points as it has numbers."""
+FEW_TOO_CLOSE = 5.0
+"""A median of n distances from a shape of p numbers, which was chosen for it, is too small: by one plus
+this over n - p (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987, page 202)."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 VOTING = 128
@@ -328,9 +331,10 @@ def _robust(
     e = np.abs(reading[voters] - shape.ranges(trials, _rows(rays, voters)))
     e = np.where(np.isfinite(e), e, np.inf)
     best, kept = trials[int(np.median(e, axis=1).argmin())], np.ones(n, dtype=bool)
+    larger = MEDIAN_TO_SIGMA * (1.0 + FEW_TOO_CLOSE / (n - shape.size))
     for _ in range(4):
         e = np.abs(reading - shape.ranges(best[None], rays)[0])
-        scale = MEDIAN_TO_SIGMA * float(np.median(e[kept])) if kept.any() else np.inf
+        scale = larger * float(np.median(e[kept])) if kept.any() else np.inf
         kept = e <= FAR_FROM_SHAPE * max(
             scale, sigma or 0.0, SHAPE_SETTLED * float(np.median(reading))
         )

@@ -59,14 +59,15 @@ class SpotsOnPoints:
         R, t = self.robot.pose(values)
         C = members(values, POINT.name, self.member)
         x = rays.origin + rays.true * rays.direction
-        e = dot(a, x + turned_back(R, t - C))
+        to_hand = turned_back(R, t - C)
+        e = dot(a, x + to_hand)
         columns = [self.sensor.pull(values, a, rays, rays.true)]
         if rays.by_error is not None:
             columns.append(rays.by_error * dot(a, rays.direction))
         columns.append(-turned(R, a))
         if self.robot.family:
-            spot, covector = np.broadcast_arrays(x, a)
-            turns = np.cross(spot, covector, axis=0)
+            point, covector = np.broadcast_arrays(-to_hand, a)
+            turns = np.cross(point, covector, axis=0)
             columns.append(self.robot.pull(np.concatenate((turns, covector))))
         whole = [np.broadcast_to(c, (len(c), *e.shape)) for c in (*columns, e[None])]
         return Rows(np.concatenate(whole))
