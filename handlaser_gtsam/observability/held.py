@@ -1,14 +1,12 @@
 """What is undetermined is held: of solutions that fit alike, the one nearest to the hand.
 
-A damped search wanders along what is exactly undetermined, by metres, at no cost. Three things bring it
-back, each only as far as the readings fit and leave as much undetermined as before:
-
-1. Where the hand turns about one axis only, planes whose lean is not significant are set upright. At
-   the lean that noise gives them, heights would look determined that are not.
-2. Steps along what is exactly undetermined bring locations to the hand and range errors to zero.
-3. The same steps along what is undetermined for readings of this noise.
-
+A damped search wanders along what is exactly undetermined, by metres, at no cost. Steps along it bring
+locations to the hand and range errors to zero, and then steps along what is undetermined for readings
+of this noise, each only as far as the readings fit and leave as much undetermined as before.
 Everything determined stays as it is: the steps have no part along it.
+
+Where the hand turns about one axis only, planes whose lean is not significant are set upright. At the
+lean that noise gives them, heights would look determined that are not.
 """
 
 from dataclasses import dataclass, replace
@@ -110,10 +108,6 @@ def held(
         At the parameters, of short rank.
     judge : Judge
     """
-    there = _upright(parameters, observed, judge)
-    seen = None if there is None else judge.seen(there)
-    if there is not None and seen is not None and seen.rank <= observed.rank:
-        parameters, observed = there, seen
     exact = replace(judge, range_sigma=0.0)
     at_rest = exact.seen(parameters)
     if at_rest is not None and not at_rest.full:
@@ -124,27 +118,32 @@ def held(
     return _drawn_to_the_hand(parameters, observed, judge)
 
 
-def _upright(parameters: Parameters, observed: Observability, judge: Judge) -> Parameters | None:
-    """Return the minimum with all planes upright; None where a plane leans, or none can be upright."""
+def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
+    """Return the minimum with all planes parallel to the axis of the turns, range errors as they are.
+
+    None where the hand turns otherwise, where a plane is known to lean, or where no minimum is near.
+    """
     motion = poor_motion(judge.readings)
     if motion is None or not motion.axis.any():
         return None
-    if some_plane_leans(motion, parameters, judge.readings, judge.range_sigma, judge.whitening):
-        return None
-    lean = (parameters.normals * motion.upright).sum(axis=1, keepdims=True)
-    normals = model.normalized(parameters.normals - lean * motion.upright)
-    turned = ((parameters.normals - normals) * observed.reduced.centres).sum(axis=1)
-    at = replace(parameters, normals=normals, offsets=parameters.offsets + turned)
+    readings, how = judge.readings, judge.whitening
     try:
+        if some_plane_leans(motion, parameters, readings, judge.range_sigma, how):
+            return None
+        lean = (parameters.normals * motion.upright).sum(axis=1, keepdims=True)
+        normals = model.normalized(parameters.normals - lean * motion.upright)
+        centres = linearized(parameters, readings, 0, how).centres
+        turned = ((parameters.normals - normals) * centres).sum(axis=1)
+        at = replace(parameters, normals=normals, offsets=parameters.offsets + turned)
         for _ in range(UPRIGHT_STEPS):
-            linear = linearized(at, judge.readings, judge.free_terms, judge.whitening)
+            linear = linearized(at, readings, 0, how)
             slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
             stiff = np.zeros_like(linear.normal.local)
             stiff[0, :, :2, :2] = np.einsum("pa,pb->pab", slope, slope)
             stiff *= STIFF * np.einsum("kmii->km", linear.normal.local)[..., None, None]
             normal = replace(linear.normal, local=linear.normal.local + stiff)
             step, local = damped_step(normal, np.array([LEAST_DAMPING]))
-            at = moved(at, step.reshape(judge.readings.beams, -1), local[0], linear.centres)
+            at = moved(at, step.reshape(readings.beams, -1), local[0], linear.centres)
     except (GrazingBeamError, np.linalg.LinAlgError):
         return None
     return at if at.finite() else None

@@ -31,7 +31,7 @@ from ..solvers.refine import refine, refine_many
 from ..starts import excerpt
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import grow
-from .held import Judge, held
+from .held import Judge, held, upright
 from .rank import Observability
 
 CHI2_MARGIN = 25.0
@@ -111,7 +111,8 @@ def least_observed(
     parameters : Parameters
     judge : Judge
         Long recordings are not searched: errors of their estimates are small. Other solutions are
-        sought without range errors where these have a prior.
+        sought without range errors, and with them unless these have a prior; near k1 = -1, where all
+        readings are alike, any beam would fit.
     """
     readings, margin = judge.readings, CHI2_MARGIN * judge.range_sigma**2
     if len(readings) > excerpt.EXCERPT_READINGS:
@@ -121,17 +122,30 @@ def least_observed(
     partial = random_starts(readings, OTHER_RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, OTHER_SWEPT)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    tried = refine_many(starts, readings, judge.free_terms, OTHER_STEPS)
+    tried = refine_many(starts, readings, 0, OTHER_STEPS)
+    if judge.free_terms:
+        tried += refine_many(starts, readings, judge.free_terms, OTHER_STEPS)
     others = [
         candidate.parameters
         for candidate in tried
         if candidate is not None and plausible_range_errors(candidate.parameters, readings)
     ]
-    best = min(judge.squares(one) for one in (parameters, *others))
+    if plausible_range_errors(parameters, readings):
+        others.insert(0, parameters)
+    if not others:
+        return parameters, observed
+    best = min(map(judge.squares, others))
     judge = replace(judge, most_squares=best + margin)
-    here, least = parameters, observed
-    for one in others:
-        seen = judge.seen(one)
-        if seen is not None and seen.rank < least.rank:
-            here, least = one, seen
+    standing = upright(others[0], judge)
+
+    def order(one: Parameters) -> tuple[bool, float]:
+        worse = judge.squares(one) > best + judge.range_sigma**2
+        return worse, float((one.locations**2).sum())
+
+    # Of those that leave equally much undetermined the first is taken: upright, then near the hand.
+    others.sort(key=order)
+    if standing is not None:
+        others.insert(0, standing)
+    found = [(one, seen) for one in others if (seen := judge.seen(one)) is not None]
+    here, least = min(found, key=lambda one: one[1].rank, default=(parameters, observed))
     return held(here, least, judge)
