@@ -143,7 +143,9 @@ def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
             stiff *= STIFF * np.einsum("kmii->km", linear.normal.local)[..., None, None]
             normal = replace(linear.normal, local=linear.normal.local + stiff)
             step, local = damped_step(normal, np.array([LEAST_DAMPING]))
-            at = moved(at, step.reshape(readings.beams, -1), local[0], linear.centres)
+            beam = step.reshape(readings.beams, -1)
+            beam[:, :3] -= np.outer(beam[:, :3] @ motion.axis, motion.axis)  # heights do not show
+            at = moved(at, beam, local[0], linear.centres)
     except (GrazingBeamError, np.linalg.LinAlgError):
         return None
     return at if at.finite() else None
