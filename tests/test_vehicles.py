@@ -8,19 +8,24 @@ natural units a range s along a beam (r, v) of the hand pose (R, t) to the plane
 with n_H = R' n, c = n_H . v and the spot x = R (r + s v) + t.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.observability.poor_motion import poor_motion
 
 WALLS = {
     "vertical": [(0, 0), (60, 0), (-50, 0), (150, 0)],
     "one leans": [(0, 0), (60, 0), (-50, 25)],
     "two lean": [(0, 0), (60, 20), (-50, -30)],
     "a single leaning board": [(0, 25)],
+    "a floor": [(0, 0), (60, 0), (-50, 0), (0, 90)],
 }
 """Azimuth and lean of every plane [degrees]."""
 TERMS = {"none": 0, "k1": 1, "k1k2": 2}
@@ -177,7 +182,13 @@ class TestTable:
         left = 1 if range_error == "none" else 2
         assert undetermined("planar", walls, beams, range_error) == left
 
-    @pytest.mark.parametrize("walls", ["one leans", "two lean", "a single leaning board"])
+    def test_a_floor_leans_too_but_leaves_every_elevation_against_k1(self, beams, range_error):
+        left = 1 if range_error == "none" else 1 + beams
+        assert undetermined("planar", "a floor", beams, range_error) == left
+
+    @pytest.mark.parametrize(
+        "walls", ["one leans", "two lean", "a single leaning board", "a floor"]
+    )
     def test_moves_in_height_leave_no_stretch(self, walls, beams, range_error):
         assert undetermined("SCARA", walls, beams, range_error) == 1
 
@@ -223,3 +234,147 @@ def test_level_beams_before_vertical_walls_tell_their_elevation_in_second_order_
     at.v /= np.linalg.norm(at.v, axis=1, keepdims=True)
     leans = len(at.n) if beams == 1 else 0
     assert deficiency(jacobian(at, TERMS[range_error])) == 2 * beams + leans
+
+
+HEIGHTS = "the height of every beam (location along (0.00, 0.00, 1.00))"
+COMMON = "one common height of all beams and planes (location along (0.00, 0.00, 1.00))"
+SHIFT = "a common shift of all beams and planes"
+SIGMA = 1e-3
+
+
+def calibrated(at, sigma, range_error="none", **noise):
+    """The calibration with the given noise, without outliers."""
+    given = hl.Noise(max(sigma, 1e-6), **(noise or {"pose_translation_sigma": 0.0}))
+    if not noise:
+        given = hl.Noise(max(sigma, 1e-6), 0.0, 0.0)
+    return hl.calibrate(at.recording(sigma), given, hl.CalibrationOptions(range_error))
+
+
+@pytest.mark.parametrize("beams", BEAMS)
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+@pytest.mark.parametrize(
+    ("motion", "walls", "words", "cure"),
+    [
+        ("planar", "vertical", HEIGHTS, "add a board that leans"),
+        ("SCARA", "vertical", HEIGHTS, "add a board that leans"),
+        ("planar", "two lean", COMMON, "measure the height of one beam"),
+        ("SCARA", "one leans", COMMON, "measure the height of one beam"),
+        ("never turning", "two lean", SHIFT, "turn the hand about two different axes"),
+    ],
+)
+def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, sigma, beams):
+    """The rank is that of the table, and what is undetermined stays near the hand."""
+    if (motion, walls, sigma, beams) == ("planar", "two lean", SIGMA, 1):
+        pytest.skip("one beam of this noise does not tell whether a plane leans")
+    at = scene(motion, walls, beams)
+    check, found = check_motion(at.recording(sigma)), calibrated(at, sigma)
+    seen = found.observability
+    assert found.status == "unobservable"
+    assert seen.unknowns - seen.rank == undetermined(motion, walls, beams, "none")
+    for said in (check, seen):
+        (named,) = said.undetermined
+        assert words in named
+        assert said.advice[0].startswith(cure)
+    assert words in found.message
+    for i, beam in enumerate(found.beams.values()):
+        assert np.linalg.norm(beam.location) < 0.4  # the true ones are within 0.26 m of the hand
+        assert np.isinf(beam.sigma[2])
+        if motion != "never turning":
+            assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2] + 1e-6).all()
+            assert (
+                np.abs(np.abs(beam.direction) - np.abs(at.v[i])) < 4 * beam.sigma[3:6] + 1e-6
+            ).all()
+
+
+@pytest.mark.parametrize("beams", [2, 4])
+@pytest.mark.parametrize(
+    ("walls", "words"),
+    [("vertical", "its elevation against k1"), ("one leans", "vertical stretch")],
+)
+def test_with_a_free_k1_elevations_are_named(walls, words, beams):
+    at = scene("planar", walls, beams)
+    found = calibrated(at, 0.0, "k1")
+    (named,) = found.observability.undetermined
+    assert words in named
+    left = found.observability.unknowns - found.observability.rank
+    # Level beams are solutions, too, before upright walls: there the walls may lean, each by itself.
+    leans = len(at.n) if walls == "vertical" else 0
+    assert left == undetermined("planar", walls, beams, "k1") + leans
+    check = check_motion(at.recording())
+    assert "where k1 is free" in check.undetermined[0]
+
+
+def test_moves_in_height_leave_no_stretch_in_words():
+    found = calibrated(scene("SCARA", "one leans", 2), SIGMA, "k1")
+    assert "stretch" not in found.message
+    assert all(np.isfinite(beam.range_error_sigma).all() for beam in found.beams.values())
+
+
+@pytest.mark.parametrize("motion", ["plane without turns", "linear axis"])
+def test_a_linear_axis_is_named(motion):
+    at = scene(motion, "two lean", 2)
+    check, found = check_motion(at.recording(SIGMA)), calibrated(at, SIGMA)
+    where = "along one line" if motion == "linear axis" else "in one plane"
+    for said in (check, found.observability):
+        assert said.undetermined == (
+            f"no turns, and moves {where} only: location, direction and normal of beams and planes",
+        )
+
+
+@pytest.mark.parametrize("beams", [2, 3])
+@pytest.mark.parametrize(
+    ("motion", "walls", "words"),
+    [
+        ("planar", "vertical", HEIGHTS),
+        ("planar", "two lean", COMMON),
+        ("SCARA", "vertical", HEIGHTS),
+    ],
+)
+def test_a_floor_that_is_not_flat_changes_no_word(motion, walls, words, beams):
+    """A tenth of a millimetre and a hundredth of a degree determine everything, within metres."""
+    at = scene(motion, walls, beams, uneven=(1e-4, 0.01))
+    assert deficiency(jacobian(at, 0)) == 0
+    variances = np.radians([0.003] * 3) ** 2, np.full(3, 5e-5**2)
+    found = calibrated(at, SIGMA, pose_covariance=np.diag(np.concatenate(variances)))
+    check = check_motion(at.recording(SIGMA))
+    for said in (check, found.observability):
+        assert len(said.undetermined) == 1
+        assert words in said.undetermined[0]
+
+
+def test_motions_that_suffice_have_no_name():
+    rng = np.random.default_rng(0)
+    at = scene("planar", "two lean", 2)
+    at.R = Rotation.from_rotvec(rng.uniform(-0.3, 0.3, (len(at.t), 3))).as_matrix()
+    assert poor_motion(at.recording().readings()) is None
+    assert check_motion(at.recording()).undetermined == ()
+    on_the_spot = scene("turning on the spot", "two lean", 2)
+    assert poor_motion(on_the_spot.recording().readings()) is None
+
+
+@pytest.mark.parametrize("walls", ["vertical", "one leans"])
+def test_the_command_says_it(handlaser, tmp_path, walls):
+    path = tmp_path / "vehicle.csv"
+    hl.write_recording(path, scene("planar", walls, 2).recording(SIGMA))
+    code, _, err = handlaser("check", path)
+    assert code == 3
+    assert (HEIGHTS if walls == "vertical" else COMMON) in err
+    assert ("add a board that leans" if walls == "vertical" else "measure the height") in err
+
+
+def test_python_of_the_page_cures_what_a_vehicle_lacks(tmp_path, monkeypatch):
+    """The section on vehicles, with a recording of a vehicle before a leaning board."""
+    monkeypatch.chdir(tmp_path)
+    at = scene("planar", "one leans", 2)
+    hl.write_recording("vehicle.csv", at.recording(SIGMA))
+    page = (ROOT / "docs" / "cell.md").read_text()
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "cell.md", "exec"), names)
+    assert names["calibration"].status == "unobservable"
+    cured = names["result"]
+    assert cured.status == "converged"
+    shift = at.r[0, 2] - names["height"]
+    for i, beam in enumerate(cured.beams.values()):
+        error = np.abs(beam.location - at.r[i] + np.array([0.0, 0.0, shift]))
+        assert (error < 4.0 * beam.location_sigma).all()

@@ -159,7 +159,7 @@ def _open_before_planes(
     Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general, for
     readings without noise; that of the readings decides.
     """
-    at = find_start(readings, terms=0, effort="quick").parameters
+    at = find_start(readings, terms=0, effort="normal").parameters
     try:
         e = model.residuals(model.scene(at, readings), readings.distance)
         rms = float(np.sqrt(e @ e / max(len(readings) - readings.unknowns(0), 1)))
