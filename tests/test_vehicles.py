@@ -317,7 +317,7 @@ def test_a_linear_axis_is_named(motion):
     where = "along one line" if motion == "linear axis" else "in one plane"
     for said in (check, found.observability):
         assert said.undetermined == (
-            f"no turns, and moves {where} only: location, direction and normal of beams and planes",
+            f"nearly everything, because the hand never turns and moves {where} only",
         )
 
 

@@ -68,7 +68,8 @@ class MotionCheck:
     unknowns, readings : int
         Without range errors.
     open_parts : tuple of OpenPart
-        What is undetermined whatever the beams and planes are.
+        What is undetermined whatever the beams and planes are; of a motion that has a name
+        (`poor_motion`), before the planes that there are.
     undetermined, advice : tuples of str
         The same in words, and what would determine it.
     """

@@ -161,45 +161,44 @@ def named(
         return undetermined(parts), advice(parts)
     turning = motion.kind in ("planar", "one axis")
     what, cures = _of_turns(motion, leans, k1_free) if turning else _of_moves(motion)
-    return (what, *undetermined(rest)), cures
+    return (what, *undetermined(rest)), (*cures, *advice(rest))
 
 
 def _of_turns(motion: PoorMotion, leans: bool, k1_free: bool | None) -> tuple[str, tuple[str, ...]]:
+    """Return what turns about one axis leave undetermined, and what cures it."""
     planar, axis = motion.kind == "planar", vector_words(motion.axis)
-    moves = "planar motion" if planar else f"turns about {axis} only"
+    why = "the motion is planar" if planar else f"all turns are about {axis}"
     where = "" if k1_free else ", where k1 is free"
     turn = f"or turn the hand about an axis across {axis}"
     if not leans:
-        what = f"{moves}, no plane known to lean: the height of every beam (location along {axis})"
-        ties = "ties all heights to one"
+        what, left = f"the height of every beam (location along {axis})", "one common height"
         if k1_free is not False:
-            what += f", and its elevation against k1{where}"
-            ties += " and, with moves along that axis, elevations to the ranges"
-            if not planar:
-                ties = "ties all heights to one and elevations to the ranges"
-        return what, (
-            f"add a board that leans by 20 to 40 degrees: it {ties}",
+            what += f" and its elevation against k1{where}"
+            left += f" and a vertical stretch{where}" if planar else ""
+        return f"{what}, because {why} and no plane is known to lean", (
+            f"add a board that leans by 20 to 40 degrees, which leaves {left}",
             "measure the height of every beam, or of one beside such a board",
             turn,
         )
-    what = f"{moves}: one common height of all beams and planes (location along {axis})"
+    what = f"one common height of all beams and planes (location along {axis})"
     cures = ["measure the height of one beam, or let one beam read a floor of known height"]
     if planar and k1_free is not False:
-        what += f", and the vertical stretch (elevations and leans against k1{where})"
+        what += f" and the vertical stretch (elevations and leans against k1{where})"
         cures.append(
             f"against the stretch{where}: state the angle between two planes of different lean, move "
             f"the hand along {axis}, or estimate no range error"
         )
-    return what, (*cures, turn)
+    return f"{what}, because {why}", (*cures, turn)
 
 
 def _of_moves(motion: PoorMotion) -> tuple[str, tuple[str, ...]]:
+    """Return what a hand that never turns leaves undetermined, and what cures it."""
     cure = "turn the hand about two different axes in front of each plane"
     if motion.kind == "in space":
-        what = "no turns: a common shift of all beams and planes (location in three directions)"
-        return what, (cure,)
+        what = "a common shift of all beams and planes (location in three directions)"
+        return f"{what}, because the hand never turns", (cure,)
     where = "along one line" if motion.kind == "on a line" else "in one plane"
-    what = f"no turns, and moves {where} only: location, direction and normal of beams and planes"
+    what = f"nearly everything, because the hand never turns and moves {where} only"
     return what, (f"{cure}, and translate in three directions that are not coplanar",)
 
 
