@@ -450,7 +450,8 @@ def test_an_undetermined_one_says_so_first_and_shows_no_number_that_means_nothin
     page = Page(report_text(found, hl.ReportOptions()))
     words = [data for tag, data in page.words if tag == "h1"]
     assert words == ["Not usable, undetermined"]
-    assert "beam 1: location, direction" in page.text
+    assert "a common shift of all beams and planes" in page.text
+    assert "beam 1: direction" in page.text
     assert "The recording determines no parameter." in page.text
     for table in ("mounts", "spots", "planes", "limits", "correlations", "systematic", "held-out"):
         assert page.table(table) == []

@@ -16,6 +16,7 @@ from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
 from ..model.search import LevenbergOptions, Searched, search
 from ..model.weighting import Variances, Whitening, whitening
+from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
@@ -337,19 +338,28 @@ class SolutionTask:
         return solution if observability.full else self._least_observed(solution, sigma)
 
     def _least_observed(self, solution: Solution, sigma: float) -> Solution:
-        readings, options = self.readings, self.options.observability
-        observability, unit = solution.observability, solution.at.sigma
-        parameters, least = least_observed(
-            observability, solution.parameters, readings, self.terms, sigma, options, self.prior
-        )
-        if least.rank >= observability.rank:
+        readings, how = self.readings, solution.whitening
+        judge = Judge(readings, self.terms, sigma, self.options.observability, self.prior, how)
+        parameters, least = least_observed(solution.observability, solution.parameters, judge)
+        if parameters == solution.parameters:
             return solution
         e = residuals(scene(parameters, readings), readings.distance)
-        cost = float(self.loss.cost(e / unit).sum())
+        white = e if how is None else how.apply(e)
+        # A search that still moves along what is undetermined has arrived in all that matters.
+        status: Status = solution.at.status
+        if status != "interrupted":
+            status = "converged"
+        cost = float(self.loss.cost(white / solution.at.sigma).sum())
         at = replace(
-            solution.at, readings=readings, parameters=parameters, residual=e, white=e, cost=cost
+            solution.at,
+            status=status,
+            readings=readings,
+            parameters=parameters,
+            residual=e,
+            white=white,
+            cost=cost,
         )
-        return Solution(at, least, None, None, self.prior)
+        return replace(solution, at=at, observability=least)
 
     def _estimated_sigma(self, ended: Minimum) -> float:
         """Return the standard deviation of a reading [m] that the residuals show."""

@@ -18,23 +18,15 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..quantities import SINGULAR
+from ..starts.choice import find_start
 from ..starts.translations import SPANNING
 from ..text import some
+from .poor_motion import COUNTED_TURN, LEAST_MOVE, PoorMotion, named, poor_motion, some_plane_leans
 from .rank import observability
-from .wording import (
-    MIRROR,
-    MIRROR_ADVICE,
-    BeamAndPlaneNames,
-    OpenPart,
-    advice,
-    open_parts,
-    undetermined,
-)
+from .wording import MIRROR, MIRROR_ADVICE, BeamAndPlaneNames, OpenPart, open_parts
 
-LEAST_MOVE = 1e-3
-"""Hands that move less than this part of the typical range before a plane stand still."""
-COUNTED_TURN = np.radians(1.0)
-"""Turns that spread less than this about an axis [rad] do not count."""
+LEAST_NOISE = 1e-4
+"""No poor motion is thought to be enough because readings err by less than this part of the range."""
 GENERAL_DRAWS = 120
 """Draws of random beams and planes at most: the first that leaves nothing undetermined is enough."""
 
@@ -76,7 +68,8 @@ class MotionCheck:
     unknowns, readings : int
         Without range errors.
     open_parts : tuple of OpenPart
-        What is undetermined whatever the beams and planes are.
+        What is undetermined whatever the beams and planes are; of a motion that has a name
+        (`poor_motion`), before the planes that there are.
     undetermined, advice : tuples of str
         The same in words, and what would determine it.
     """
@@ -90,7 +83,11 @@ class MotionCheck:
 
 
 def check_motion(recording: Recording) -> MotionCheck:
-    """Check the motion of `recording`; what the beams read there does not matter, only that they do."""
+    """Check the motion of `recording`.
+
+    What the beams read does not matter, only that they do, unless the hand turns about one axis only:
+    then what is undetermined depends on the planes, which are estimated.
+    """
     planes = tuple(_plane_motion(recording, p) for p in range(len(recording.plane_names)))
     readings, order = sorted_readings(recording)
     beams, numbers = np.argsort(order.beams), np.argsort(order.planes)
@@ -99,9 +96,11 @@ def check_motion(recording: Recording) -> MotionCheck:
         tuple((name, int(numbers[p])) for p, name in enumerate(recording.plane_names)),
     )
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    parts = _open_in_general(readings, names)
-    unknowns = readings.unknowns(0)
-    words, help_ = undetermined(parts), advice(parts)
+    parts, leans, unknowns = _open_in_general(readings, names), True, readings.unknowns(0)
+    motion = poor_motion(readings)
+    if motion is not None:
+        parts, leans = _open_before_planes(readings, names, motion, parts)
+    words, help_ = named(motion, parts, leans=leans, k1_free=None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
@@ -148,6 +147,30 @@ def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[Open
         if least == 0:
             break
     return best or ()
+
+
+def _open_before_planes(
+    readings: Readings,
+    names: BeamAndPlaneNames,
+    motion: PoorMotion,
+    in_general: tuple[OpenPart, ...],
+) -> tuple[tuple[OpenPart, ...], bool]:
+    """Return what is undetermined before the planes that there are, and whether one of them leans.
+
+    Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general, for
+    readings without noise; that of the readings decides.
+    """
+    at = find_start(readings, terms=0, effort="normal").parameters
+    try:
+        e = model.residuals(model.scene(at, readings), readings.distance)
+        rms = float(np.sqrt(e @ e / max(len(readings) - readings.unknowns(0), 1)))
+        sigma = max(rms, LEAST_NOISE * readings.typical_range())
+        observed = observability(at, readings, 0, sigma)
+        leans = some_plane_leans(motion, at, readings, sigma)
+    except GrazingBeamError:
+        return in_general, True
+    parts = open_parts(observed, at, names)
+    return (in_general if leans and in_general else parts), leans
 
 
 def _general_position(readings: Readings, rng: np.random.Generator) -> Parameters:

@@ -17,18 +17,22 @@ to change the incidence. What is determined is so everywhere on the set; so othe
 for, from starts all around, and the one that leaves most open is taken.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
+from ..model.equation import plausible_range_errors
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..solvers.beam_problem import linearized
 from ..solvers.refine import refine, refine_many
 from ..starts import excerpt
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import grow
-from .rank import Observability, ObservabilityOptions, observability
+from .held import Judge, held, upright
+from .rank import Observability
 
 CHI2_MARGIN = 25.0
 """A solution, or an image, within this of the best chi2 (five standard deviations) fits as well."""
@@ -96,47 +100,52 @@ def _image(solution: Parameters, readings: Readings) -> Parameters:
 
 
 def least_observed(
-    observed: Observability,
-    parameters: Parameters,
-    readings: Readings,
-    terms: int,
-    range_sigma: float,
-    options: ObservabilityOptions,
-    prior: RangeErrorPrior | None = None,
+    observed: Observability, parameters: Parameters, judge: Judge
 ) -> tuple[Parameters, Observability]:
-    """Return the least determined solution among some that fit as well as `parameters`.
+    """Return the least determined solution among some that fit as well as `parameters`, held.
 
     Parameters
     ----------
     observed : Observability
         At `parameters`, of short rank.
-    parameters, terms, range_sigma, options
-        Arguments of the diagnosis.
-    readings : Readings
-        Long recordings are not searched: errors of their estimates are small.
-    prior : RangeErrorPrior, optional
-        Other solutions are sought without range errors where these have a prior.
+    parameters : Parameters
+    judge : Judge
+        Long recordings are not searched: errors of their estimates are small. Other solutions are
+        sought without range errors, and with them unless these have a prior; near k1 = -1, where all
+        readings are alike, any beam would fit.
     """
+    readings, margin = judge.readings, CHI2_MARGIN * judge.range_sigma**2
     if len(readings) > excerpt.EXCERPT_READINGS:
-        return parameters, observed
+        return held(
+            parameters, observed, replace(judge, most_squares=judge.squares(parameters) + margin)
+        )
     partial = random_starts(readings, OTHER_RANDOM, np.random.default_rng(0))
     partial += direction_starts(readings, OTHER_SWEPT)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    tried = refine_many(starts, readings, 0 if prior else terms, OTHER_STEPS)
-    refined = [candidate for candidate in tried if candidate is not None]
-    if not refined:
+    tried = refine_many(starts, readings, 0, OTHER_STEPS)
+    if judge.free_terms:
+        tried += refine_many(starts, readings, judge.free_terms, OTHER_STEPS)
+    others = [
+        candidate.parameters
+        for candidate in tried
+        if candidate is not None and plausible_range_errors(candidate.parameters, readings)
+    ]
+    if plausible_range_errors(parameters, readings):
+        others.insert(0, parameters)
+    if not others:
         return parameters, observed
-    limit = min(candidate.squares for candidate in refined) + CHI2_MARGIN * range_sigma**2
-    here, least = parameters, observed
-    for candidate in refined:
-        if candidate.squares > limit:
-            continue
-        try:
-            seen = observability(
-                candidate.parameters, readings, terms, range_sigma, options, prior=prior
-            )
-        except GrazingBeamError:
-            continue
-        if seen.rank < least.rank:
-            here, least = candidate.parameters, seen
-    return here, least
+    best = min(map(judge.squares, others))
+    judge = replace(judge, most_squares=best + margin)
+    standing = upright(others[0], judge)
+
+    def order(one: Parameters) -> tuple[bool, float]:
+        worse = judge.squares(one) > best + judge.range_sigma**2
+        return worse, float((one.locations**2).sum())
+
+    # Of those that leave equally much undetermined the first is taken: upright, then near the hand.
+    others.sort(key=order)
+    if standing is not None:
+        others.insert(0, standing)
+    found = [(one, seen) for one in others if (seen := judge.seen(one)) is not None]
+    here, least = min(found, key=lambda one: one[1].rank, default=(parameters, observed))
+    return held(here, least, judge)

@@ -116,7 +116,7 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     elif location.shape[1] > 1:
         words.append("turn the hand about two different axes in front of each plane")
     elif location.shape[1] == 1:
-        words.append(f"turn the hand about an axis across {_vector(location[:, 0])}")
+        words.append(f"turn the hand about an axis across {vector_words(location[:, 0])}")
     if quantities >= {"range error"} and not words:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:
@@ -205,9 +205,9 @@ def _part_words(part: OpenPart) -> str:
     axes, count = part.axes, part.axes.shape[1]
     if part.quantity == "location" and count < 3:
         across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"location {'across' if count == 2 else 'along'} {_vector(across)}"
+        return f"location {'across' if count == 2 else 'along'} {vector_words(across)}"
     if part.quantity == "direction" and count == 1:
-        return f"direction towards {_vector(axes[:, 0])}"
+        return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":
         known = zip(("k1", "k2"), np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
         return f"range error {' and '.join(name for name, enough in known if not enough)}"
@@ -220,7 +220,8 @@ def _span(rows: FloatArray, share: float = WORTH_A_WORD) -> FloatArray:
     return U[:, s > share]
 
 
-def _vector(axis: FloatArray) -> str:
+def vector_words(axis: FloatArray) -> str:
+    """Return the direction of an axis (3,), its largest component positive."""
     axis = axis / np.linalg.norm(axis)
     sign = np.sign(axis[np.argmax(np.abs(axis))])
     return "(" + ", ".join(f"{x:.2f}" for x in np.round(sign * axis, 2) + 0.0) + ")"

@@ -15,15 +15,14 @@ from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
 from ..model.weighting import Variances, whitening
 from ..observability.other_solutions import mirror_image_fits
+from ..observability.poor_motion import named, poor_motion, some_plane_leans
 from ..observability.rank import observability
 from ..observability.wording import (
     MIRROR,
     MIRROR_ADVICE,
     BeamAndPlaneNames,
-    advice,
     open_coordinates,
     open_parts,
-    undetermined,
     weakest,
 )
 from ..outliers.reasons import Reasons
@@ -43,6 +42,7 @@ from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
 from .warnings import (
     COARSE,
+    IMPLAUSIBLE,
     TEN_TIMES,
     fit_warnings,
     implausible_mounts,
@@ -66,6 +66,8 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     fit, why = fit_of(problem, selection)
     determined = _determined_by(names, used, solution, fit)
     wrong = misfit(problem.recording, used, solution.best, fit)
+    if wrong is not None and wrong.code == IMPLAUSIBLE and _range_errors_are_any(used, solution):
+        wrong = None
     if wrong is None and determined.undetermined:
         if _is_misfit(used, solution, fit):
             wrong = poor_fit(used, fit)
@@ -265,12 +267,18 @@ def _determined_by(
     parts = open_parts(found, parameters, names)
     if solution.prior is not None:  # what is known of range errors without any reading
         parts = tuple(part for part in parts if part.quantity != "range error")
-    words, help_ = undetermined(parts), advice(parts)
+    motion, leans, how = None if found.full else poor_motion(used), False, solution.whitening
+    if motion is not None:
+        sigma = fit.range_sigma if how is None else how.sigma
+        leans = some_plane_leans(motion, parameters, used, sigma, how)
+    words, help_ = named(
+        motion, parts, leans=leans, k1_free=solution.terms > 0 and solution.prior is None
+    )
     if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and _is_ambiguous(used, solution, fit):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
-    elif not found.full and _motion_determines(used, solution):
+    elif not found.full and motion is None and _motion_determines(used, solution):
         help_ = (noise_advice(fit),)
     return Determined(
         found.rank,
@@ -296,6 +304,12 @@ def _loses_much(fit: Fit, names: Sequence[str]) -> bool:
     out = Counter(one.beam for one in fit.rejected if one.reason not in BY_LIMITS)
     lost = (out[name] / (out[name] + left) for name, left in zip(names, kept, strict=True) if left)
     return max(lost, default=0.0) > MOST_EXCHANGED
+
+
+def _range_errors_are_any(used: Readings, solution: Solution) -> bool:
+    """Tell whether the motion is poor and leaves free range errors undetermined: k1 = -1 fits, too."""
+    free = solution.terms > 0 and solution.prior is None
+    return free and not solution.observability.full and poor_motion(used) is not None
 
 
 def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:

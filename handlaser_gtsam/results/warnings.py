@@ -46,6 +46,8 @@ LONG_RANGE = 100.0
 """A median reading above this [m] is probably in millimetres."""
 COARSE = "coarse-readings"
 """The code of readings whose rounding alone explains why they fit so badly."""
+IMPLAUSIBLE = "implausible-range-error"
+"""The code of readings that fit only with range errors that no sensor has."""
 CHECKS = (
     "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
     "inverse, plane labels are right, and look for outliers"
@@ -68,7 +70,7 @@ def misfit(
         )
     if not plausible_range_errors(parameters, readings):
         return CalibrationWarning(
-            "implausible-range-error",
+            IMPLAUSIBLE,
             "the readings fit only with true ranges below half or above three times of them, which no "
             f"sensor has; {CHECKS}",
         )

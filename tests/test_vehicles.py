@@ -1,0 +1,380 @@
+"""Vehicles, SCARA arms and linear axes: what their motion determines, before which walls.
+
+The ranks are those of Jacobians that are written here once more, densely and without the package. In
+natural units a range s along a beam (r, v) of the hand pose (R, t) to the plane (n, b) changes by
+
+    ds/dr = -n_H / c,   ds/dv = -s n_H / c,   ds/dk = -(s, s^2),   ds/dn = -x / c,   ds/db = -1 / c
+
+with n_H = R' n, c = n_H . v and the spot x = R (r + s v) + t.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.observability.poor_motion import poor_motion
+
+WALLS = {
+    "vertical": [(0, 0), (60, 0), (-50, 0), (150, 0)],
+    "one leans": [(0, 0), (60, 0), (-50, 25)],
+    "two lean": [(0, 0), (60, 20), (-50, -30)],
+    "a single leaning board": [(0, 25)],
+    "a floor": [(0, 0), (60, 0), (-50, 0), (0, 90)],
+}
+"""Azimuth and lean of every plane [degrees]."""
+TERMS = {"none": 0, "k1": 1, "k1k2": 2}
+BEAMS = [1, 2, 3, 4]
+ROUNDING = 1e-9
+"""Singular values of columns of unit length below this part of the largest are zero: the smallest that
+is none is above 1e-5 in every scene."""
+
+
+@dataclass
+class Scene:
+    """A vehicle before walls 2 m away: poses of the hand, beams and planes."""
+
+    R: np.ndarray
+    t: np.ndarray
+    plane: np.ndarray
+    n: np.ndarray
+    b: np.ndarray
+    r: np.ndarray
+    v: np.ndarray
+
+    @property
+    def ranges(self):
+        """Range (M, B) of every beam at every station."""
+        n_hand = np.einsum("mji,mj->mi", self.R, self.n[self.plane])
+        height = (self.n[self.plane] * self.t).sum(axis=1) + self.b[self.plane]
+        return -(n_hand @ self.r.T + height[:, None]) / (n_hand @ self.v.T)
+
+    def recording(self, sigma=0.0):
+        """The recording, with noise of standard deviation sigma [m]."""
+        noise = sigma * np.random.default_rng(9).standard_normal(self.ranges.shape)
+        labels = tuple("ABCD"[p] for p in self.plane)
+        names = tuple(str(i + 1) for i in range(len(self.r)))
+        return hl.Recording(self.R, self.t, self.ranges + noise, labels, names)
+
+
+def scene(motion, walls, beams, stations=14, uneven=(0.0, 0.0)):
+    """Return a scene; `uneven` has the noise of the height [m] and of roll and pitch [degrees]."""
+    rng = np.random.default_rng(0)
+    azimuth, lean = np.radians(WALLS[walls]).T
+    n = np.column_stack(
+        (np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean))
+    )
+    plane = np.repeat(np.arange(len(n)), stations)
+    M = len(plane)
+    yaw = azimuth[plane] + rng.uniform(-0.5, 0.5, M)
+    t = rng.uniform(-0.6, 0.6, (M, 3)) * [1.0, 1.0, 0.0]
+    if motion in ("SCARA", "never turning"):
+        t[:, 2] = rng.uniform(-0.2, 0.2, M)
+    if motion in ("never turning", "plane without turns", "linear axis"):
+        yaw[:] = 0.0
+    if motion == "linear axis":
+        t = t[:, :1] * [1.0, 0.3, 0.0]
+    if motion == "turning on the spot":
+        t[:] = 0.0
+    tilts = np.radians(uneven[1]) * rng.standard_normal((M, 3)) * [1.0, 1.0, 0.0]
+    t[:, 2] += uneven[0] * rng.standard_normal(M)
+    turns = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]) * Rotation.from_rotvec(tilts)
+    r = rng.uniform(-0.15, 0.15, (beams, 3))
+    sideways, steep = rng.uniform(-0.3, 0.3, beams), rng.uniform(0.1, 0.35, beams)
+    v = np.column_stack((np.ones(beams), sideways, steep * rng.choice([-1.0, 1.0], beams)))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return Scene(turns.as_matrix(), t, plane, n, np.full(len(n), -2.0), r, v)
+
+
+def tangents(u):
+    """Two unit vectors (2, 3) at right angles to u."""
+    first = np.cross(u, np.eye(3)[np.abs(u).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack((first, np.cross(u, first)))
+
+
+def jacobian(at, terms):
+    """Dense derivatives (M B, B (5 + terms) + 3 P) of all ranges."""
+    M, B, width = len(at.t), len(at.r), 5 + terms
+    J = np.zeros((M, B, B * width + 3 * len(at.n)))
+    for m, i in np.ndindex(M, B):
+        n, s = at.n[at.plane[m]], at.ranges[m, i]
+        n_hand = at.R[m].T @ n
+        c, x = n_hand @ at.v[i], at.R[m] @ (at.r[i] + s * at.v[i]) + at.t[m]
+        beam = np.concatenate((n_hand, s * (tangents(at.v[i]) @ n_hand))) / -c
+        J[m, i, i * width : (i + 1) * width] = [*beam, *(-(s ** np.arange(1, terms + 1)))]
+        first = B * width + 3 * at.plane[m]
+        J[m, i, first : first + 3] = [*(tangents(n) @ x), 1.0] / -c
+    return J.reshape(M * B, -1)
+
+
+def deficiency(J):
+    """How many directions the rows leave undetermined."""
+    lengths = np.linalg.norm(J, axis=0)
+    values = np.linalg.svd(J / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
+    return J.shape[1] - int((values > ROUNDING * values[0]).sum())
+
+
+def undetermined(motion, walls, beams, range_error, *rows):
+    """How many directions a recording leaves undetermined, with further rows."""
+    at = scene(motion, walls, beams)
+    terms = TERMS[range_error]
+    return deficiency(np.vstack([jacobian(at, terms), *(row(at, terms) for row in rows)]))
+
+
+def height(beam):
+    """A measured height r_z of a beam."""
+
+    def row(at, terms):
+        return np.eye(1, len(at.r) * (5 + terms) + 3 * len(at.n), beam * (5 + terms) + 2)
+
+    return row
+
+
+def beam_on_floor(beam):
+    """A beam that reads the distance to the floor, whose height is that of the wheels: r_z + s v_z."""
+
+    def row(at, terms):
+        whole = np.zeros((1, len(at.r) * (5 + terms) + 3 * len(at.n)))
+        s = 0.4
+        own = [0.0, 0.0, 1.0, *(s * tangents(at.v[beam])[:, 2])]
+        own += [at.v[beam, 2] * s ** (k + 1) for k in range(terms)]
+        whole[0, beam * (5 + terms) : (beam + 1) * (5 + terms)] = own
+        return whole
+
+    return row
+
+
+def angle(first, second):
+    """A known angle between two planes: the derivative of n1 . n2."""
+
+    def row(at, terms):
+        begin = len(at.r) * (5 + terms)
+        whole = np.zeros((1, begin + 3 * len(at.n)))
+        whole[0, begin + 3 * first :][:2] = tangents(at.n[first]) @ at.n[second]
+        whole[0, begin + 3 * second :][:2] = tangents(at.n[second]) @ at.n[first]
+        return whole
+
+    return row
+
+
+@pytest.mark.parametrize("beams", BEAMS)
+@pytest.mark.parametrize("range_error", TERMS)
+class TestTable:
+    """Every row of the table, in exact arithmetic but for rounding."""
+
+    @pytest.mark.parametrize("motion", ["planar", "SCARA"])
+    def test_before_vertical_walls_every_beam_has_a_height_of_its_own(
+        self, motion, beams, range_error
+    ):
+        """And, with k1 free, an elevation that k1 compensates."""
+        of_a_beam = 1 if range_error == "none" else 2
+        assert undetermined(motion, "vertical", beams, range_error) == of_a_beam * beams
+
+    @pytest.mark.parametrize("walls", ["one leans", "two lean", "a single leaning board"])
+    def test_one_plane_that_leans_ties_all_heights(self, walls, beams, range_error):
+        """One common height is left, and with k1 free a vertical stretch of everything."""
+        left = 1 if range_error == "none" else 2
+        assert undetermined("planar", walls, beams, range_error) == left
+
+    def test_a_floor_leans_too_but_leaves_every_elevation_against_k1(self, beams, range_error):
+        left = 1 if range_error == "none" else 1 + beams
+        assert undetermined("planar", "a floor", beams, range_error) == left
+
+    @pytest.mark.parametrize(
+        "walls", ["one leans", "two lean", "a single leaning board", "a floor"]
+    )
+    def test_moves_in_height_leave_no_stretch(self, walls, beams, range_error):
+        assert undetermined("SCARA", walls, beams, range_error) == 1
+
+    @pytest.mark.parametrize("walls", ["one leans", "two lean"])
+    def test_without_turns_three_common_shifts_are_left(self, walls, beams, range_error):
+        assert undetermined("never turning", walls, beams, range_error) == 3
+
+    @pytest.mark.parametrize("motion", ["plane without turns", "linear axis"])
+    def test_without_turns_and_in_a_plane_more_is_left(self, motion, beams, range_error):
+        assert undetermined(motion, "two lean", beams, range_error) >= 3
+
+    def test_a_measured_height_counts_for_one(self, beams, range_error):
+        before = undetermined("planar", "vertical", beams, range_error)
+        after = undetermined("planar", "vertical", beams, range_error, height(0))
+        assert after == before - 1
+        left = 0 if range_error == "none" else 1
+        assert undetermined("planar", "one leans", beams, range_error, height(0)) == left
+
+    def test_a_beam_on_the_floor_does_the_same_before_a_plane_that_leans(self, beams, range_error):
+        left = 0 if range_error == "none" else 1
+        assert undetermined("planar", "one leans", beams, range_error, beam_on_floor(0)) == left
+
+    def test_angles_between_vertical_walls_cure_nothing(self, beams, range_error):
+        known = angle(0, 1), angle(1, 2), angle(0, 3)
+        before = undetermined("planar", "vertical", beams, range_error)
+        assert undetermined("planar", "vertical", beams, range_error, *known) == before
+
+    def test_an_angle_cures_the_stretch_where_the_planes_lean_differently(self, beams, range_error):
+        left = 0 if range_error == "none" else 1
+        upright = undetermined("planar", "one leans", beams, range_error, height(0), angle(0, 1))
+        assert upright == left
+        assert undetermined("planar", "one leans", beams, range_error, height(0), angle(0, 2)) == 0
+
+
+@pytest.mark.parametrize("beams", BEAMS)
+@pytest.mark.parametrize("range_error", TERMS)
+def test_level_beams_before_vertical_walls_tell_their_elevation_in_second_order_only(
+    beams, range_error
+):
+    """At v_z = 0 k1 makes no difference, and one beam tells the lean of no wall either."""
+    at = scene("planar", "vertical", beams)
+    at.v[:, 2] = 0.0
+    at.v /= np.linalg.norm(at.v, axis=1, keepdims=True)
+    leans = len(at.n) if beams == 1 else 0
+    assert deficiency(jacobian(at, TERMS[range_error])) == 2 * beams + leans
+
+
+HEIGHTS = "the height of every beam (location along (0.00, 0.00, 1.00))"
+COMMON = "one common height of all beams and planes (location along (0.00, 0.00, 1.00))"
+SHIFT = "a common shift of all beams and planes"
+SIGMA = 1e-3
+
+
+def calibrated(at, sigma, range_error="none", **noise):
+    """The calibration with the given noise, without outliers."""
+    given = hl.Noise(max(sigma, 1e-6), **(noise or {"pose_translation_sigma": 0.0}))
+    if not noise:
+        given = hl.Noise(max(sigma, 1e-6), 0.0, 0.0)
+    return hl.calibrate(at.recording(sigma), given, hl.CalibrationOptions(range_error))
+
+
+@pytest.mark.parametrize("beams", BEAMS)
+@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+@pytest.mark.parametrize(
+    ("motion", "walls", "words", "cure"),
+    [
+        ("planar", "vertical", HEIGHTS, "add a board that leans"),
+        ("SCARA", "vertical", HEIGHTS, "add a board that leans"),
+        ("planar", "two lean", COMMON, "measure the height of one beam"),
+        ("SCARA", "one leans", COMMON, "measure the height of one beam"),
+        ("never turning", "two lean", SHIFT, "turn the hand about two different axes"),
+    ],
+)
+def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, sigma, beams):
+    """The rank is that of the table, and what is undetermined stays near the hand."""
+    if (motion, walls, sigma, beams) == ("planar", "two lean", SIGMA, 1):
+        pytest.skip("one beam of this noise does not tell whether a plane leans")
+    at = scene(motion, walls, beams)
+    check, found = check_motion(at.recording(sigma)), calibrated(at, sigma)
+    seen = found.observability
+    assert found.status == "unobservable"
+    assert seen.unknowns - seen.rank == undetermined(motion, walls, beams, "none")
+    for said in (check, seen):
+        (named,) = said.undetermined
+        assert words in named
+        assert said.advice[0].startswith(cure)
+    assert words in found.message
+    for i, beam in enumerate(found.beams.values()):
+        assert np.linalg.norm(beam.location) < 0.4  # the true ones are within 0.26 m of the hand
+        assert np.isinf(beam.sigma[2])
+        if motion != "never turning":
+            assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2] + 1e-6).all()
+            assert (
+                np.abs(np.abs(beam.direction) - np.abs(at.v[i])) < 4 * beam.sigma[3:6] + 1e-6
+            ).all()
+
+
+@pytest.mark.parametrize("beams", [2, 4])
+@pytest.mark.parametrize(
+    ("walls", "words"),
+    [("vertical", "its elevation against k1"), ("one leans", "vertical stretch")],
+)
+def test_with_a_free_k1_elevations_are_named(walls, words, beams):
+    at = scene("planar", walls, beams)
+    found = calibrated(at, 0.0, "k1")
+    (named,) = found.observability.undetermined
+    assert words in named
+    left = found.observability.unknowns - found.observability.rank
+    # Level beams are solutions, too, before upright walls: there the walls may lean, each by itself.
+    leans = len(at.n) if walls == "vertical" else 0
+    assert left == undetermined("planar", walls, beams, "k1") + leans
+    check = check_motion(at.recording())
+    assert "where k1 is free" in check.undetermined[0]
+
+
+def test_moves_in_height_leave_no_stretch_in_words():
+    found = calibrated(scene("SCARA", "one leans", 2), SIGMA, "k1")
+    assert "stretch" not in found.message
+    assert all(np.isfinite(beam.range_error_sigma).all() for beam in found.beams.values())
+
+
+@pytest.mark.parametrize("motion", ["plane without turns", "linear axis"])
+def test_a_linear_axis_is_named(motion):
+    at = scene(motion, "two lean", 2)
+    check, found = check_motion(at.recording(SIGMA)), calibrated(at, SIGMA)
+    where = "along one line" if motion == "linear axis" else "in one plane"
+    for said in (check, found.observability):
+        assert said.undetermined == (
+            f"nearly everything, because the hand never turns and moves {where} only",
+        )
+
+
+@pytest.mark.parametrize("beams", [2, 3])
+@pytest.mark.parametrize(
+    ("motion", "walls", "words"),
+    [
+        ("planar", "vertical", HEIGHTS),
+        ("planar", "two lean", COMMON),
+        ("SCARA", "vertical", HEIGHTS),
+    ],
+)
+def test_a_floor_that_is_not_flat_changes_no_word(motion, walls, words, beams):
+    """A tenth of a millimetre and a hundredth of a degree determine everything, within metres."""
+    at = scene(motion, walls, beams, uneven=(1e-4, 0.01))
+    assert deficiency(jacobian(at, 0)) == 0
+    variances = np.radians([0.003] * 3) ** 2, np.full(3, 5e-5**2)
+    found = calibrated(at, SIGMA, pose_covariance=np.diag(np.concatenate(variances)))
+    check = check_motion(at.recording(SIGMA))
+    for said in (check, found.observability):
+        assert len(said.undetermined) == 1
+        assert words in said.undetermined[0]
+
+
+def test_motions_that_suffice_have_no_name():
+    rng = np.random.default_rng(0)
+    at = scene("planar", "two lean", 2)
+    at.R = Rotation.from_rotvec(rng.uniform(-0.3, 0.3, (len(at.t), 3))).as_matrix()
+    assert poor_motion(at.recording().readings()) is None
+    assert check_motion(at.recording()).undetermined == ()
+    on_the_spot = scene("turning on the spot", "two lean", 2)
+    assert poor_motion(on_the_spot.recording().readings()) is None
+
+
+@pytest.mark.parametrize("walls", ["vertical", "one leans"])
+def test_the_command_says_it(handlaser, tmp_path, walls):
+    path = tmp_path / "vehicle.csv"
+    hl.write_recording(path, scene("planar", walls, 2).recording(SIGMA))
+    code, _, err = handlaser("check", path)
+    assert code == 3
+    assert (HEIGHTS if walls == "vertical" else COMMON) in err
+    assert ("add a board that leans" if walls == "vertical" else "measure the height") in err
+
+
+def test_python_of_the_page_cures_what_a_vehicle_lacks(tmp_path, monkeypatch):
+    """The section on vehicles, with a recording of a vehicle before a leaning board."""
+    monkeypatch.chdir(tmp_path)
+    at = scene("planar", "one leans", 2)
+    hl.write_recording("vehicle.csv", at.recording(SIGMA))
+    page = (ROOT / "docs" / "cell.md").read_text()
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "cell.md", "exec"), names)
+    assert names["calibration"].status == "unobservable"
+    cured = names["result"]
+    assert cured.status == "converged"
+    shift = at.r[0, 2] - names["height"]
+    for i, beam in enumerate(cured.beams.values()):
+        error = np.abs(beam.location - at.r[i] + np.array([0.0, 0.0, shift]))
+        assert (error < 4.0 * beam.location_sigma).all()
