@@ -45,7 +45,10 @@ ROBUST_ROUNDS = 8
 SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
-"""Largest part of the shots that may be left out."""
+"""Largest part of the shots, of all and of one target, that may be left out."""
+FIRST_OUT = 0.5
+"""Of the shots of a target, those go first whose misfit is at least this part of its largest: least
+squares share the error of one among all that see the same target."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 BODY_HELD = 0.01
@@ -239,6 +242,8 @@ def _leave_out_gross(state: _State) -> None:
     While most shots misfit, those that fit worst are left out and the rest is solved again (the
     concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
     """
+    different = {x: n for n, x in enumerate(dict.fromkeys(i.target for i in state.rows.items))}
+    target = np.array([different[item.target] for item in state.rows.items])
     for _ in range(ROBUST_ROUNDS):
         problem, _ = state.problem()
         again = minimum(problem, list(problem.blocks), state.values)
@@ -250,6 +255,11 @@ def _leave_out_gross(state: _State) -> None:
         kept = misfit <= GROSS * max(typical, 1.0)
         if kept.all() and typical > GROSS:
             kept = misfit <= np.quantile(misfit, TRIMMED)
+        for own in target == np.arange(len(different))[:, None]:
+            largest = misfit[own & state.used].max(initial=0.0)
+            kept |= own & state.used & (misfit < FIRST_OUT * largest)
+            if kept[own].mean() < 1.0 - MOST_LEFT_OUT:
+                kept[own] = state.used[own]
         if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
             return
         state.used = kept
@@ -320,7 +330,7 @@ def _worst_changed(state: _State) -> bool:
     group[group >= 0] = number
     chi2, dof = tests_of(rows, group)
     p = _by_chance(chi2, dof, len(rows.residuals) - rows.derivatives.shape[1], state)
-    worst = int(p.argmin())
+    worst = _most_contradicted(p, chi2)
     if p[worst] < SIGNIFICANCE / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used.copy()
         state.used[tested[worst]] = False
@@ -330,12 +340,18 @@ def _worst_changed(state: _State) -> bool:
         return False
     misfit = _misfits(state)[out]
     best = int(misfit.argmin())
-    size = 2 if state.rows.items[out[best]].shot is not None else 1
+    shot = state.rows.items[out[best]].shot
+    size = 1 if shot is None else len(shot.reading)
     if misfit[best] ** 2 * size > chi2_quantile(1.0 - 0.5, size):
         return False
     state.used = state.used.copy()
     state.used[out[best]] = True
     return True
+
+
+def _most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
+    """Return the least probable; where probabilities are all rounded to zero, that of largest chi2."""
+    return int(np.lexsort((-chi2, p))[0])
 
 
 def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: _State) -> FloatArray:
@@ -370,7 +386,7 @@ def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
         chi2, dof = tests_of(rows, number_left - 1)
         left = np.flatnonzero(~contradicted)
         p_value[left] = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
-        worst = left[p_value[left].argmin()]
+        worst = left[_most_contradicted(p_value[left], chi2)]
         if p_value[worst] >= SIGNIFICANCE / len(different):
             break
         contradicted[worst] = True

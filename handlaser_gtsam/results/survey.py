@@ -235,10 +235,18 @@ class SurveyCalibration(Value):
 
     @property
     def usable(self) -> bool:
-        """Whether it can be used."""
-        return self.status == "converged" and not any(
-            one.code == "relation-contradicted" for one in self.warnings
+        """Whether it can be used.
+
+        It cannot where a relation is contradicted, or where a range error that was found moves a spot
+        by more than what is stated of it.
+        """
+        contradicted = any(one.contradicted for one in self.relations)
+        moved = any(
+            error.found and abs(error.size) * error.spot_shift > sensor.spot_error
+            for sensor in self.sensors.values()
+            for error in sensor.errors
         )
+        return self.status == "converged" and not contradicted and not moved
 
     @property
     def verdict(self) -> str:
