@@ -12,6 +12,7 @@ from benchmarks.rigs import body_of, errors_of, survey_of
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES
+from handlaser_gtsam.model.lines import condensed_shots
 from handlaser_gtsam.model.ranges import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import Mounted
@@ -153,6 +154,31 @@ def test_condensed_shots_say_what_all_points_say():
     assert np.abs(step / sigma).max() < 1e-5  # the same minimum
     inverse = np.linalg.inv((J * sigma).T @ (J * sigma))
     assert np.abs(inverse - found.estimate.covariance / np.outer(sigma, sigma)).max() < 1e-6
+
+
+@pytest.mark.parametrize("ratio", [0.0, 1.0])
+def test_many_shots_at_once_are_as_one_by_one(ratio):
+    """The same points, shapes and information; the rays that stand for a shot may be others."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(-0.03, 0.03, 150)
+    shots = []
+    for _ in range(20):
+        z = 0.2 + rng.normal() * x + 1e-4 * rng.normal(size=150) - 0.02 * (rng.random(150) < 0.1)
+        shots.append((x[:, None] + 1e-4 * ratio * rng.normal(size=(150, 1)), z))
+    kind = KINDS["profiler"]
+    for one, (across, z) in zip(condensed_shots(kind, "plane", shots, ratio), shots, strict=True):
+        other = condensed(kind, "plane", across, z, ratio)
+        assert (one.kept == other.kept).all()
+        assert one.shape == pytest.approx(other.shape, rel=1e-9, abs=1e-9)
+        assert (one.squares, one.dof) == (pytest.approx(other.squares, rel=1e-6), other.dof)
+        information = []
+        for shot in (one, other):
+            A = np.column_stack((np.ones(2), shot.rays.origin[:, 0]))
+            B = shot.mix.T @ np.hstack((A, shot.by_error.T))
+            information.append(B.T @ B)
+        scale = np.sqrt(np.diagonal(information[1])) + 1e-30
+        off = (information[0] - information[1]) / np.outer(scale, scale)
+        assert np.abs(off).max() < 1e-6
 
 
 def test_noise_across_a_profile_pulls_no_slope():

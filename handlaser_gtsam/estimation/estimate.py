@@ -401,8 +401,9 @@ def _undetermined(
         ]
     )
     options = ObservabilityOptions()
-    # By singular values, which keep twice the digits of the information.
-    _, singular, axes = np.linalg.svd(J * unit, full_matrices=True)
+    # By singular values, which keep twice the digits of the information, of the rows' triangle: those
+    # of all rows would take the square of their number in memory.
+    _, singular, axes = np.linalg.svd(np.linalg.qr(J * unit, mode="r"), full_matrices=True)
     information = np.zeros(len(names))
     information[: len(singular)] = singular**2
     axes = axes.T

@@ -7,7 +7,7 @@ within a shot were sorted out when it was condensed.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from ..model.targets.point import POINT
 from ..quantities import MM, MOST_ROUNDS
 from .components import Components, Inside, components
 from .dense import dense_rows, pose_roots, tests_of, with_pose_errors
-from .estimate import SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
+from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
@@ -162,6 +162,9 @@ class _State:
 def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> SurveyEstimate:
     """Estimate all mounts and targets of a survey.
 
+    The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
+    sensor, of a beam or of a target: what is left of it may be the wrong part.
+
     Raises
     ------
     InputError
@@ -185,9 +188,23 @@ def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> Su
     _settle(state, inside, stated)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
+    doubtful = _doubtful(state)
+    if doubtful and found.status == "converged":
+        names = ", ".join(doubtful)
+        message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
+        found = replace(found, status="contradicted", message=message)
     return SurveyEstimate(
         rows, problem, found, state.sizes, stated, state.used, _tested(state, problem)
     )
+
+
+def _doubtful(state: _State) -> list[str]:
+    """Return the sensors, beams and targets of which too many shots were left out to be trusted."""
+    shares: dict[str, list[bool]] = {}
+    for item, used in zip(state.rows.items, state.used, strict=True):
+        for name in (_name(state.rows, item.family, item.member), state.rows.label(item.target)):
+            shares.setdefault(name, []).append(bool(used))
+    return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
 
 def _name(rows: Rows, family: str, member: int) -> str:

@@ -12,13 +12,14 @@ from ..model import known as relations
 from ..model.block import Block, Values, Weights
 from ..model.condensed import Mixed, Unexplained
 from ..model.families import BEAM, PLANE
+from ..model.lines import condensed_shots
 from ..model.priors import VectorPrior
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
-from ..model.shots import Condensed, condensed
+from ..model.shots import Condensed
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere
@@ -134,17 +135,17 @@ def rows_of(survey: Survey) -> Rows:
     for member, shots in enumerate(survey.shots):
         order = np.argsort(shots.station, kind="stable")
         stations, first = np.unique(shots.station[order], return_index=True)
-        for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True):
-            found = [
-                (label, part, _condensed(shots, part, kind_of(label)))
-                for label, part in _parts(shots, rows, labels[station])
-            ]
-            for label, part, shot in found:
-                if shot is None:
-                    lost.append((member, station))
-                    continue
-                at = number(label)
-                items.append(Item(SENSOR.name, member, station, at, shot, rows=part))
+        parts = [
+            (station, label, part)
+            for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True)
+            for label, part in _parts(shots, rows, labels[station])
+        ]
+        for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
+            if shot is None:
+                lost.append((member, station))
+                continue
+            at = number(label)
+            items.append(Item(SENSOR.name, member, station, at, shot, rows=part))
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
             at, d = number(labels[station]), float(survey.ranges[station, member])
@@ -164,13 +165,17 @@ def rows_of(survey: Survey) -> Rows:
     )
 
 
-def _condensed(shots: Shots, rows: IntArray, target: str) -> Condensed | None:
-    ratio = shots.sigma_across / shots.sigma if shots.sigma else float(shots.sigma_across > 0.0)
-    if target not in TARGETS:
-        return None
-    return condensed(
-        KINDS[shots.kind], target, shots.across[rows], shots.reading[rows], ratio, shots.sigma
-    )
+def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list[Condensed | None]:
+    """Return the shots of a sensor in a few rows, one a part (station, label, rows)."""
+    ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
+    found: list[Condensed | None] = [None] * len(parts)
+    for target in TARGETS:
+        seen = [i for i, (_, label, _) in enumerate(parts) if kind_of(label) == target]
+        tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
+        some = condensed_shots(KINDS[shots.kind], target, tables, ratio, shots.sigma)
+        for i, shot in zip(seen, some, strict=True):
+            found[i] = shot
+    return found
 
 
 def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray]]:

@@ -35,6 +35,8 @@ VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
+SIFTINGS = 4
+"""Rounds in which points that are far from their shape are left out; two settle most shots."""
 STEPS_OF_SHAPE = 12
 """Gauss-Newton steps of a shape: a good start takes four."""
 SHAPE_SETTLED = 1e-10
@@ -223,7 +225,8 @@ def condensed(
         return None
     if kept.sum() <= few:
         return _as_they_are(shape, _rows(rays, kept), reading[kept], kept)
-    found, rays, d, at = first, _rows(rays, kept), reading[kept], _rows(rays, kept)
+    found, d = first, reading[kept]
+    at = rays = _rows(rays, kept)
     for _ in range(STEPS_OF_SHAPE):
         s = shape.ranges(found[None], at)[0]
         if not np.isfinite(s).all():
@@ -238,7 +241,10 @@ def condensed(
         root = 1.0 / np.sqrt(1.0 + (ratio * slope) ** 2)
         step, *_ = np.linalg.lstsq(J * root[:, None], e * root, rcond=None)
         left = e - J @ step
-        if np.abs(step).max() <= SHAPE_SETTLED * np.abs(found).max():
+        # The start is a minimum with the points where they were read: they have to move first.
+        if np.abs(step).max() <= SHAPE_SETTLED * np.abs(found).max() and (
+            at is not rays or not ratio
+        ):
             break
         found = found + step
         if ratio:
@@ -332,7 +338,7 @@ def _robust(
     e = np.where(np.isfinite(e), e, np.inf)
     best, kept = trials[int(np.median(e, axis=1).argmin())], np.ones(n, dtype=bool)
     larger = MEDIAN_TO_SIGMA * (1.0 + FEW_TOO_CLOSE / (n - shape.size))
-    for _ in range(4):
+    for _ in range(SIFTINGS):
         e = np.abs(reading - shape.ranges(best[None], rays)[0])
         scale = larger * float(np.median(e[kept])) if kept.any() else np.inf
         kept = e <= FAR_FROM_SHAPE * max(
