@@ -65,8 +65,8 @@ def every_point(rows: Rows) -> Ranges:
     shots = rows.survey.shots[0]
     parts, seen = [], []
     for item in rows.items:
-        if item.shot is not None and item.rows is not None:
-            parts.append(item.rows[item.shot.kept])
+        if item.shot is not None:
+            parts.append(np.flatnonzero(shots.station == item.station)[item.shot.kept])
             seen.append(np.full(len(parts[-1]), item.target[1]))
     index = np.concatenate(parts)
     rays = KINDS[shots.kind].rays(shots.across[index])

@@ -11,7 +11,7 @@ from .data.ordering import sorted_readings
 from .data.parameters import Parameters
 from .data.recording import Recording
 from .data.screen import screened
-from .data.survey import Survey
+from .data.survey import Survey, beyond_planes
 from .errors import CalibrationWarning, InputError
 from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions
@@ -84,6 +84,7 @@ def calibrate(
             raise InputError("options or progress with a survey", "its own fields, such as free")
         noise = Noise() if noise is None else noise
         require_kind("noise", noise, Noise)
+        _refuse_unused(recording, noise)
         from .estimation.survey import estimate_survey
         from .results.survey import survey_calibration
 
@@ -91,6 +92,15 @@ def calibrate(
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return _calibrated(recording, noise, options, None, progress)
+
+
+def _refuse_unused(survey: Survey, noise: Noise) -> None:
+    """Refuse noise that a survey does not count."""
+    if noise.incidence_sigma:
+        raise InputError("an incidence sigma with a survey", "it with beams before planes only")
+    if noise.range_sigma is not None and not survey.beam_names:
+        expected = "sigma of each sensor of many rays (sigma_mm in [[sensors]])"
+        raise InputError("a range sigma, which is that of single beams, and no beam", expected)
 
 
 def calibrate_from(
@@ -147,6 +157,9 @@ def _checked(recording: Recording, noise: Noise, options: CalibrationOptions) ->
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     require_kind("options", options, CalibrationOptions)
+    other = beyond_planes(recording.plane_names)
+    if other:
+        raise InputError(f"the target {other!r}, which is no plane", "a Survey: hl.Survey")
     options.require_consistent(noise)
     counts = len(recording.plane_labels), len(recording.plane_names), len(recording.beam_names)
     LOGGER.info("calibrating %d stations, %d planes, %d beams", *counts)

@@ -11,6 +11,7 @@ from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
 
 FOLDER = ROOT / "examples" / "profiler"
 
@@ -206,7 +207,7 @@ def test_options_of_beams_are_refused(folder, handlaser):
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, _, err = handlaser(*words, "--range-error", "k1")
     assert code == 2
-    assert "options of beams" in err
+    assert "options of how beams" in err
     with pytest.raises(hl.InputError, match="options or progress"):
         hl.calibrate(
             hl.read_survey(folder / "poses.csv", folder / "rig.toml"),
@@ -228,3 +229,70 @@ def test_what_is_undetermined_is_said_and_the_exit_code_is_3(folder, handlaser):
     )
     assert code == 3
     assert "undetermined" in out
+
+
+def test_other_verbs_refuse_what_only_calibrate_takes(folder, handlaser):
+    for verb in (["check"], ["validate"]):
+        code, _, err = handlaser(
+            *verb, str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+        )
+        assert code == 2
+        assert "sensors of many rays" in err
+        assert err.count("\n") == 1
+
+
+def beams_on_a_ball(folder):
+    """A recording of one beam before a plane and a ball, without a table of sensors."""
+    rig = rigs_by_rays.beams(3, targets="planes+sphere", count=1, planes=2, stations=14)
+    q = Rotation.from_matrix(rig.R).as_quat()
+    table = rig.tables["beam"]
+    d = np.full(len(rig.R), np.nan)
+    d[table["station"]] = table["reading"]
+    columns = {"plane": list(rig.label), **{a: rig.t[:, i] for i, a in enumerate("xyz")}}
+    columns |= {a: q[:, i] for i, a in enumerate(("qx", "qy", "qz", "qw"))}
+    frame = pl.DataFrame(columns).with_columns(pl.Series("range_1", d).fill_nan(None))
+    frame.filter(pl.col("range_1").is_not_null()).write_csv(folder / "beam.csv")
+    return rig
+
+
+def test_labels_alone_make_a_survey_of_beams(folder, handlaser):
+    rig = beams_on_a_ball(folder)
+    code, out, err = handlaser("calibrate", str(folder / "beam.csv"), "--json")
+    assert code == 0, err
+    beam = json.loads(out)["beams"][0]
+    off = np.array(beam["location_m"]) - rig.truth["beam"]["location"]
+    assert (np.abs(off) < 5.0 * np.array(beam["location_sigma_m"])).all()
+    code, _, err = handlaser("check", str(folder / "beam.csv"))
+    assert code == 2
+    assert "sphere" in err
+    with pytest.raises(hl.InputError, match="no plane"):
+        hl.calibrate(hl.read_recording(folder / "beam.csv"))
+
+
+STATED = {
+    "[limits]\nrms_mm = 1": "rms_mm",
+    "[sensor]\nmax_incidence_deg = 40": "max_incidence_deg",
+    "[noise]\nincidence_sigma_mm = 0.1": "incidence_sigma_mm",
+    "[noise]\nrange_sigma_mm = 0.1": "sigma_mm in [[sensors]]",
+}
+
+
+@pytest.mark.parametrize("table", STATED)
+def test_what_does_not_count_is_refused(table, folder, handlaser):
+    rig = folder / "rig.toml"
+    rig.write_text(f"{table}\n{rig.read_text()}")
+    code, _, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+    assert code == 2
+    assert STATED[table] in err
+
+
+def test_limits_hold_for_sensors(folder, handlaser):
+    rig = folder / "rig.toml"
+    for limit, expected in (("0.0001", 4), ("10", 0)):
+        rig.write_text(
+            f"[limits]\nlocation_sigma_mm = {limit}\n{(FOLDER / 'rig.toml').read_text()}"
+        )
+        code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+        assert code == expected
+        assert ("sensor scanner: location sigma" in err) == (expected == 4)
+        assert "limit: location sigma" in out or expected == 4

@@ -26,6 +26,7 @@ from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..files.logs.report import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
@@ -143,18 +144,62 @@ def calibrate(
     the solver gave up; 4 not usable: outside the limits of the rig file, or with a systematic error
     larger than what the result states; 130 stopped by Ctrl-C.
     """
+    from ..data.survey import beyond_planes
+
     with Working():
         rig = given.read()
-        answer = _of_survey(recording, rig, model, manner, output, given.rig)
-        if answer is None:
-            answer = _of_beams(recording, rig, model, manner, output, given.rig)
+        output.check((recording, given.rig, *rig.log.files))
+        if rig.survey is not None:
+            answer = _of_survey(recording, rig, None, model, manner, output)
+        else:
+            log, rig = _read(recording, rig)
+            if beyond_planes(log.recording.plane_names):
+                answer = _of_survey(recording, rig, log.recording, model, manner, output)
+            else:
+                answer = _of_beams(recording, rig, log, model, manner, output, given.rig)
     answer.give(json=output.json_, quiet=output.quiet)
 
 
-def _of_beams(
-    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
+def _read(path: Path, rig: "Rig") -> "tuple[LogReport, Rig]":
+    from ..files.rig_reading import read_stated
+
+    return read_stated(rig, path)
+
+
+def _of_survey(
+    path: Path,
+    rig: "Rig",
+    recording: "Recording | None",
+    model: Model,
+    manner: Manner,
+    output: Output,
 ) -> Answer:
-    outcome = _calibrated(path, rig, model, manner, output, rig_file)
+    """Return the answer on sensors of many rays, targets that are no planes, and relations.
+
+    Parameters
+    ----------
+    recording : Recording, optional
+        Where the rig file names no other sensors.
+    """
+    from .survey import refuse_of_beams, survey_answer
+
+    stated = [] if output.at_range_mm is None else ["--at-range-mm"]
+    if (model, manner) != (Model(), Manner()):
+        stated.append("options of how beams before planes are calibrated")
+    refuse_of_beams(rig, stated, path)
+    return survey_answer(path, rig, recording, output)
+
+
+def _of_beams(
+    path: Path,
+    rig: "Rig",
+    log: "LogReport",
+    model: Model,
+    manner: Manner,
+    output: Output,
+    rig_file: Path | None,
+) -> Answer:
+    outcome = _calibrated(path, rig, log, model, manner, output, rig_file)
     aloud = output.json_ or output.quiet
     return Answer(
         outcome.text,
@@ -164,40 +209,22 @@ def _of_beams(
     )
 
 
-def _of_survey(
-    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
-) -> Answer | None:
-    """Return the answer on sensors of many rays, spheres, points and relations; None on beams alone."""
-    from ..errors import InputError
-    from ..files.survey_reading import is_survey
-
-    if not is_survey(path, rig):
-        return None
-    if (model, manner) != (Model(), Manner()):
-        found = (
-            "options of beams before planes, with sensors of many rays, other targets or relations"
-        )
-        raise InputError(found, "--rig, --out, --report and options of the noise only", path)
-    from .survey import survey_answer
-
-    files = () if rig.survey is None else rig.survey.files
-    output.check((path, rig_file, *rig.log.files, *files))
-    return survey_answer(path, rig, output.out, output.report, aloud=output.json_ or output.quiet)
-
-
 def _calibrated(
-    path: Path, rig: "Rig", model: Model, manner: Manner, output: Output, rig_file: Path | None
+    path: Path,
+    rig: "Rig",
+    log: "LogReport",
+    model: Model,
+    manner: Manner,
+    output: Output,
+    rig_file: Path | None,
 ) -> _Outcome:
     """Calibrate, and write the result where it is asked for."""
     from ..files.calibration_json import calibration_text
-    from ..files.rig_reading import read_with
     from ..files.writing import write_text
     from ..pipeline import calibrate as run
     from ..results.verdict import verdict
 
-    output.check((path, rig_file, *rig.log.files))
     reading = output.reading
-    log, rig = read_with(rig, path)
     recording, noise, fed = log.recording, rig.noise, None
     options = replace(model.options(rig), outliers=manner.outliers.value, loss=manner.loss.value)
     if manner.incremental:

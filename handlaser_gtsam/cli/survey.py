@@ -1,47 +1,87 @@
 """What `handlaser calibrate` does with a survey: sensors of many rays, spheres, points, relations."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import InputError
 from .answer import Answer, print_wrapped
 from .exit_codes import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
+    from ..data.recording import Recording
     from ..files.rig_toml import Rig
+    from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
+    from .calibrate import Output
+
+
+def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
+    """Refuse what is stated and does not count with sensors of many rays, other targets or relations.
+
+    Raises
+    ------
+    InputError
+    """
+    fields = {
+        "max_incidence_deg": rig.sensor.max_incidence < math.pi / 2.0,
+        "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
+        "rms_mm in [limits]": rig.limits.rms is not None,
+    }
+    found = [*stated, *(name for name, given in fields.items() if given)]
+    if found:
+        words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
+        raise InputError(words, "it with beams before planes only", path)
 
 
 def survey_answer(
-    path: Path, rig: "Rig", out: Path | None, report: Path | None, *, aloud: bool
+    path: Path, rig: "Rig", recording: "Recording | None", output: "Output"
 ) -> Answer:
     """Calibrate a survey, write the result where it is asked for, and return what is said.
+
+    Parameters
+    ----------
+    path : Path
+        Of the stations.
+    rig : Rig
+    recording : Recording, optional
+        What was read from there, if the rig file names no sensors of many rays and no relations.
+    output : Output
 
     Raises
     ------
     InputError
     """
     from ..files.survey_json import survey_text
-    from ..files.survey_reading import read_survey
-    from ..files.writing import write_text
+    from ..files.survey_reading import read_survey, survey_of
+    from ..files.writing import require_outputs, write_text
     from ..pipeline import calibrate
+    from ..results.survey import survey_limits
 
-    survey = read_survey(path, rig)
+    tables = () if rig.survey is None else rig.survey.files
+    require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
+    survey = read_survey(path, rig) if recording is None else survey_of(recording, rig)
     result = calibrate(survey, rig.noise)
-    text = survey_text(result)
-    written = [file for file in (out, report) if file is not None]
-    if out is not None:
-        write_text(out, text)
-    if report is not None:
+    text, checks = survey_text(result), survey_limits(result, rig.limits)
+    written = [file for file in (output.out, output.report) if file is not None]
+    if output.out is not None:
+        write_text(output.out, text)
+    if output.report is not None:
         from ..files.report.survey import survey_report
 
-        write_text(report, survey_report(result, survey, path.name))
+        page = survey_report(result, survey, path.name, output.report_date or "", checks)
+        write_text(output.report, page)
+    aloud = output.json_ or output.quiet
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    return Answer(text, partial(_show, result, written), warnings, _failure(result))
+    show = partial(_show, result, checks, written)
+    return Answer(text, show, warnings, _failure(result, checks))
 
 
-def _show(result: "SurveyCalibration", written: Sequence[Path]) -> None:
+def _show(
+    result: "SurveyCalibration", checks: "Sequence[LimitCheck]", written: Sequence[Path]
+) -> None:
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
     from ..text import printable
@@ -56,13 +96,16 @@ def _show(result: "SurveyCalibration", written: Sequence[Path]) -> None:
     }
     for title, table in tables.items():
         lines += [] if table is None else full_table(title, table, width)
-    lines += text_lines([f"{name}: {words}" for name, words in facts(result)], width)
+    lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
     lines += text_lines([f"undetermined: {words}" for words in result.undetermined[1:]], width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
     print_wrapped([*lines, *(f"wrote {printable(str(file))}" for file in written)])
 
 
-def _failure(result: "SurveyCalibration") -> tuple[int, str] | None:
+def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tuple[int, str] | None:
     if result.status != "converged":
         return UNDETERMINED, result.message
+    failed = [one.failure for one in checks if not one.held]
+    if failed:
+        return NOT_USABLE, f"outside the limits: {'; '.join(failed)}"
     return None if result.usable else (NOT_USABLE, result.verdict)

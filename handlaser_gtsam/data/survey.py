@@ -5,7 +5,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 `groove:G` for the two planes of a V; without a kind it is a plane.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -263,6 +263,9 @@ class Survey(Value):
     aiming_sigma : float, optional
         Standard deviation of a spot across its ray where it is aimed at a point [m]; learned where not
         given.
+    linearity : float
+        Of the single beams: standard deviation of k1, and of k2 times the typical range, before any
+        reading.
 
     Raises
     ------
@@ -277,10 +280,12 @@ class Survey(Value):
     beam_names: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     aiming_sigma: float | None = None
+    linearity: float = 0.01
 
     def __post_init__(self) -> None:
         if self.aiming_sigma is not None:
             require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
+        require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
         object.__setattr__(self, "shots", _tuple_of("shots", self.shots, Shots))
         object.__setattr__(self, "known", _tuple_of("known", self.known, Known))
@@ -334,6 +339,15 @@ def kind_of(label: str) -> str:
         expected = f"{', '.join(f'{k}:NAME' for k in TARGETS)}, or a name without a colon"
         raise InputError(f"the label {shown(label)}", expected)
     return kind
+
+
+def beyond_planes(labels: Iterable[str]) -> str:
+    """Return the first label of a target that is no plane, empty where all are planes.
+
+    A colon in the name of a plane is no kind.
+    """
+    kinds = tuple(f"{kind}:" for kind in TARGETS if kind != "plane")
+    return next((label for label in labels if label.startswith(kinds)), "")
 
 
 def normal_label(label: str) -> str:

@@ -25,7 +25,7 @@ from ..model.ranges import Ranges
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..observability.rank import ObservabilityOptions
-from ..quantities import ROWS_AT_ONCE, SINGULAR
+from ..quantities import NEGLIGIBLE, ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
@@ -241,23 +241,50 @@ def score_test(
     blocks = kept_blocks(problem, found)
     values = {name: x[None] for name, x in found.values.items()}
     J, e = problem.rows(blocks, values).whitened()
-    effects = {}
-    critical, delta = needed(SIGNIFICANCE / max(len(columns), 1), None)
-    for name, of_blocks in columns.items():
-        a = np.concatenate(
+    whole = {
+        name: -np.concatenate(
             [
                 (column if b.weights.root is None else column * b.weights.root[0]).ravel()
                 for b, column in zip(blocks, of_blocks, strict=True)
             ]
         )
-        rest = a - J @ np.linalg.lstsq(J, a, rcond=None)[0]
+        for name, of_blocks in columns.items()
+    }
+    return {name: effect for name, (effect, _) in tested_columns(J, e, whole).items()}
+
+
+def tested_columns(
+    J: FloatArray, e: FloatArray, columns: Mapping[str, FloatArray]
+) -> dict[str, tuple[TestedEffect, FloatArray]]:
+    """Return what rows say of unknowns that are held at zero, and how the others would follow.
+
+    Parameters
+    ----------
+    J, e : (R, N), (R,)
+        Derivatives and residuals of independent rows of one unit, at a minimum.
+    columns : mapping
+        Derivatives (R,) by each unknown that is held.
+
+    Returns
+    -------
+    dict
+        Of each: the test, and by how much (N,) the unknowns are wrong if it is of size 1.
+    """
+    scale = np.sqrt((J**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    pseudo = np.linalg.pinv(J / scale, rcond=NEGLIGIBLE)
+    critical, delta = needed(SIGNIFICANCE / max(len(columns), 1), None)
+    tested = {}
+    for name, a in columns.items():
+        follows = pseudo @ a
+        rest = a - J / scale @ follows
         left = float(rest @ rest)
-        if left <= SINGULAR * float(a @ a):
-            effects[name] = TestedEffect(np.nan, np.inf, np.inf, False)
-            continue
-        size, sigma = float(rest @ e) / left, left**-0.5
-        effects[name] = TestedEffect(size, sigma, delta * sigma, abs(size) > critical * sigma)
-    return effects
+        effect = TestedEffect(np.nan, np.inf, np.inf, False)
+        if left > SINGULAR * float(a @ a):
+            size, sigma = -float(rest @ e) / left, left**-0.5
+            effect = TestedEffect(size, sigma, delta * sigma, abs(size) > critical * sigma)
+        tested[name] = effect, follows / scale
+    return tested
 
 
 def kept_blocks(problem: BlockProblem, found: Estimate) -> list[Block]:

@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known, Survey
+from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block
 from ..model.distributions import chi2_quantile, chi2_sf, f_sf
@@ -46,6 +47,9 @@ SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots, of all and of one target, that may be left out."""
+TAKEN_BACK = 0.5
+"""A shot that was left out counts again where it fits as well as the better part, so large, of good
+shots does."""
 FIRST_OUT = 0.5
 """Of the shots of a target, those go first whose misfit is at least this part of its largest: least
 squares share the error of one among all that see the same target."""
@@ -57,8 +61,8 @@ FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RelationTest:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RelationTest(Value):
     """How a relation agrees with the readings and all other relations.
 
     Attributes
@@ -111,7 +115,6 @@ class _State:
     sizes: Components
     used: BoolArray
     relations: Sequence[tuple[Known, Relation]]
-    linearity: float
     learning: bool
 
     def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, list[list[Item]]]:
@@ -120,7 +123,7 @@ class _State:
         blocks, groups = blocks_of(items, self.sigmas(), self.values)
         if pose_errors:
             blocks = with_pose_errors(blocks, self.values, self.pose_covariance())
-        more: list[Block] = [*priors_of(self.rows, self.linearity), *self._held()]
+        more: list[Block] = [*priors_of(self.rows), *self._held()]
         more += [relation for _, relation in self.relations]
         unknown = self.rows.unknown()
         return BlockProblem([*blocks, *more], self.values, unknown, self.rows.length), groups
@@ -159,7 +162,7 @@ class _State:
         return [own, *[len(self.sizes.sigma) - 1] * (rows - 1)]
 
 
-def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> SurveyEstimate:
+def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     """Estimate all mounts and targets of a survey.
 
     The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
@@ -178,18 +181,21 @@ def estimate_survey(survey: Survey, noise: Noise, linearity: float = 0.01) -> Su
     sizes = _first_sizes(stated, inside, noise)
     used = np.ones(len(rows.items), dtype=bool)
     learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
-    state = _State(rows, noise, {}, sizes, used, relations_of(rows), linearity, learning)
+    state = _State(rows, noise, {}, sizes, used, relations_of(rows), learning)
     started = start_of(rows, state.sigmas())
     if started.values is None:
         names = ", ".join(_name(rows, *entity) for entity in started.without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     state.values = started.values
     _leave_out_gross(state)
-    _settle(state, inside, stated)
+    settled = _settle(state, inside, stated)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
     doubtful = _doubtful(state)
-    if doubtful and found.status == "converged":
+    if not settled and found.status != "undetermined":
+        message = "the search for the minimum, or for the sizes of the noise, did not come to rest"
+        found = replace(found, status="not_converged", message=message)
+    elif doubtful and found.status == "converged":
         names = ", ".join(doubtful)
         message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
         found = replace(found, status="contradicted", message=message)
@@ -298,19 +304,21 @@ def _misfits(state: _State) -> FloatArray:
     return np.sqrt(squares / np.maximum(count, 1.0))
 
 
-def _settle(state: _State, inside: Inside, stated: Components) -> None:
-    """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes."""
+def _settle(state: _State, inside: Inside, stated: Components) -> bool:
+    """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes.
+
+    Tell whether that was reached.
+    """
     prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
     for _ in range(MOST_ROUNDS * 4):
         problem, _ = state.problem()
         again = minimum(problem, list(problem.blocks), state.values)
         if again is None:
-            return
+            return False
         state.values = again
-        if _learned(state, inside, stated, prior):
-            continue
-        if not _worst_changed(state):
-            return
+        if not _learned(state, inside, stated, prior) and not _worst_changed(state):
+            return True
+    return False
 
 
 def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[float, float]) -> bool:
@@ -359,7 +367,7 @@ def _worst_changed(state: _State) -> bool:
     best = int(misfit.argmin())
     shot = state.rows.items[out[best]].shot
     size = 1 if shot is None else len(shot.reading)
-    if misfit[best] ** 2 * size > chi2_quantile(1.0 - 0.5, size):
+    if misfit[best] ** 2 * size > chi2_quantile(TAKEN_BACK, size):
         return False
     state.used = state.used.copy()
     state.used[out[best]] = True

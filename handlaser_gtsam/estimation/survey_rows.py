@@ -55,8 +55,6 @@ class Item:
         Of a sensor.
     reading : float
         Of a beam [m].
-    rows : (n,), optional
-        Of the sensor's table, that are of this shot.
     """
 
     family: str
@@ -65,7 +63,6 @@ class Item:
     target: tuple[str, int]
     shot: Condensed | None = None
     reading: float = np.nan
-    rows: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,12 +137,12 @@ def rows_of(survey: Survey) -> Rows:
             for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True)
             for label, part in _parts(shots, rows, labels[station])
         ]
-        for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
+        for (station, label, _), shot in zip(parts, _condensed(shots, parts), strict=True):
             if shot is None:
                 lost.append((member, station))
                 continue
             at = number(label)
-            items.append(Item(SENSOR.name, member, station, at, shot, rows=part))
+            items.append(Item(SENSOR.name, member, station, at, shot))
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
             at, d = number(labels[station]), float(survey.ranges[station, member])
@@ -346,10 +343,10 @@ def _relation(known: Known, of: Sequence[tuple[str, int]]) -> Relation:
     return make[known.relation]()
 
 
-def priors_of(rows: Rows, linearity: float) -> list[Block]:
+def priors_of(rows: Rows) -> list[Block]:
     """Return what is known of range errors before any reading: Gaussians about zero."""
     priors: list[Block] = []
-    beams, shots = len(rows.survey.beam_names), rows.survey.shots
+    beams, shots, linearity = len(rows.survey.beam_names), rows.survey.shots, rows.survey.linearity
     if beams:
         root = np.broadcast_to([1.0 / linearity, rows.length / linearity], (1, beams, 2))
         priors.append(VectorPrior(BEAM.name, root, np.zeros((beams, 2))))

@@ -442,7 +442,7 @@ def _searched(
     blocks, _ = blocks_of(own, sigmas, start)
     ties = [r for known, r in relations_of(rows) if _concerns(known.of, rows, own)]
     unknown = {f: u for f, u in rows.unknown().items() if f != "body"}
-    every = [*blocks, *priors_of(rows, 0.01), *ties]
+    every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
     ended = search(task, values, LevenbergOptions(max_iterations=60, least_damping=SINGULAR))

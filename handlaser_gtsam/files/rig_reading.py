@@ -3,8 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ..data.survey import beyond_planes
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport
 from .recording_csv import read_recording
@@ -12,6 +14,7 @@ from .rig_log import as_fields
 from .rig_toml import Rig
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
+ONLY_CALIBRATE = "beams before planes; `handlaser calibrate` and `export` take others, too"
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 
@@ -19,6 +22,26 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     """Return what is read from a recording or a log, and the rig with what its scatter says of noise.
 
     What is said of the options of `convert` names the fields of the table [log] instead.
+
+    Raises
+    ------
+    InputError
+        Also where the rig file has sensors of many rays or relations, or where a target is no plane:
+        only `calibrate` takes these, and asks `read_stated`.
+    """
+    if rig.survey is not None:
+        raise InputError(
+            "sensors of many rays, or relations, in the rig file", ONLY_CALIBRATE, path
+        )
+    report, rig = read_stated(rig, path)
+    other = beyond_planes(report.recording.plane_names)
+    if other:
+        raise InputError(f"the target {shown(other)}, which is no plane", ONLY_CALIBRATE, path)
+    return report, rig
+
+
+def read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
+    """Do as `read_with`, for targets of any kind.
 
     Raises
     ------

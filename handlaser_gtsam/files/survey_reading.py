@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arrays import FloatArray
+from ..data.recording import Recording
 from ..data.station_list import StationList
-from ..data.survey import Survey, kind_of
+from ..data.survey import Survey
 from ..errors import InputError
 from ..model.sensor import Sensor
 from .logs.format import LogFormat
@@ -33,27 +35,31 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     """
     path = path_of(path)
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
-    stations, ranges, beams = _stations(path, rig)
     if rig.survey is None:
-        return Survey(stations, (), ranges, beams)
-    shots = rig.survey.shots(stations.station_names)
-    return Survey(stations, shots, ranges, beams, rig.survey.known)
+        raise InputError("no table [[sensors]] or [[known]]", "one of them in the rig file", path)
+    stations, ranges, beams = _stations(path, rig)
+    shots, known = rig.survey.shots(stations.station_names), rig.survey.known
+    return Survey(stations, shots, ranges, beams, known, linearity=rig.sensor.linearity)
 
 
-def is_survey(path: Path, rig: Rig) -> bool:
-    """Tell whether a recording is a survey: by its rig file, or by labels that are no planes."""
-    if rig.survey is not None:
-        return True
-    if rig.log.stated or path.suffix.lower() != ".csv":
-        return False
-    try:
-        labels = read_table(path, ("plane", *POSE)).frame["plane"].unique().to_list()
-        return any(label and ":" in label and kind_of(label) != "plane" for label in labels)
-    except Exception:  # what is wrong with it is said by whatever reads it as a recording
-        return False
+def survey_of(recording: Recording, rig: Rig) -> Survey:
+    """Return a recording of single beams, before targets some of which are no planes, as a survey."""
+    stations = StationList(
+        recording.world_R_hand,
+        recording.world_t_hand,
+        recording.plane_labels,
+        recording.station_names,
+    )
+    ranges = _within(recording.ranges, rig)
+    return Survey(stations, (), ranges, recording.beam_names, linearity=rig.sensor.linearity)
 
 
-def _stations(path: Path, rig: Rig) -> tuple[StationList, np.ndarray | None, tuple[str, ...]]:
+def _within(ranges: FloatArray, rig: Rig) -> FloatArray:
+    """Return ranges without those that the sensor cannot give."""
+    return np.where(rig.sensor.can_read(ranges), ranges, np.nan)
+
+
+def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tuple[str, ...]]:
     """Return stations, ranges (M, B) of beams, and the names of these."""
     if rig.log.stated or path.suffix.lower() != ".csv":
         return _of_log(path, rig.log), None, ()
@@ -67,7 +73,7 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, np.ndarray | None, tup
     if not columns:
         return stations, None, ()
     ranges, _ = range_numbers(table, columns, rig.sensor)
-    return stations, ranges, tuple(name.removeprefix(PREFIX) for name in columns)
+    return stations, _within(ranges, rig), tuple(name.removeprefix(PREFIX) for name in columns)
 
 
 def _of_log(path: Path, given: LogFormat) -> StationList:

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..estimation.survey import RelationTest as RelationTest
     from .correlations import Coordinate as Coordinate
     from .correlations import Correlation as Correlation
     from .improvement import Improvement as Improvement
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from .reports import StartReport as StartReport
     from .spot_error import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
-    from .survey import KnownTested as KnownTested
     from .survey import RejectedShot as RejectedShot
     from .survey import SensorError as SensorError
     from .survey import SensorMount as SensorMount
@@ -41,7 +41,7 @@ else:
             "reports": "Beam BeamMixture Determined Fit NoiseComponent"
             " Plane RangeErrorScales ScaledSolution StartReport",
             "spot_error": "VarianceShares",
-            "survey": "BeamMount KnownTested RejectedShot SensorError SensorMount"
+            "survey": "BeamMount RelationTest RejectedShot SensorError SensorMount"
             " SurveyCalibration SurveyTarget",
             "systematic": "SystematicError",
             "verdict": "Verdict",

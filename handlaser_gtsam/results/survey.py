@@ -8,20 +8,20 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.survey import Known
 from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.dense import dense_rows, unknowns_of
-from ..estimation.estimate import SIGNIFICANCE, kept_blocks
-from ..estimation.survey import SurveyEstimate
+from ..estimation.estimate import kept_blocks, tested_columns
+from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
-from ..model.distributions import gaussian_quantile, gaussian_sf
+from ..model.distributions import gaussian_sf
 from ..model.families import BEAM, FAMILIES, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
-from ..quantities import IN_MM, NEGLIGIBLE, POWER
+from ..quantities import IN_MM
 from ..text import count, some
+from .limits import LimitCheck, Limits
 from .spot_error import radius
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
@@ -178,23 +178,6 @@ class RejectedShot(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class KnownTested(Value):
-    """A relation, and whether the readings agree with it.
-
-    Attributes
-    ----------
-    known : Known
-    p_value : float
-        Probability of a larger contradiction by chance.
-    contradicted : bool
-    """
-
-    known: Known
-    p_value: float
-    contradicted: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SurveyCalibration(Value):
     """Sensors, beams and targets of a survey, with their uncertainty.
 
@@ -213,7 +196,7 @@ class SurveyCalibration(Value):
         Whether one of them was estimated.
     undetermined : tuple of str
         What is undetermined, in sentences, and what determines it.
-    relations : tuple of KnownTested
+    relations : tuple of RelationTest
     rejected : tuple of RejectedShot
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
@@ -227,7 +210,7 @@ class SurveyCalibration(Value):
     pose_sigma: tuple[float, float]
     pose_sigma_estimated: bool
     undetermined: tuple[str, ...]
-    relations: tuple[KnownTested, ...]
+    relations: tuple[RelationTest, ...]
     rejected: tuple[RejectedShot, ...]
     warnings: tuple[CalibrationWarning, ...]
     chi2: float
@@ -272,6 +255,30 @@ class SurveyCalibration(Value):
         return f"{opening}: {words}."
 
 
+def survey_limits(result: SurveyCalibration, limits: Limits) -> tuple[LimitCheck, ...]:
+    """Compare the standard deviations of a result with the limits of its user.
+
+    A limit of the rms residual is none of a survey, whose readings weigh differently.
+    """
+    mounts = [
+        (f"sensor {one.name}", one.location_sigma.max(), one.rotation_sigma.max())
+        for one in result.sensors.values()
+    ]
+    mounts += [
+        (f"beam {one.name}", one.location_sigma.max(), one.direction_sigma)
+        for one in result.beams.values()
+    ]
+    checks = []
+    for name, location, direction in mounts:
+        if limits.location_sigma is not None:
+            value = float(location)
+            checks.append(LimitCheck("location_sigma", name, value, limits.location_sigma))
+        if limits.direction_sigma is not None:
+            value = float(direction)
+            checks.append(LimitCheck("direction_sigma", name, value, limits.direction_sigma))
+    return tuple(checks)
+
+
 def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     """Return the result of an estimate."""
     rows, estimate, survey = found.rows, found.estimate, found.rows.survey
@@ -289,7 +296,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     rejected = tuple(_rejected(found))
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
-    relations = tuple(KnownTested(t.known, t.p_value, t.contradicted) for t in found.tests)
+    relations = found.tests
     undetermined = tuple(_undetermined(found)) if estimate.undetermined else ()
     return SurveyCalibration(
         estimate.status,
@@ -417,43 +424,33 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
     J, e = dense_rows(blocks, values, whole).whitened()
     own = problem.places()
-    index = [whole.names.index(name) for name in own.names]
-    A = J[:, index]
-    scale = np.sqrt((A**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    pseudo = np.linalg.pinv(A / scale, rcond=NEGLIGIBLE)
-    tested: list[tuple[int, str, FloatArray]] = []
+    columns = {}
     for member in range(len(found.rows.survey.shots)):
         for code in ERRORS:
             name = f"{SENSOR.name}[{member}].{code}"
             column = J[:, whole.names.index(name)]
             if name not in own.names and column.any():
-                tested.append((member, code, column))
-    cut = -float(gaussian_quantile(0.5 * SIGNIFICANCE / max(len(tested), 1)))
+                columns[name] = column
+    index = [whole.names.index(name) for name in own.names]
     effects: dict[int, list[SensorError]] = {}
-    for member, code, column in tested:
-        moved = pseudo @ column
-        rest = column - A / scale @ moved
-        left = float(rest @ rest)
-        if left <= NEGLIGIBLE * float(column @ column):
+    for name, (tested, follows) in tested_columns(J[:, index], e, columns).items():
+        if not np.isfinite(tested.sigma):
             continue  # it only moves the mount: nothing tells it, and nothing needs to
-        size, sigma = -float(rest @ e) / left, left**-0.5
-        place = own.place[SENSOR.name][member] + np.arange(6)
+        first, _, code = name.partition("].")
+        member = int(first.partition("[")[2])
         shots = found.rows.survey.shots[member]
         spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
-        turn = (moved / scale)[place]
+        turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
-        power = float(gaussian_quantile(POWER))
-        effects.setdefault(member, []).append(
-            SensorError(code, size, sigma, (cut + power) * sigma, abs(size) > cut * sigma, shift)
-        )
-    return {member: tuple(some_) for member, some_ in effects.items()}
+        parts = tested.size, tested.sigma, tested.detectable, tested.found
+        effects.setdefault(member, []).append(SensorError(code, *parts, shift))
+    return {member: tuple(errors) for member, errors in effects.items()}
 
 
 def _warnings(
     found: SurveyEstimate,
     sensors: Mapping[str, SensorMount],
-    relations: tuple[KnownTested, ...],
+    relations: tuple[RelationTest, ...],
     rejected: tuple[RejectedShot, ...],
 ) -> Iterator[CalibrationWarning]:
     for tested in relations:

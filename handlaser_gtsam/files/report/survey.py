@@ -20,6 +20,7 @@ from ...results.description.tables import (
     sentence,
     text,
 )
+from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
 from ..json_text import Record
 from .figure import (
@@ -75,7 +76,13 @@ class _Spots:
     off: FloatArray
 
 
-def survey_report(result: SurveyCalibration, survey: Survey, source: str) -> str:
+def survey_report(
+    result: SurveyCalibration,
+    survey: Survey,
+    source: str,
+    day: str = "",
+    checks: tuple[LimitCheck, ...] = (),
+) -> str:
     """Return the page; the same result makes the same page.
 
     Parameters
@@ -85,11 +92,17 @@ def survey_report(result: SurveyCalibration, survey: Survey, source: str) -> str
         What was calibrated.
     source : str
         Name of the file of stations.
+    day : str
+        Date of the report; none where not given.
+    checks : tuple of LimitCheck
+        Of its user's limits.
     """
     spots = list(_spots(result, survey))
     drawn = [_scene(result, survey, spots), _by_station(survey, spots)]
     drawn += [figure for figure in (_profiles(survey),) if figure is not None]
     figures = {figure.name: figure for figure in drawn}
+    made = [("program", f"handlaser {__version__}"), ("stations", source)]
+    made += [("date", day)] if day else []
     mark = "good" if result.usable and not result.warnings else "care" if result.usable else "bad"
     opening, _, words = result.verdict.partition(": ")
     module = (
@@ -105,9 +118,9 @@ def survey_report(result: SurveyCalibration, survey: Survey, source: str) -> str
                 "warnings": [one.message for one in result.warnings],
                 "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
                 "targets": targets_table(result),
-                "rows": facts(result),
+                "rows": facts(result, checks),
                 "rejected": _rejected(result),
-                "made": (("program", f"handlaser {__version__}"), ("stations", source)),
+                "made": made,
                 "figures": figures,
             }
         )

@@ -1,8 +1,4 @@
-"""ToF arrays and depth cameras: ranges along known directions from one point.
-
-Where zones read the perpendicular distance z and not the distance along the ray, the reading along the
-ray is z over the cosine of the ray; `radial` makes one of the other.
-"""
+"""ToF arrays and depth cameras: ranges along known directions from one point."""
 
 import numpy as np
 
@@ -18,9 +14,3 @@ def zone_rays(across: FloatArray) -> Rayset:
     turning = aside - u * (aside * u).sum(axis=1)[:, None]
     nothing = np.zeros_like(u)
     return Rayset(nothing, u, nothing, turning)
-
-
-def radial(perpendicular: FloatArray, directions: FloatArray) -> FloatArray:
-    """Return ranges along rays (n, 3) whose component along the z axis was read."""
-    length = np.linalg.norm(directions, axis=1)
-    return np.asarray(perpendicular * length / directions[:, 2])

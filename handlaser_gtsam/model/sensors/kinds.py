@@ -14,26 +14,23 @@ class Kind:
 
     Attributes
     ----------
-    columns : tuple of str
-        What tells its rays apart, as its tables name it.
     rays : callable
-        Takes these columns (n, c) [m, rad, 1]; returns a `Rayset`.
+        Takes what tells the rays apart (n, c): x [m], the angle [rad] or a direction.
     flat : bool
         Whether all rays lie in the plane y = 0 of the sensor.
     parallel : bool
         Whether they are parallel; else they go through the origin of the sensor.
     """
 
-    columns: tuple[str, ...]
     rays: Callable[[FloatArray], Rayset]
     flat: bool
     parallel: bool
 
 
 KINDS = {
-    "profiler": Kind(("x",), profiler.profile_rays, flat=True, parallel=True),
-    "scanner": Kind(("angle",), profiler.scan_rays, flat=True, parallel=False),
-    "array": Kind(("ux", "uy", "uz"), array.zone_rays, flat=False, parallel=False),
-    "points": Kind(("ux", "uy", "uz"), array.zone_rays, flat=False, parallel=False),
+    "profiler": Kind(profiler.profile_rays, flat=True, parallel=True),
+    "scanner": Kind(profiler.scan_rays, flat=True, parallel=False),
+    "array": Kind(array.zone_rays, flat=False, parallel=False),
+    "points": Kind(array.zone_rays, flat=False, parallel=False),
 }
 """By the word that a rig file has for it."""

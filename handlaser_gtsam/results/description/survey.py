@@ -1,12 +1,14 @@
 """What there is to say of the result of a survey: terminal and report render it."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
+from ..limits import LimitCheck, worst_of_each
 from ..lines import NAMES_IN_LINE
 from ..survey import SensorMount, SurveyCalibration, SurveyTarget
 from .tables import (
@@ -134,8 +136,8 @@ def _sigma(target: SurveyTarget) -> str:
     return f"{words}, {s['radius'] * IN_MM:.2g} mm" if "radius" in s else words
 
 
-def facts(result: SurveyCalibration) -> Facts:
-    """Return noise, fit, relations and tests as pairs of a name and words."""
+def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts:
+    """Return noise, fit, limits, relations and tests as pairs of a name and words."""
     found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom")]
     noise = [
         f"{sensor.name} {sensor.reading_sigma * IN_MM:.2g} mm" for sensor in result.sensors.values()
@@ -155,6 +157,8 @@ def facts(result: SurveyCalibration) -> Facts:
             found.append((f"range error of {sensor.name}", ", ".join(parts)))
         if sensor.errors:
             found.append((f"tested of {sensor.name}", _tested(sensor)))
+    for check in worst_of_each(tuple(checks)):
+        found.append(("limit", check.comparison if check.held else check.failure))
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
         found.append((one.known.words, f"{words} (p = {one.p_value:.2g})"))
