@@ -92,17 +92,23 @@ class SurveyTables:
         return tuple(self.folder / table.points for table in self.sensors)
 
 
-def survey_tables(
-    sensors: tuple[SensorTable, ...], known: tuple[KnownTable, ...], folder: Path
-) -> SurveyTables:
-    """Return the tables in SI units.
+class SurveyRig(FileRecord):
+    """The tables [[sensors]] and [[known]] of a rig file."""
 
-    Raises
-    ------
-    InputError
-        A relation that is none, or fields that do not go with it.
-    """
-    return SurveyTables(sensors, tuple(map(_known, known)), folder)
+    sensors: Annotated[tuple[SensorTable, ...], Strict(False)] = ()
+    known: Annotated[tuple[KnownTable, ...], Strict(False)] = ()
+
+    def survey(self, folder: Path) -> SurveyTables | None:
+        """Return the tables in SI units, tables of points named from a folder on.
+
+        Raises
+        ------
+        InputError
+            A relation that is none, or fields that do not go with it.
+        """
+        if not self.sensors and not self.known:
+            return None
+        return SurveyTables(self.sensors, tuple(map(_known, self.known)), folder)
 
 
 def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots:

@@ -36,7 +36,6 @@ from ..results.limits import Limits
 from .checked_text import FileRecord, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
-from .rig_survey import KnownTable, SensorTable, SurveyTables, survey_tables
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
     from ..planning.workspace import Workspace
     from ..validation.simulate import Errors
     from .rig_planning import Plans
+    from .rig_survey import SurveyTables
 
 RIG_FILE = "a rig file, TOML"
 
@@ -105,9 +105,10 @@ class _Rig(FileRecord):
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
-    sensors: Annotated[tuple[SensorTable, ...], Strict(False)] = ()
-    known: Annotated[tuple[KnownTable, ...], Strict(False)] = ()
-    # For plans; `rig_planning.PlanTables` says what they hold, and is imported where there is one.
+    # `rig_survey.SurveyRig` and `rig_planning.PlanTables` say what these hold; each is imported where
+    # there is one.
+    sensors: Any = None
+    known: Any = None
     workspace: Any = None
     robot: Any = None
     blind: Any = None
@@ -116,16 +117,28 @@ class _Rig(FileRecord):
 
     @classmethod
     def schema_of(cls, data: object) -> type[Self]:
-        """Return a schema that knows what tables for plans hold, where there are any."""
-        for_plans = ("workspace", "robot", "blind", "goal", "placement")
-        if not isinstance(data, dict) or not any(name in data for name in for_plans):
+        """Return a schema that knows what rare tables hold, where there are any."""
+        if not isinstance(data, dict):
             return cls
-        from .rig_planning import PlanTables
+        bases: list[type[FileRecord]] = []
+        if any(name in data for name in ("workspace", "robot", "blind", "goal", "placement")):
+            from .rig_planning import PlanTables
 
-        return cast("type[Self]", create_model("_RigForPlans", __base__=(PlanTables, cls)))
+            bases.append(PlanTables)
+        if "sensors" in data or "known" in data:
+            from .rig_survey import SurveyRig
+
+            bases.append(SurveyRig)
+        if not bases:
+            return cls
+        return cast("type[Self]", create_model("_RigOfAll", __base__=(*bases, cls)))
 
     def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> "Plans | None":  # noqa: ARG002
         """Return what tables for plans say; None where there are none."""
+        return None
+
+    def survey(self, folder: Path) -> "SurveyTables | None":  # noqa: ARG002
+        """Return what [[sensors]] and [[known]] say; None where there are none."""
         return None
 
 
@@ -151,7 +164,7 @@ class Rig:
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
     plans: "Plans | None" = None
-    survey: SurveyTables | None = None
+    survey: "SurveyTables | None" = None
 
     @property
     def workspace(self) -> "Workspace | None":
@@ -253,7 +266,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         limits,
         rig.log.to_format(folder),
         rig.plans(folder, sensor, limits),
-        survey_tables(rig.sensors, rig.known, folder) if rig.sensors or rig.known else None,
+        rig.survey(folder),
     )
 
 
