@@ -10,7 +10,9 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 import handlaser_gtsam as hl
 from benchmarks.random_problems import judge_solvable, judge_unsolvable
 from handlaser_gtsam.files.recording_csv import write_recording
+from handlaser_gtsam.observability.held import Judge, held
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
+from handlaser_gtsam.observability.rank import ObservabilityOptions, observability
 
 NONE = hl.CalibrationOptions("none")
 
@@ -77,6 +79,16 @@ def test_an_open_beam_does_not_spoil_the_others():
     assert np.allclose(mine.location, its.location, atol=1e-8)
     assert np.allclose(mine.covariance, its.covariance, rtol=1e-4, atol=1e-16)
     assert np.allclose(both.planes["A"].covariance, alone.planes["A"].covariance, rtol=1e-4)
+
+
+def test_what_is_determined_is_not_moved_to_the_hand():
+    truth = bench(1, 1)
+    readings = recording_of(truth, *motion("free", 40), [0] * 40, 1e-4).readings()
+    observed = observability(truth, readings, 2, 1e-4)
+    assert observed.full
+    at, still = held(truth, observed, Judge(readings, 2, 1e-4, ObservabilityOptions()))
+    assert at == truth
+    assert still.full
 
 
 def test_open_coordinates_have_no_sigma_and_the_others_do():

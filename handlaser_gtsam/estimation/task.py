@@ -332,10 +332,14 @@ class SolutionTask:
         return observability(parameters, readings, self.terms, sigma, options, how, self.prior)
 
     def diagnosed(self, ended: Minimum, sigma: float, how: Whitening | None = None) -> Solution:
-        """Diagnose a minimum; of minima of short rank, take the one that leaves most undetermined."""
+        """Diagnose a minimum; of minima of short rank, take the one that leaves most undetermined.
+
+        What the readings leave undetermined means nothing where they do not fit.
+        """
         observability = self.observed(ended.parameters, sigma, how, ended.readings)
         solution = Solution(ended, observability, None, how, self.prior)
-        return solution if observability.full else self._least_observed(solution, sigma)
+        keep = observability.full or not self.fits
+        return solution if keep else self._least_observed(solution, sigma)
 
     def _least_observed(self, solution: Solution, sigma: float) -> Solution:
         readings, how = self.readings, solution.whitening

@@ -105,9 +105,11 @@ def held(
     ----------
     parameters : Parameters
     observed : Observability
-        At the parameters, of short rank.
+        At the parameters.
     judge : Judge
     """
+    if observed.full:
+        return parameters, observed
     exact = replace(judge, range_sigma=0.0)
     at_rest = exact.seen(parameters)
     if at_rest is not None and not at_rest.full:
