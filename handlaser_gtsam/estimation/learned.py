@@ -10,9 +10,10 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
+from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import REPRESENTATIVE_BEAMS
-from .information import Information, LinearReadings, PlaneResponse
+from .information import Information, LinearReadings
 from .mixture import BeamPosterior
 from .range_error_grid import RangeErrorGrid, farthest, refined_grid, widest_grid
 from .scales import Scales, design, find_mode, with_scales
@@ -113,7 +114,7 @@ def widest_scale(linearity: float | None) -> float:
     return np.inf if linearity is None else float(linearity * np.exp(farthest(linearity)))
 
 
-_Last = tuple[FloatArray, tuple[RangeErrorGrid, BeamPosterior], PlaneResponse]
+_Last = tuple[FloatArray, tuple[RangeErrorGrid, BeamPosterior], ReducedInformation]
 """A mode with the grid, the beams and the planes there: it is asked for more than once."""
 
 
@@ -220,7 +221,7 @@ class ScaleProblem:
             around.left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
-    def beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+    def beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
         if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
             return self._last[1][1], self._last[2]
@@ -234,26 +235,30 @@ class ScaleProblem:
         """
         beams, planes = self.beams(mode[None])
         mean, _ = beams.conditional(scale)
-        return mean, planes.step[0] - planes.response[0] @ mean
+        return mean, planes.local_step[0] - planes.local_response[0] @ mean
 
     def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
         """Return the problem for a part of the readings, and of the beams if they are alike."""
-        readings, parameters = self.readings, self.parameters
+        readings, beams = self.readings, np.arange(self.readings.beams)
         if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
-            chosen = (
-                np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
-            )
-            rows = np.flatnonzero(np.isin(readings.beam, chosen))
-            readings = readings.subset(rows)
-            beam = np.searchsorted(chosen, readings.beam)
-            readings = replace(readings, beam=beam, beams=REPRESENTATIVE_BEAMS)
-            parameters = parameters.part(chosen, np.arange(readings.planes))
+            beams = np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
+            readings = readings.subset(np.flatnonzero(np.isin(readings.beam, beams)))
+        readings = part_of(readings)
+        planes = np.unique(readings.plane)
+        readings = replace(
+            readings,
+            beam=np.searchsorted(beams, readings.beam),
+            plane=np.searchsorted(planes, readings.plane),
+            beams=len(beams),
+            planes=len(planes),
+        )
+        parameters = self.parameters.part(beams, planes)
         part = copy(self)
-        part.parameters, part.readings = parameters, part_of(readings)
+        part.parameters, part.readings = parameters, readings
         part.k = (
             parameters.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
         )
-        part.rows = LinearReadings(parameters, part.readings, self.terms, self.length, self.base)
+        part.rows = LinearReadings(parameters, readings, self.terms, self.length, self.base)
         part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
@@ -263,7 +268,7 @@ class ScaleProblem:
         terms = 0 if self.linearity is None else self.terms
         return widest_grid(self.linearity or 1.0, terms, count, angles)
 
-    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         information, planes = self.rows.information([self.scales.noise(u) for u in points])
         if self.known is not None:
             information = information + self.known

@@ -155,6 +155,21 @@ class BeamsOnPlanes:
         impossible = None if grazing is None else grazing.reshape(shape)
         return Rows(columns.reshape(len(columns), *shape), impossible)
 
+    def of_cells(self, values: IntArray) -> IntArray:
+        """Return what the readings (N,) of each cell share (cells,); zero for none."""
+        found = np.zeros(self.cells, dtype=np.intp)
+        found[self._index % self.cells] = values
+        return found
+
+    def pose_columns(self, values: Values, columns: FloatArray) -> FloatArray:
+        """Return derivatives (6, K, B, cells) by the hand poses, given those by all else."""
+        beams = values[BEAM.name][:, :, None]
+        columns = columns.reshape(len(columns), -1, self.beams, self.cells)
+        s = columns[-1] + corrected(self.measured, beams[..., OF_RANGE_ERROR])
+        spot = beams[..., OF_LOCATION] + s[..., None] * beams[..., OF_DIRECTION]
+        covector = columns[:3]
+        return np.concatenate((np.cross(np.moveaxis(spot, -1, 0), covector, axis=0), covector))
+
     def begun(self, problems: Sequence[Parameters]) -> Values:
         """Return parameters of K problems as values, planes about their points nearest to the hands."""
         values = values_of(problems)

@@ -214,6 +214,38 @@ def _common_columns(U: FloatArray, station: IntArray) -> FloatArray:
     return turned[:, 0]
 
 
+def without_common(U: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return V with I - V V' = inv(I + U U') for every station, and the sums of log det(I + U U').
+
+    Parameters
+    ----------
+    U : (6, K, B, M)
+        Of K problems and the readings of B beams at M stations.
+
+    Returns
+    -------
+    V : (6, K, B, M)
+    log_det : (K,)
+    """
+    # V is U over the transposed Cholesky factor of I + U'U: all stations are eliminated at once.
+    V, width = U.copy(), len(U)
+    A = np.empty((width, width, *U.shape[1:2], U.shape[3]))
+    for i in range(width):
+        for j in range(i + 1):
+            np.einsum("kbm,kbm->km", U[i], U[j], out=A[i, j])
+        A[i, i] += 1.0
+    log_det = np.zeros(U.shape[1])
+    for i in range(width):
+        np.maximum(A[i, i], 1.0, out=A[i, i])  # a pivot of I + U'U, but for rounding
+        log_det += np.log(A[i, i]).sum(axis=1)
+        A[i:, i] /= np.sqrt(A[i, i])
+        V[i] /= A[i, i][:, None]
+        for j in range(i + 1, width):
+            A[j, i + 1 : j + 1] -= A[j, i] * A[i + 1 : j + 1, i]
+            V[j] -= A[j, i][:, None] * V[i]
+    return V, log_det
+
+
 def covariance_roots(covariance: FloatArray) -> FloatArray:
     """Return L (M, d, d) with L L' the covariance."""
     values, axes = np.linalg.eigh(covariance)
