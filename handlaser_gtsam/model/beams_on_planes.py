@@ -21,7 +21,7 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .block import Rows, Slot, Values, Weights
 from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
-from .families import BEAM, PLANE, bases
+from .families import BEAM, PLANE, POSE, bases
 from .weighting import Whitening
 
 CHUNK_SLOTS = 32
@@ -259,9 +259,11 @@ class BeamsOnPlanes:
         root = self.spread(np.array([how.root for how in whitenings])).reshape(-1, *shape)
         if all(how.common is None for how in whitenings):
             return Weights(root)
-        common = [self.spread(how.one_pass().T).reshape(-1, *shape) for how in whitenings]
+        none = np.zeros((self.size, POSE.dim))
+        common = [none if how.common is None else how.common for how in whitenings]
+        columns = np.stack([self.spread(V.T).reshape(-1, *shape) for V in common], axis=1)
         station = np.tile(np.arange(self.cells), self.beams).reshape(shape)
-        return Weights(root, np.stack(common, axis=1), station)
+        return Weights(root, columns, station)
 
 
 def values_of(problems: Sequence[Parameters]) -> dict[str, FloatArray]:
