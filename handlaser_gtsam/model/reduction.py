@@ -22,6 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..errors import InputError
 from ..quantities import SINGULAR, TINY
 from .block import Block, Slot, Values, structure_of
 from .elimination import ReducedInformation, eliminated, inverse_stack, solve_definite
@@ -108,32 +109,6 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True)
-class _StationSums:
-    """Sums over the rows of each station, for some groups of a block."""
-
-    groups: IntArray
-    sums: SumsByKey
-    by_group: bool
-    """Whether all rows of a group are of one station."""
-
-    @classmethod
-    def of(cls, groups: IntArray, station: IntArray) -> "_StationSums":
-        """Return the sums for groups, given the station (G, S) of every row of the block."""
-        here = station[groups]
-        by_group = here.shape[1] > 1 and bool((here == here[:, :1]).all())
-        return cls(groups, SumsByKey(here[:, 0] if by_group else here.ravel()), by_group)
-
-    def __call__(self, common: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return A'U (K, q, c, stations) of common columns (c, K, G, S) and columns (q, K, G, S)."""
-        U, A = common[:, :, self.groups], columns[:, :, self.groups]
-        if self.by_group:
-            products = U.transpose(1, 2, 0, 3) @ A.transpose(1, 2, 3, 0)
-            return self.sums(products).transpose(0, 3, 2, 1)
-        products = A.swapaxes(0, 1)[:, :, None] * U.swapaxes(0, 1)[:, None]
-        return self.sums(products.reshape(*products.shape[:3], -1), axis=3)
-
-
-@dataclass(frozen=True, slots=True)
 class _GroupPlan:
     """How the rows of some groups of one block are added to the normal equations.
 
@@ -143,8 +118,10 @@ class _GroupPlan:
     groups : Index
     columns : Index
         Columns of the rows by what stays.
+    pattern : (groups,)
+        Groups of one number see the same of what stays.
     by_pattern : SumsByKey
-        Groups that see the same of what stays.
+        These groups.
     places : list of Index
         Rows of H of each such pattern.
     own : Index or None
@@ -155,23 +132,52 @@ class _GroupPlan:
         Groups of one pattern and local member.
     pairs : list of (slice, Index)
         For each pattern: where its sums by both stand, and the local members they are of.
-    by_station : list of _StationSums
-        For each pattern, then for all groups; empty where stations do not matter.
-    member_of_station : (stations,)
-        The local member that each station sees, -1 for none.
     """
 
     block: int
     groups: Index
     columns: Index
+    pattern: IntArray
     by_pattern: SumsByKey
     places: list[Index]
     own: Index | None
     by_member: SumsByKey | None
     by_both: SumsByKey | None
     pairs: list[tuple[slice, Index]]
-    by_station: list[_StationSums]
-    member_of_station: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class _CommonPlan:
+    """What rows of a station have in common, and how to take it out of the normal equations.
+
+    Attributes
+    ----------
+    groups : _GroupPlan
+        Of the block, each of whose patterns has one row at every station.
+    rows : Index
+        These rows, pattern after pattern and station after station.
+    places : (n,)
+        The rows of H of all patterns, one after the other.
+    stations, run : int
+        How many, and how many in a row see one local member.
+    by_member : SumsByKey
+        Runs of one local member.
+    """
+
+    groups: _GroupPlan
+    rows: Index
+    places: IntArray
+    stations: int
+    run: int
+    by_member: SumsByKey
+
+    def later(self, pattern: int) -> Index:
+        """Return the rows of H of a pattern and of all that follow."""
+        return _sliced(self.places[pattern * (len(self.places) // len(self.groups.places)) :])
+
+    def by_run(self, of_stations: FloatArray) -> FloatArray:
+        """Return what stations have (K, q, stations), run by run: (K, runs, q, run)."""
+        return of_stations.reshape(*of_stations.shape[:2], -1, self.run).swapaxes(1, 2)
 
 
 class Structure:
@@ -193,10 +199,8 @@ class Structure:
         For each family: where each member begins among what stays (-1: it is local).
     number : dict
         For each family: the number of each member among the local ones (-1: it stays).
-    size, members, width, stations : int
-        Unknowns that stay, local members, unknowns of one, and stations of common columns.
-    by_member : SumsByKey, optional
-        Runs of stations that see one local member (`by_run`); none where no station sees any.
+    size, members, width : int
+        Unknowns that stay, local members, and unknowns of one.
     """
 
     def __init__(
@@ -223,13 +227,7 @@ class Structure:
             self.members += int(apart.sum())
         self.width = len(free[local])
         self.plans = [plan for i, block in enumerate(blocks) for plan in self._plans(i, block)]
-        self._plan_stations()
-
-    def by_run(self, sums: FloatArray) -> FloatArray:
-        """Return what stations have (K, q, c, stations), run by run: (K, runs, q, c x stations)."""
-        K, q = sums.shape[:2]
-        runs = sums[..., self._seen].reshape(*sums.shape[:3], -1, self._run)
-        return runs.transpose(0, 3, 1, 2, 4).reshape(K, runs.shape[3], q, -1)
+        self.common = self._common_plans(blocks)
 
     def gathered(self, name: str, step: FloatArray, local_step: FloatArray) -> FloatArray:
         """Return the steps (K, members, unknown coordinates) of a family, given all steps."""
@@ -246,20 +244,32 @@ class Structure:
         delta[:, ~stays] = local_step[:, number[~stays]]
         return delta
 
-    def _plan_stations(self) -> None:
-        """Find the stations that see a local member, and runs of one length with the same member."""
-        self.stations = max((len(plan.member_of_station) for plan in self.plans), default=0)
-        member = np.full(self.stations, -1)
+    def _common_plans(self, blocks: Sequence[Block]) -> list[_CommonPlan]:
+        """Return how to take out what rows of a station have in common, block by block."""
+        plans = []
         for plan in self.plans:
-            there = member[: len(plan.member_of_station)]
-            np.maximum(there, plan.member_of_station, out=there)
-        seen = np.flatnonzero(member >= 0)
-        self._seen, self._run = _sliced(seen), 1
-        self.by_member: SumsByKey | None = None
-        if seen.size:
-            cuts = np.flatnonzero(np.diff(member[seen])) + 1
-            self._run = int(np.gcd.reduce(np.append(cuts, len(seen))))
-            self.by_member = SumsByKey(member[seen[:: self._run]])
+            block = blocks[plan.block]
+            station = block.weights.station
+            if station is None:
+                continue
+            count, patterns = int(station.max()) + 1, len(plan.places)
+            member = np.full(count, -1)
+            rows = np.full((patterns, count), -1)
+            rows[plan.pattern[:, None], station] = np.arange(station.size).reshape(station.shape)
+            for slot in block.slots():
+                if slot.family == self.local:
+                    member[station] = self.number[slot.family][slot.member][:, None]
+            if rows.size != station.size or (rows < 0).any() or (member < 0).any():
+                raise InputError(
+                    "common columns of rows that do not see one local member a station",
+                    "a row at every station of each group of variables that stay",
+                )
+            cuts = np.flatnonzero(np.diff(member)) + 1
+            run = int(np.gcd.reduce(np.append(cuts, count)))
+            by_member = SumsByKey(member[::run])
+            places = np.concatenate([np.arange(self.size)[place] for place in plan.places])
+            plans.append(_CommonPlan(plan, _sliced(rows.ravel()), places, count, run, by_member))
+        return plans
 
     def _plans(self, index: int, block: Block) -> list[_GroupPlan]:
         """Return the plans of the groups whose local member is eliminated, and of all others."""
@@ -269,14 +279,9 @@ class Structure:
         apart = np.zeros(len(slots[0].member), dtype=bool)
         for slot in slots:
             apart |= self.number[slot.family][slot.member] >= 0
-        station = block.weights.station
-        return [
-            self._plan(index, slots, which, station) for which in (apart, ~apart) if which.any()
-        ]
+        return [self._plan(index, slots, which) for which in (apart, ~apart) if which.any()]
 
-    def _plan(
-        self, index: int, slots: Sequence[Slot], which: BoolArray, station: IntArray | None
-    ) -> _GroupPlan:
+    def _plan(self, index: int, slots: Sequence[Slot], which: BoolArray) -> _GroupPlan:
         """Return the plan of some groups, all with a local member of their own or all without."""
         own: Index | None = None
         member: IntArray | None = None
@@ -304,26 +309,17 @@ class Structure:
                 (slice(a, b), _sliced(by_both.keys[a:b] - u * self.members))
                 for u, (a, b) in enumerate(pairwise(edges))
             ]
-        groups, by_station = np.flatnonzero(which), []
-        seen_by_station = np.zeros(0, dtype=np.intp)
-        if station is not None:
-            some = [groups[pattern == u] for u in range(len(first))]
-            by_station = [_StationSums.of(g, station) for g in (*some, groups)]
-            seen_by_station = np.full(int(station.max()) + 1, -1)
-            if member is not None:
-                seen_by_station[station[groups]] = member[:, None]
         return _GroupPlan(
             index,
-            slice(None) if which.all() else groups,
+            slice(None) if which.all() else np.flatnonzero(which),
             _sliced(np.concatenate(columns)) if columns else slice(0, 0),
+            pattern,
             SumsByKey(pattern),
             [_sliced(place) for place in of_pattern],
             own,
             by_member,
             by_both,
             pairs,
-            by_station,
-            seen_by_station,
         )
 
 
@@ -391,7 +387,11 @@ class Reduction:
         )
         for plan in of.plans:
             _add(total, plan, rows[plan.block])
-        _take_common(total, of, self.blocks, rows)
+        for common in of.common:
+            index = common.groups.block
+            U = self.blocks[index].weights.common
+            if U is not None:
+                _take_common(total, common, U, rows[index])
         return total
 
     def moved(self, values: Values, step: FloatArray, local_step: FloatArray) -> Values:
@@ -444,56 +444,57 @@ def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
     total.local_gradient[:, member] += rest[..., -1]
     border = plan.by_both(P[:, :, plan.own][..., plan.columns])
     for (sums, members), place in zip(plan.pairs, plan.places, strict=True):
-        if isinstance(members, slice) or isinstance(place, slice):
-            total.border[:, members, :, place] += border[:, sums]
-        else:
-            total.border[:, members[:, None], :, place] += border[:, sums].transpose(1, 3, 0, 2)
+        _add_border(total.border, members, place, border[:, sums])
 
 
-def _take_common(
-    total: Normal, of: Structure, blocks: Sequence[Block], rows: Sequence[FloatArray]
-) -> None:
+def _take_common(total: Normal, plan: _CommonPlan, U: FloatArray, columns: FloatArray) -> None:
     """Take out the weight that rows of a station lose by what they have in common.
 
-    With the common columns U of a station (`Weights`) and Y = A'U of all its rows A, the normal
-    equations lose Y Y'.
+    With the common columns U (`Weights`) and the columns A of all rows, the normal equations lose
+    (u . v) a b' for every two rows a, b of a station, with u and v of U.
     """
-    plans = [plan for plan in of.plans if blocks[plan.block].weights.common is not None]
-    if not plans:
-        return
-    K, n = total.gradient.shape
-    first = blocks[plans[0].block].weights.common
-    assert first is not None
-    width = len(first)
-    Y = np.zeros((K, n + 1, width, of.stations))
-    Z = np.zeros((K, of.width, width, of.stations))
-    each = np.arange(width)[:, None]
-    for plan in plans:
-        U, columns = blocks[plan.block].weights.common, rows[plan.block]
-        assert U is not None
-        for by_station, place in zip(plan.by_station, plan.places, strict=False):
-            here = _sliced(by_station.sums.keys)
-            sums = by_station(U, columns[plan.columns])
-            if isinstance(here, slice) or isinstance(place, slice):
-                Y[:, place, :, here] += sums
-            else:
-                Y[:, place[:, None, None], each, here] += sums
-        whole = plan.by_station[-1]
-        here = _sliced(whole.sums.keys)
-        Y[:, n:, :, here] += whole(U, columns[-1:])
-        if plan.own is not None:
-            Z[..., here] += whole(U, columns[plan.own])
-    flat = Y.reshape(K, n + 1, -1)
-    product = flat @ flat.swapaxes(1, 2)
-    total.matrix[:] -= product[:, :n, :n]
-    total.gradient[:] -= product[:, :n, n]
-    total.squares[:] -= product[:, n, n]
-    if of.by_member is not None:
-        here, Z = of.by_member.keys, of.by_run(Z)
-        total.local[:, here] -= of.by_member(Z @ Z.swapaxes(2, 3))
-        both = of.by_member(Z @ of.by_run(Y).swapaxes(2, 3))
-        total.border[:, here] -= both[..., :n]
-        total.local_gradient[:, here] -= both[..., n]
+    groups, stations, K = plan.groups, plan.stations, columns.shape[1]
+    places = groups.places
+    own = columns[:0] if groups.own is None else columns[groups.own]
+    shape = K, len(places), stations
+    U = U.reshape(*U.shape[:2], -1)[..., plan.rows].reshape(-1, *shape)
+    stays, rest = (
+        x.reshape(len(x), K, -1)[..., plan.rows].reshape(-1, *shape).transpose(1, 2, 0, 3)
+        for x in (columns[groups.columns], np.concatenate((own, columns[-1:])))
+    )
+    width, last, members = stays.shape[2], len(own), plan.by_member.keys
+    for i, place in enumerate(places):
+        product = np.einsum("ckis,cks->kis", U, U[:, :, i])
+        # With rows of this and of all later patterns; the matrix is symmetric.
+        later = (stays[:, i:] * product[:, i:, None]).reshape(K, -1, stations)
+        lost = later @ stays[:, i].swapaxes(1, 2)
+        _subtract(total.matrix, plan.later(i), place, lost)
+        if i + 1 < len(places):
+            _subtract(total.matrix, place, plan.later(i + 1), lost[:, width:].swapaxes(1, 2))
+        seen = np.einsum("kis,kias->kas", product, rest)
+        mine = np.concatenate((stays[:, i], rest[:, i]), axis=1)
+        by_run = plan.by_run(seen) @ plan.by_run(mine).swapaxes(2, 3)
+        total.gradient[:, place] -= by_run[:, :, last, :width].sum(axis=1)
+        total.squares[:] -= by_run[:, :, last, -1].sum(axis=1)
+        of_members = plan.by_member(by_run[:, :, :last])
+        total.local[:, members] -= of_members[..., width:-1]
+        total.local_gradient[:, members] -= of_members[..., -1]
+        _add_border(total.border, members, place, -of_members[..., :width])
+
+
+def _subtract(matrix: FloatArray, rows: Index, columns: Index, lost: FloatArray) -> None:
+    """Subtract a block (K, r, c) from some rows and columns of a matrix (K, n, n)."""
+    if not (isinstance(rows, slice) or isinstance(columns, slice)):
+        rows = rows[:, None]
+    matrix[:, rows, columns] -= lost
+
+
+def _add_border(border: FloatArray, members: Index, place: Index, sums: FloatArray) -> None:
+    """Add sums (K, m, d, q) of some local members and unknowns that stay to the border."""
+    if isinstance(members, slice) or isinstance(place, slice):
+        border[:, members, :, place] += sums
+    else:
+        border[:, members[:, None], :, place] += sums.transpose(1, 3, 0, 2)
 
 
 def _tied(blocks: Sequence[Block], family: str, count: int) -> BoolArray:

@@ -118,7 +118,8 @@ class Whitening(Value):
         if self.common is None:
             return self.root[:, None] ** 2 * rows
         scaled = self.root[:, None] * rows
-        return self.root[:, None] * (scaled - self._V @ (self._V.T @ scaled))
+        weighed: FloatArray = self.root[:, None] * (scaled - self._V @ (self._V.T @ scaled))
+        return weighed
 
     def squares(self) -> FloatArray:
         """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 inv(C)."""
@@ -206,9 +207,8 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
 def _moved(pose: FloatArray, covariance: FloatArray, station: IntArray) -> FloatArray:
     """Return derivatives (N, 6) by the hand poses times roots of the covariances of their stations."""
     if (covariance == covariance[0]).all():
-        return pose @ covariance_roots(covariance[:1])[0]
-    moved: FloatArray = pose[:, None] @ covariance_roots(covariance)[station]
-    return moved[:, 0]
+        return np.asarray(pose @ covariance_roots(covariance[:1])[0])
+    return np.asarray((pose[:, None] @ covariance_roots(covariance)[station])[:, 0])
 
 
 def _common_columns(U: FloatArray, station: IntArray) -> FloatArray:
