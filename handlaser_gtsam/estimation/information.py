@@ -120,14 +120,15 @@ class LinearReadings:
         length: float,
         variances: Variances,
     ) -> None:
-        require_steep(parameters, readings)
         self._block = BeamsOnPlanes([readings])
         values = self._block.centred(values_of([parameters]))
         self.centres = values[PLANE.name][0, :, CENTRE]
-        columns = self._block.evaluate(values).columns
-        self._pose = self._block.pose_columns(values, columns)
+        rows = self._block.evaluate(values)
+        if rows.impossible is not None:
+            require_steep(parameters, readings)
+        self._pose = self._block.pose_columns(values, rows.columns)
         unit = np.concatenate((BEAM.natural_units(length), PLANE.natural_units(length), [1.0]))
-        self._columns = columns * unit[:, None, None, None]
+        self._columns = rows.columns * unit[:, None, None, None]
         self._unknown: dict[str, BoolArray | bool] = {
             BEAM.name: modelled([terms])[0],
             PLANE.name: True,

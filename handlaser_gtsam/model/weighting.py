@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, renumbered
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
@@ -100,7 +100,7 @@ class Whitening(Value):
 
     def of_rows(self, rows: IntArray) -> "Whitening":
         """Return the whitening of some readings: of whole stations, in any order."""
-        station = np.unique(self.station[rows], return_inverse=True)[1].astype(np.intp)
+        station = renumbered(self.station[rows])
         common = None if self.common is None else self.common[rows]
         return Whitening(self.root[rows], self.sigma, station, common)
 
@@ -185,7 +185,7 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    sensor, station = own_variances(parameters, readings, variances), stations_from_zero(readings)
+    sensor, station = own_variances(parameters, readings, variances), renumbered(readings.station)
     if variances.pose is None:
         typical = float(np.median(sensor))
         return Whitening(np.sqrt(typical / sensor), float(np.sqrt(typical)), station)
@@ -315,9 +315,3 @@ def unequal(variances: Variances, terms: int, readings: Readings) -> bool:
         or variances.incidence_sigma > 0.0
         or np.ptp(variances.range_sigma) > 0.0
     )
-
-
-def stations_from_zero(readings: Readings) -> IntArray:
-    """Return the number (N,) of every reading's station among those that have readings."""
-    _, station = np.unique(readings.station, return_inverse=True)
-    return station.astype(np.intp)
