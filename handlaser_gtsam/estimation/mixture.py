@@ -163,16 +163,18 @@ class BeamPosterior:
         """Return V' (C, K, K) and k' (C, K) for pairs (C,) of a set and a point of the grid."""
         if not self.has_prior:
             return self.V[sets], self.k[sets]
-        T = self.T[sets]
-        V = np.empty_like(T)
+        V = np.empty((len(sets), *self.V.shape[1:]))
         for turned, points in grid.bases():
-            rows = np.flatnonzero(np.isin(scales, points))
-            R = _roots(self.every.spread(grid.part(scales[rows])), self.every.widest)
-            seen = T[rows] if not turned else self.every.turned(grid.angles) @ T[rows]
-            seen = R[:, :, None] * seen
-            inner = np.swapaxes(seen, 1, 2) @ seen
-            inner[:, range(R.shape[1]), range(R.shape[1])] += 1.0
-            V[rows] = T[rows] @ np.linalg.inv(inner) @ np.swapaxes(T[rows], 1, 2)
+            turn = self.every.turned(grid.angles) if turned else np.eye(V.shape[1])
+            here = np.isin(scales, points)
+            for j in np.unique(sets[here]).tolist():
+                T, rows = self.T[j], np.flatnonzero(here & (sets == j))
+                R = _roots(self.every.spread(grid.part(scales[rows])), self.every.widest)
+                seen = R[:, :, None] * (turn @ T)
+                inner = np.swapaxes(seen, 1, 2) @ seen
+                inner[:, range(R.shape[1]), range(R.shape[1])] += 1.0
+                half = np.swapaxes(_times(np.linalg.inv(inner), T.T), 1, 2)
+                V[rows] = _times(half, T.T)
         return V, np.einsum("cab,cb->ca", V, self.y[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
@@ -264,7 +266,8 @@ class BeamPosterior:
             along = few @ G[j]
             means[a:e] += (k[a:e] - self.k[j]) @ G[j].T
             variances[a:e] = of_others.multiply(of_others @ P[j]).sum(axis=1)
-            variances[a:e] += np.einsum("cmk,mk->cm", along @ V[a:e], along)
+            moved = _times(V[a:e], along.T)
+            variances[a:e] += np.einsum("ckm,km->cm", moved, along.T)
         return means, np.sqrt(variances), within
 
 
@@ -296,6 +299,11 @@ def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
     """Return the roots (C, K) of the information of priors (C, K) beyond the widest prior."""
     roots: FloatArray = np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0))
     return roots
+
+
+def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return matrices (C, K, L) times one (L, M) in a single product, which is faster."""
+    return np.asarray((stack.reshape(-1, len(matrix)) @ matrix).reshape(*stack.shape[:2], -1))
 
 
 def _semidefinite(V: FloatArray) -> FloatArray:
