@@ -226,13 +226,13 @@ class BeamPosterior:
         w /= w.sum()
         members = np.argwhere(w)
         weight = w[w > 0.0]
-        means, within, covariance = self._components(grid, weight, members, coordinates)
-        mean = weight @ means
-        off = means - mean
-        covariance = covariance + (weight[:, None] * off).T @ off
         order = np.argsort(-weight, kind="stable")
         enough = int(np.searchsorted(np.cumsum(weight[order]), 1.0 - LOST_WEIGHT)) + 1
         kept = np.sort(order[:enough])
+        means, sigmas, within = self._components(grid, weight, members, coordinates, kept)
+        mean = weight @ means
+        off = means - mean
+        covariance = within + (weight[:, None] * off).T @ off
         return Mixture(
             mean,
             0.5 * (covariance + covariance.T),
@@ -240,34 +240,40 @@ class BeamPosterior:
             w.sum(axis=0),
             weight[kept] / weight[kept].sum(),
             off[kept] @ coordinates.T,
-            within[kept],
+            sigmas,
             members[kept],
         )
 
     def _components(
-        self, grid: RangeErrorGrid, weight: FloatArray, members: IntArray, coordinates: FloatArray
+        self,
+        grid: RangeErrorGrid,
+        weight: FloatArray,
+        members: IntArray,
+        coordinates: FloatArray,
+        kept: IntArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return means and sigmas of components (C,), and their mean covariance.
+        """Return means of components (C,), sigmas of coordinates in some, and their mean covariance.
 
-        For members (C, 2), a set and a point of the grid each, in ascending order.
+        For members (C, 2), a set and a point of the grid each, in ascending order, as are those that
+        are `kept`.
         """
         sets = members[:, 0]
         V, k = self.narrowed(grid, sets, members[:, 1])
         G, P = self.G, self.P
         seen, first = np.unique(sets, return_index=True)
         Vbar = np.add.reduceat(weight[:, None, None] * V, first)
-        within = np.einsum("jak,jkl,jbl->ab", G[seen], Vbar, G[seen], optimize=True)
+        within = np.tensordot(G[seen] @ Vbar, G[seen], axes=((0, 2), (0, 2)))
         known = np.einsum("j,jab->ab", np.add.reduceat(weight, first), P[seen])
         within[np.ix_(self.others, self.others)] += known
         few = csr_array(coordinates)  # each of them is one of some unknowns of one beam
         of_others = few[:, self.others]
-        means, variances = self.mean[sets], np.empty((len(sets), len(coordinates)))
+        means, variances = self.mean[sets], np.empty((len(kept), len(coordinates)))
         for j, a, e in zip(seen, first, np.append(first[1:], len(sets)), strict=True):
-            along = few @ G[j]
             means[a:e] += (k[a:e] - self.k[j]) @ G[j].T
-            variances[a:e] = of_others.multiply(of_others @ P[j]).sum(axis=1)
-            moved = _times(V[a:e], along.T)
-            variances[a:e] += np.einsum("ckm,km->cm", moved, along.T)
+            along, some = few @ G[j], slice(*np.searchsorted(kept, [a, e]))
+            variances[some] = of_others.multiply(of_others @ P[j]).sum(axis=1)
+            moved = _times(V[kept[some]], along.T)
+            variances[some] += np.einsum("ckm,km->cm", moved, along.T)
         return means, np.sqrt(variances), within
 
 

@@ -239,8 +239,7 @@ def without_common(U: FloatArray) -> tuple[FloatArray, FloatArray]:
     V, width = U.copy(), len(U)
     A = np.empty((width, width, *U.shape[1:2], U.shape[3]))
     for i in range(width):
-        for j in range(i + 1):
-            np.einsum("kbm,kbm->km", U[i], U[j], out=A[i, j])
+        np.einsum("jkbm,kbm->jkm", U[: i + 1], U[i], out=A[i, : i + 1])
         A[i, i] += 1.0
     log_det = np.zeros(U.shape[1])
     for i in range(width):
