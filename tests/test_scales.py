@@ -537,7 +537,7 @@ def test_predictions_carry_the_noise_that_was_estimated():
 
 
 def test_a_prior_far_narrower_than_the_widest_loses_no_digit():
-    """The mean and covariance are those of all information in one matrix, whatever cancels."""
+    """Mean and covariance equal what all information in one matrix gives, whatever cancels."""
     rng = np.random.default_rng(3)
     rows = rng.standard_normal((40, 14)) @ np.diag(
         [1e3] * 5 + [1e2, 1e-3] + [1e3] * 5 + [1e2, 1e-3]

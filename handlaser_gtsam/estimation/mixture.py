@@ -136,7 +136,7 @@ class BeamPosterior:
             self.log_evidence -= 0.5 * float((mean**2 / wide**2).sum())
             self.log_evidence -= float(np.log(wide).sum())
         self.k = step + mean
-        # inv(V) k^: what all but a prior say of k.
+        # inv(V) k^, without a difference that could cancel.
         self.y = towards + np.einsum("jkl,l->jk", of_k, mean)
         few = np.linspace(0, len(beams) - 1, min(len(beams), REPRESENTATIVE_BEAMS))
         self.few: IntArray = few.round().astype(np.intp)
@@ -322,7 +322,7 @@ def _semidefinite(V: FloatArray) -> FloatArray:
 def _inverse_roots(matrix: FloatArray, widest: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return T with T T' the inverses of information (J, K, K), and the logarithms (J,) of det T.
 
-    Information holds that of the widest prior (K,), whatever rounding says.
+    Information that rounding made negative is raised to what the widest prior (K,) gives.
     """
     try:
         T = np.swapaxes(np.linalg.inv(np.linalg.cholesky(matrix)), 1, 2)

@@ -115,7 +115,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
-    # A few draws suffice where the sums are not even half as far out as they would have to be.
+    # A few draws suffice where the sums are not even half as far above them as the test asks.
     quiet = chains.squares(residuals.of_noise(white[:, :LEAST_DRAWS]))
     if not _stand_out(seen, quiet, 0.5 * FAR_SIGMAS):
         return INDEPENDENT
@@ -145,7 +145,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
 
 
 def _stand_out(seen: FloatArray, quiet: FloatArray, far: float) -> bool:
-    """Tell whether squares of sums (s,) are `far` sigmas above those of white noise (s, q)."""
+    """Tell whether squares of sums (s,) are `far` sigmas above white noise (s, q)."""
     shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
     return bool((share > shares.mean(axis=1) + far * shares.std(axis=1))[1:].any())
 
