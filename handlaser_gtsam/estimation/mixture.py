@@ -309,7 +309,8 @@ def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
 
 def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return matrices (C, K, L) times one (L, M) in a single product, which is faster."""
-    return np.asarray((stack.reshape(-1, len(matrix)) @ matrix).reshape(*stack.shape[:2], -1))
+    C, K, L = stack.shape
+    return np.asarray((stack.reshape(C * K, L) @ matrix).reshape(C, K, matrix.shape[1]))
 
 
 def _semidefinite(V: FloatArray) -> FloatArray:
