@@ -1,4 +1,4 @@
-"""Array types, and the two helpers that every frozen column goes through."""
+"""Array types, and the helpers that columns go through."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,3 +42,10 @@ def frozen_indices(values: ArrayLike) -> IntArray:
     array = np.array(values, dtype=np.intp)
     array.flags.writeable = False
     return array
+
+
+def renumbered(numbers: IntArray) -> IntArray:
+    """Return the rank (N,), from zero, of each whole number of at least zero among those that occur."""
+    occurs = np.bincount(numbers) > 0
+    ranks: IntArray = (np.cumsum(occurs) - 1)[numbers]
+    return ranks

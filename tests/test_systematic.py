@@ -224,11 +224,7 @@ def dense(problem):
         b, term = divmod(int(index), 2)
         pull[row, 7 * b + 5 + term] = how.sigma / prior[b, term]
         k[row] = at.range_errors[b, term] * how.sigma / prior[b, term]
-    W = np.diag(how.root)
-    if how.common is not None:
-        for i in range(N):
-            for j in np.flatnonzero(how.station == how.station[i]):
-                W[i, j] -= how.common[i] @ how.common[j] * how.root[j]
+    W = how.apply_rows(np.eye(N))
 
     def white(a):
         return np.concatenate((W @ a, np.zeros(len(finite))))

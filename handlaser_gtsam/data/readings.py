@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Regressors(Value):
         return cls(constant, level)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)  # no slots: the typical range is kept
 class Readings(Value):
     """The readings of a recording one a row, sorted by plane, then beam, then station.
 
@@ -101,6 +102,10 @@ class Readings(Value):
 
     def typical_range(self) -> float:
         """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
+        return self._typical_range
+
+    @cached_property
+    def _typical_range(self) -> float:
         return typical_range(self.distance)
 
     def largest_range(self) -> float:

@@ -2,9 +2,8 @@ r"""What readings say about the beams for several sets of noise scales at once, 
 
 At one linearisation, with the Jacobians G (beams), H (planes) and Q (hand poses) and the residuals e of
 the readings, a set of noise scales gives every station the covariance C = D + Q S Q' of its readings:
-D of the sensor, S of the hand pose. With inv(C) by Woodbury's identity a station costs one inverse of
-6 x 6 a set, whatever the number of its beams. Planes are independent given the beams, so they are
-eliminated one by one, and what they say of the beams is added up:
+D of the sensor, S of the hand pose. Each set is a problem of the reduction with weights of its own:
+planes are eliminated, and what remains is
 
     log L(x) = c + b' x - x' A x / 2,    x the beams' step from the linearisation,
 
@@ -13,18 +12,29 @@ scales. Locations and offsets are in units of the typical range, and so is the i
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 
-from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
-from ..model.families import BEAM, MOUNT_DIM
-from ..model.weighting import Variances, covariance_roots, noise_slopes, own_variances
-from ..quantities import NUMBERS_AT_ONCE
+from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, values_of
+from ..model.block import Rows, Weights, whitened
+from ..model.elimination import ReducedInformation, eliminated
+from ..model.families import BEAM, PLANE, POSE, modelled
+from ..model.reduction import Reduction
+from ..model.weighting import (
+    Variances,
+    covariance_roots,
+    noise_slopes,
+    own_variances,
+    without_common,
+)
+from ..quantities import NUMBERS_AT_ONCE, TINY
+from ..solvers.beam_problem import require_steep
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -76,27 +86,8 @@ class Information:
         return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
 
 
-@dataclass(frozen=True, slots=True)
-class PlaneResponse:
-    """What became of the planes that were eliminated, for J sets of noise scales, natural units.
-
-    Attributes
-    ----------
-    inverse : (J, P, 3, 3)
-        Covariances for known beams.
-    step : (J, P, 3)
-        Steps for beams that stay.
-    response : (J, P, 3, n)
-        A step x of the beams moves a plane by -response x.
-    """
-
-    inverse: FloatArray
-    step: FloatArray
-    response: FloatArray
-
-
 class LinearReadings:
-    """Readings linearised at parameters, sorted by plane and station.
+    """Readings linearised at parameters.
 
     Parameters
     ----------
@@ -109,6 +100,11 @@ class LinearReadings:
         The typical range [m]: the natural unit of lengths.
     variances : Variances
         Its pose covariances are scaled; its range sigmas do not matter.
+
+    Attributes
+    ----------
+    centres : (P, 3)
+        Points at which the offsets of the planes are taken [m].
 
     Raises
     ------
@@ -124,137 +120,63 @@ class LinearReadings:
         length: float,
         variances: Variances,
     ) -> None:
-        order = np.lexsort((readings.beam, readings.station, readings.plane))
-        readings = readings.subset(order)
-        lin = model.linearize(model.scene(parameters, readings), readings.measured, with_pose=True)
-        self.centres = readings.plane_means(lin.normal / lin.offset[:, None])
-        middle = self.centres[readings.plane]
-        v_basis = model.tangent_basis(parameters.directions)[readings.beam]
-        n_basis = model.tangent_basis(parameters.normals)[readings.plane]
-        unit = BEAM.natural_units(length)[: MOUNT_DIM + terms]
-        rows = model.tangent_columns(lin, v_basis, n_basis, middle, terms).T.copy()
-        self.beam_rows = unit * rows[:, :-4]
-        self.plane_rows = np.array([1.0, 1.0, length, 1.0]) * rows[:, -4:]
-        self.beam, self.beams = readings.beam, readings.beams
-        self.squared_slope = noise_slopes(parameters, readings) ** 2
+        self._block = BeamsOnPlanes([readings])
+        values = self._block.centred(values_of([parameters]))
+        self.centres = values[PLANE.name][0, :, CENTRE]
+        rows = self._block.evaluate(values)
+        if rows.impossible is not None:
+            require_steep(parameters, readings)
+        self._pose = self._block.pose_columns(values, rows.columns)
+        unit = np.concatenate((BEAM.natural_units(length), PLANE.natural_units(length), [1.0]))
+        self._columns = rows.columns * unit[:, None, None, None]
+        self._unknown: dict[str, BoolArray | bool] = {
+            BEAM.name: modelled([terms])[0],
+            PLANE.name: True,
+        }
+        self._beam = readings.beam
+        self._squared_slope = noise_slopes(parameters, readings) ** 2
         bare = Variances(np.zeros(readings.beams), variances.incidence_sigma)
-        self.fixed = own_variances(parameters, readings, bare)
-        change = (np.diff(readings.station) != 0) | (np.diff(readings.plane) != 0)
-        self.first: IntArray = np.flatnonzero(np.concatenate(([True], change))).astype(np.intp)
-        self.station = np.cumsum(np.concatenate(([0], change))).astype(np.intp)
-        plane = readings.plane[self.first]
-        self.first_station = np.searchsorted(plane, np.unique(plane))
-        self.first_row = self.first[self.first_station]
-        self.pose_rows = lin.pose
-        self._sums: _Sums | None = None
-        self.root: FloatArray | None = None
+        self._fixed = own_variances(parameters, readings, bare)
+        self._root: FloatArray | None = None
         if variances.pose is not None:
-            self.root = covariance_roots(variances.pose[readings.station[self.first]])
-        # Errors of the pose are then noise of the only reading.
-        self.alone = self.root is not None and len(self.first) == len(readings)
+            cells = self._block.of_cells(readings.station)
+            self._root = covariance_roots(variances.pose)[cells].transpose(1, 2, 0)
 
-    def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, PlaneResponse]:
-        """Return what the readings say for each set of noise scales."""
-        parts = []
-        if self.alone or self.fixed.any() or any(np.ptp(noise.range_sigma) > 0.0 for noise in sets):
-            for noise in sets:
-                variance = noise.range_sigma[self.beam] ** 2 * self.squared_slope + self.fixed
-                pose = noise.pose
-                if self.alone and self.root is not None:
-                    moved = (self.pose_rows * pose)[:, None] @ self.root
-                    variance, pose = variance + (moved**2).sum(axis=(1, 2)), np.zeros(6)
-                parts.append(_Sums(self, 1.0 / variance).information(np.ones(1), pose[None]))
-        else:
-            if self._sums is None:
-                self._sums = _Sums(self, 1.0 / self.squared_slope)
-            sums = self._sums
-            factor = np.array([noise.range_sigma[0] for noise in sets]) ** -2
-            pose = np.array([noise.pose for noise in sets])
-            size = len(self.first) * 6 * self.beams * self.beam_rows.shape[1]
-            chunk = max(NUMBERS_AT_ONCE // size, 1)
-            for a in range(0, len(sets), chunk):
-                parts.append(sums.information(factor[a : a + chunk], pose[a : a + chunk]))
-        both = [
-            [np.concatenate([getattr(part[k], name) for part in parts]) for name in names]
-            for k, names in enumerate(
-                (("matrix", "vector", "constant"), ("inverse", "step", "response"))
-            )
-        ]
-        return Information(*both[0]), PlaneResponse(*both[1])
+    def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, ReducedInformation]:
+        """Return what the readings say for each set of noise scales, and the same in full.
 
+        The latter has the planes that were eliminated, and natural units.
+        """
+        size = max(self._columns.size, POSE.dim * self._block.cells * self._unknowns)
+        chunk = max(NUMBERS_AT_ONCE // size, 1)
+        parts = [self._for_some(sets[a : a + chunk]) for a in range(0, len(sets), chunk)]
+        constant = np.concatenate([constant for constant, _ in parts])
+        reduced = ReducedInformation.joined([reduced for _, reduced in parts])
+        return Information(reduced.matrix, -reduced.gradient, constant), reduced
 
-class _Sums:
-    """Weighted sums over readings, for weights that a set of scales multiplies by one factor."""
+    @property
+    def _unknowns(self) -> int:
+        return self._block.beams * int(np.sum(self._unknown[BEAM.name]))
 
-    def __init__(self, rows: LinearReadings, weight: FloatArray) -> None:
-        self.rows, self.log_weight = rows, float(np.log(weight).sum())
-        stations, beams, width = len(rows.first), rows.beams, rows.beam_rows.shape[1]
-        self.size = beams * width
-        weighted = rows.beam_rows * weight[:, None]
-        mixed = np.zeros((stations, beams, width, 4))
-        mixed[rows.station, rows.beam] = weighted[:, :, None] * rows.plane_rows[:, None, :]
-        mixed = np.add.reduceat(mixed, rows.first_station)
-        self.beam_plane = mixed.reshape(-1, self.size, 4)
-        squares = weight[:, None, None] * rows.plane_rows[:, :, None] * rows.plane_rows[:, None, :]
-        self.plane_plane = np.add.reduceat(squares, rows.first_row)
-        self.beam_beam = np.zeros((self.size, self.size))
-        for i in range(beams):
-            mine, block = rows.beam == i, slice(i * width, i * width + width)
-            self.beam_beam[block, block] = weighted[mine].T @ rows.beam_rows[mine]
-        if rows.root is None or rows.alone:
-            return
-        q = rows.pose_rows
-        wq = weight[:, None] * q
-        self.pose_pose = np.add.reduceat(wq[:, :, None] * q[:, None, :], rows.first)
-        grid = np.zeros((stations, beams, width, 6))
-        grid[rows.station, rows.beam] = rows.beam_rows[:, :, None] * wq[:, None, :]
-        self.beam_pose = grid.reshape(stations, self.size, 6)
-        self.plane_pose = np.add.reduceat(rows.plane_rows[:, :, None] * wq[:, None, :], rows.first)
-
-    def information(
-        self, factor: FloatArray, pose: FloatArray
-    ) -> tuple[Information, PlaneResponse]:
-        """Return the information for weights times `factor` (J,) and pose factors (J, 6)."""
-        f = factor[:, None, None]
-        beam_beam = f * self.beam_beam
-        beam_plane = f[..., None] * self.beam_plane
-        plane_plane = f[..., None] * self.plane_plane
-        log_det = -len(self.rows.beam) * np.log(factor) - self.log_weight
-        if self.rows.root is not None and pose.any():
-            starts, root = self.rows.first_station, pose[:, None, :, None] * self.rows.root
-            back = np.swapaxes(root, 2, 3)
-            # By its eigenvectors 1 + X keeps its digits where errors of the poses dwarf the sensor's.
-            values, axes = np.linalg.eigh(f[..., None] * (back @ self.pose_pose @ root))
-            values = np.maximum(values, 0.0)
-            along = f[..., None] * (root @ axes) / np.sqrt(1.0 + values)[..., None, :]
-            K = along @ np.swapaxes(along, 2, 3)
-            log_det = log_det + np.log1p(values).sum(axis=(1, 2))
-            KB = K @ np.swapaxes(self.beam_pose, 1, 2)
-            KC = K @ np.swapaxes(self.plane_pose, 1, 2)
-            flat = np.swapaxes(self.beam_pose, 0, 1).reshape(self.size, -1)
-            beam_beam -= flat @ KB.reshape(len(f), -1, self.size)
-            beam_plane -= np.add.reduceat(self.beam_pose @ KC, starts, axis=1)
-            plane_plane -= np.add.reduceat(self.plane_pose @ KC, starts, axis=1)
-        return _planes_eliminated(beam_beam, beam_plane, plane_plane, log_det)
-
-
-def _planes_eliminated(
-    beam_beam: FloatArray, beam_plane: FloatArray, plane_plane: FloatArray, log_det: FloatArray
-) -> tuple[Information, PlaneResponse]:
-    """Eliminate planes from (J, n, n), (J, P, n, 4) and (J, P, 4, 4); residuals stand last."""
-    H, g = plane_plane[..., :3, :3], plane_plane[..., :3, 3]
-    inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
-    E = beam_plane[..., :3]
-    response = inverse @ np.swapaxes(E, 2, 3)
-    step = -np.einsum("jpab,jpb->jpa", inverse, g)
-    sets, _, size = E.shape[:3]
-    flat = np.swapaxes(E, 1, 2).reshape(sets, size, -1)
-    matrix = beam_beam - flat @ response.reshape(sets, -1, size)
-    vector = -beam_plane[..., 3].sum(axis=1) - np.einsum("jpna,jpa->jn", E, step)
-    squares = plane_plane[..., 3, 3].sum(axis=1) + np.einsum("jpa,jpa->j", g, step)
-    log_det = log_det + np.linalg.slogdet(H)[1].sum(axis=1)
-    symmetric = 0.5 * (matrix + np.swapaxes(matrix, 1, 2))
-    return (
-        Information(symmetric, vector, -0.5 * (squares + log_det)),
-        PlaneResponse(inverse, step, response),
-    )
+    def _for_some(self, sets: Sequence[NoiseSet]) -> tuple[FloatArray, ReducedInformation]:
+        """Return the constants c (J,), and what the readings say, for as many sets as memory holds."""
+        sigma = np.array([noise.range_sigma for noise in sets])[:, self._beam]
+        variance = sigma**2 * self._squared_slope + self._fixed
+        log_det = np.log(variance).sum(axis=1)
+        root = self._block.spread(1.0 / np.sqrt(variance))
+        block, shape = copy(self._block), (len(sets), *self._columns.shape[2:])
+        block.weights = Weights(root.reshape(shape))
+        if self._root is not None and any(noise.pose.any() for noise in sets):
+            scaled = np.array([noise.pose for noise in sets])[..., None, None] * self._root
+            moved = np.einsum("jaxc,abc->xjbc", scaled, self._pose[:, 0])
+            common, more = without_common(moved * root)
+            station = np.tile(np.arange(block.cells), block.beams).reshape(shape[1:])
+            block.weights = Weights(root.reshape(shape), common.reshape(-1, *shape), station)
+            log_det += more
+        reduction = Reduction([block], block.counts, self._unknown, PLANE.name)
+        normal = reduction.normal([whitened(Rows(self._columns), block.weights)])
+        reduced = eliminated(
+            normal.matrix, normal.border, normal.local, normal.gradient, normal.local_gradient
+        )
+        log_det += np.log(np.maximum(reduced.local_values, TINY)).sum(axis=(1, 2))
+        return -0.5 * (normal.squares - reduced.local_saved + log_det), reduced

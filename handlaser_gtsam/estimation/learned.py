@@ -10,11 +10,18 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
+from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import REPRESENTATIVE_BEAMS
-from .information import Information, LinearReadings, PlaneResponse
+from .information import Information, LinearReadings
 from .mixture import BeamPosterior
-from .range_error_grid import RangeErrorGrid, farthest, refined_grid, widest_grid
+from .range_error_grid import (
+    RangeErrorGrid,
+    farthest,
+    near_largest,
+    refined_grid,
+    widest_grid,
+)
 from .scales import Scales, design, find_mode, with_scales
 
 SCALE_READINGS = 3000
@@ -113,8 +120,19 @@ def widest_scale(linearity: float | None) -> float:
     return np.inf if linearity is None else float(linearity * np.exp(farthest(linearity)))
 
 
-_Last = tuple[FloatArray, tuple[RangeErrorGrid, BeamPosterior], PlaneResponse]
-"""A mode with the grid, the beams and the planes there: it is asked for more than once."""
+@dataclass(frozen=True, slots=True)
+class _AtMode:
+    """What is asked for more than once at a mode (d,).
+
+    The scales of the range errors that are probable there with their weights (G,), and the beams and
+    planes.
+    """
+
+    mode: FloatArray
+    grid: RangeErrorGrid
+    weight: FloatArray
+    beams: BeamPosterior
+    planes: ReducedInformation
 
 
 class ScaleProblem:
@@ -163,7 +181,7 @@ class ScaleProblem:
         self.k = parameters.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
         self.wide = self._widest(readings.beams)
         self.rows = LinearReadings(parameters, readings, terms, self.length, base)
-        self._last: _Last | None = None
+        self._last: _AtMode | None = None
 
     @cached_property
     def _part(self) -> "ScaleProblem":
@@ -189,18 +207,16 @@ class ScaleProblem:
         many = self.readings.beams > REPRESENTATIVE_BEAMS
         if many and self._part.readings.beams < self.readings.beams:
             return self._part._weighed(mode)
-        grid, beams = self._grid(mode)
-        value = beams.log_evidence_of(grid)[0] + grid.log_prior
-        w = np.exp(value - value.max())
-        return grid, w / w.sum()
+        here = self._at(mode)
+        return here.grid, here.weight
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        least, (grid, beams) = 0.0, self._grid(mode)
+        least, grid = 0.0, self._at(mode).grid
         few, weight = self._weighed(mode)
         scale = np.exp(weight @ np.log(few.total()))
         if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
-            grid = few.typical(weight, beams.worst_known())
+            grid = few.typical(weight, self._at(mode).beams.worst_known())
         if len(self.readings) > CERTAIN_READINGS:
             least = np.inf
         elif self.readings.beams > INTEGRATED_BEAMS:
@@ -220,10 +236,11 @@ class ScaleProblem:
             around.left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
-    def beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+    def beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
-        if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
-            return self._last[1][1], self._last[2]
+        last = self._last
+        if len(points) == 1 and last is not None and np.array_equal(points[0], last.mode):
+            return last.beams, last.planes
         return self._beams(points)
 
     def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -234,26 +251,30 @@ class ScaleProblem:
         """
         beams, planes = self.beams(mode[None])
         mean, _ = beams.conditional(scale)
-        return mean, planes.step[0] - planes.response[0] @ mean
+        return mean, planes.local_step[0] - planes.local_response[0] @ mean
 
     def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
         """Return the problem for a part of the readings, and of the beams if they are alike."""
-        readings, parameters = self.readings, self.parameters
+        readings, beams = self.readings, np.arange(self.readings.beams)
         if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
-            chosen = (
-                np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
-            )
-            rows = np.flatnonzero(np.isin(readings.beam, chosen))
-            readings = readings.subset(rows)
-            beam = np.searchsorted(chosen, readings.beam)
-            readings = replace(readings, beam=beam, beams=REPRESENTATIVE_BEAMS)
-            parameters = parameters.part(chosen, np.arange(readings.planes))
+            beams = np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
+            readings = readings.subset(np.flatnonzero(np.isin(readings.beam, beams)))
+        readings = part_of(readings)
+        planes = np.unique(readings.plane)
+        readings = replace(
+            readings,
+            beam=np.searchsorted(beams, readings.beam),
+            plane=np.searchsorted(planes, readings.plane),
+            beams=len(beams),
+            planes=len(planes),
+        )
+        parameters = self.parameters.part(beams, planes)
         part = copy(self)
-        part.parameters, part.readings = parameters, part_of(readings)
+        part.parameters, part.readings = parameters, readings
         part.k = (
             parameters.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
         )
-        part.rows = LinearReadings(parameters, part.readings, self.terms, self.length, self.base)
+        part.rows = LinearReadings(parameters, readings, self.terms, self.length, self.base)
         part.wide, part._part, part._last = self._widest(readings.beams), part, None
         return part
 
@@ -263,7 +284,7 @@ class ScaleProblem:
         terms = 0 if self.linearity is None else self.terms
         return widest_grid(self.linearity or 1.0, terms, count, angles)
 
-    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, PlaneResponse]:
+    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         information, planes = self.rows.information([self.scales.noise(u) for u in points])
         if self.known is not None:
             information = information + self.known
@@ -274,15 +295,17 @@ class ScaleProblem:
         beams = self._part._beams(points)[0]
         return beams.log_marginal(self._part.wide) + self.scales.log_prior(points)
 
-    def _grid(self, mode: FloatArray) -> tuple[RangeErrorGrid, BeamPosterior]:
-        if self._last is not None and np.array_equal(self._last[0], mode):
-            return self._last[1]
-        beams, planes = self._beams(mode[None])
-        wide = self._widest(self.readings.beams, beams.worst_known())
-        fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
-        near = fine.near(beams.log_evidence_of(fine)[0] + fine.log_prior), beams
-        self._last = mode, near, planes
-        return near
+    def _at(self, mode: FloatArray) -> _AtMode:
+        if self._last is None or not np.array_equal(self._last.mode, mode):
+            beams, planes = self._beams(mode[None])
+            wide = self._widest(self.readings.beams, beams.worst_known())
+            fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
+            value = beams.log_evidence_of(fine)[0] + fine.log_prior
+            near = near_largest(value)
+            weight = np.exp(value[near] - value.max())
+            weight /= weight.sum()
+            self._last = _AtMode(mode, fine.part(near), weight, beams, planes)
+        return self._last
 
 
 def part_of(readings: Readings) -> Readings:

@@ -7,14 +7,18 @@ For given scales everything is Gaussian. With the typical range D, the range err
 sensors of one kind err alike, and the robot's scale does so to all of them. All that may also stand
 along the axes of each beam that readings know least and best; scales and axes have priors, too
 (`range_error_grid`). The means
-over the beams and the contrasts between them make the prior diagonal (`contrasts`). From the solution
-with a wide prior, k^ with covariance V, a narrower prior is a linear update: with the precision E that
-it adds, R = E^(1/2) and Z = R inv(1 + R V R) R,
+over the beams and the contrasts between them make the prior diagonal (`contrasts`). With the widest
+prior let k have the estimate k^ and the covariance V = T T', and let all other unknowns follow it,
 
-    mean - U Z k^,   covariance - U Z U',   log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,
+    x = m + G (k - k^),   with the covariance P where k is known.
 
-U the columns of the covariance that belong to k. Nothing is inverted that could be singular, whether
-or not the readings determine k. The posterior is a mixture over all scales: its mean, its covariance
+A narrower prior adds the precision E. Then
+
+    V' = T inv(1 + T' E T) T',   k' = V' inv(V) k^,   mean m + G (k' - k^),   covariance P + G V' G',
+    log evidence - (log|1 + R V R| + k^' Z k^) / 2 + ...,   R = E^(1/2),  Z = R inv(1 + R V R) R.
+
+Sums of squares alone: no digit is lost where the readings do not determine k and the widest prior is
+far wider than the narrower one. The posterior is a mixture over all scales: its mean, its covariance
 within and between, and quantiles of its components.
 """
 
@@ -107,20 +111,33 @@ class BeamPosterior:
         self.has_prior = bool(self.every.places.size) and np.isfinite(widest)
         places, turn, wide = self.every.places, self.every.turn, self.every.widest
         precision, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
-        matrix, vector = information.matrix.copy(), information.vector.copy()
-        matrix += NEGLIGIBLE * np.eye(size)  # a part of a recording may lack a beam
-        matrix[:, places[:, None], places] += precision
+        self.others = np.setdiff1d(np.arange(size), places)
+        matrix, vector = information.matrix, information.vector.copy()
         vector[:, places] -= precision @ k[beams].ravel()
-        self.covariance, log_det = _inverses(matrix)
-        self.mean = np.einsum("jab,jb->ja", self.covariance, vector)
+        of_others = matrix[:, self.others[:, None], self.others]
+        of_others += NEGLIGIBLE * np.eye(len(self.others))  # a part of a recording may lack a beam
+        self.P, log_det = _inverses(of_others)
+        across = matrix[:, self.others[:, None], places] @ turn.T
+        self.G = np.zeros((len(matrix), size, len(places)))
+        self.G[:, self.others], self.G[:, places] = -(self.P @ across), turn.T
+        of_k = matrix[:, places[:, None], places] + precision + NEGLIGIBLE * np.eye(len(places))
+        of_k = turn @ of_k @ turn.T + np.swapaxes(across, 1, 2) @ self.G[:, self.others]
+        self.T, root = _inverse_roots(of_k, wide)
+        self.V = self.T @ np.swapaxes(self.T, 1, 2)
+        log_det -= 2.0 * root
+        alone = np.einsum("jab,jb->ja", self.P, vector[:, self.others])
+        towards = np.einsum("jak,ja->jk", self.G, vector)
+        step = np.einsum("jkl,jl->jk", self.V, towards)
+        self.mean = np.einsum("jak,jk->ja", self.G, step)
+        self.mean[:, self.others] += alone
         self.log_evidence = information.constant + 0.5 * np.einsum("ja,ja->j", vector, self.mean)
         self.log_evidence -= 0.5 * log_det
         if self.has_prior:
             self.log_evidence -= 0.5 * float((mean**2 / wide**2).sum())
             self.log_evidence -= float(np.log(wide).sum())
-        self.U = self.covariance[:, :, places] @ turn.T
-        self.V = turn @ self.U[:, places]
-        self.k = self.mean[:, places] @ turn.T + mean
+        self.k = step + mean
+        # inv(V) k^, without a difference that could cancel.
+        self.y = towards + np.einsum("jkl,l->jk", of_k, mean)
         few = np.linspace(0, len(beams) - 1, min(len(beams), REPRESENTATIVE_BEAMS))
         self.few: IntArray = few.round().astype(np.intp)
         self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
@@ -135,26 +152,30 @@ class BeamPosterior:
         if len(beams) <= REPRESENTATIVE_BEAMS:
             return self.every, _semidefinite(self.V), self.k
         few = Contrasts.of(beams[self.few], k.shape[1], width, widest)
-        V = few.turn @ self.covariance[:, few.places[:, None], few.places] @ few.turn.T
+        rows = few.turn @ self.G[:, few.places]
+        V = rows @ self.V @ np.swapaxes(rows, 1, 2)
         estimates = self.mean[:, few.places] + k[beams[self.few]].ravel()
         return few, _semidefinite(V), estimates @ few.turn.T
 
     def narrowed(
         self, grid: RangeErrorGrid, sets: IntArray, scales: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return Z (C, K, K) and Z k^ (C, K) for pairs (C,) of a set and a point of the grid."""
-        Z = np.zeros((len(sets), *self.V.shape[1:]))
-        if self.has_prior:
-            for turned, points in grid.bases():
-                rows = np.flatnonzero(np.isin(scales, points))
+        """Return V' (C, K, K) and k' (C, K) for pairs (C,) of a set and a point of the grid."""
+        if not self.has_prior:
+            return self.V[sets], self.k[sets]
+        V = np.empty((len(sets), *self.V.shape[1:]))
+        for turned, points in grid.bases():
+            turn = self.every.turned(grid.angles) if turned else np.eye(V.shape[1])
+            here = np.isin(scales, points)
+            for j in np.unique(sets[here]).tolist():
+                T, rows = self.T[j], np.flatnonzero(here & (sets == j))
                 R = _roots(self.every.spread(grid.part(scales[rows])), self.every.widest)
-                turn = self.every.turned(grid.angles) if turned else None
-                V = self.V if turn is None else turn @ self.V @ turn.T
-                inner = R[:, :, None] * V[sets[rows]] * R[:, None, :]
+                seen = R[:, :, None] * (turn @ T)
+                inner = np.swapaxes(seen, 1, 2) @ seen
                 inner[:, range(R.shape[1]), range(R.shape[1])] += 1.0
-                update = R[:, :, None] * np.linalg.inv(inner) * R[:, None, :]
-                Z[rows] = update if turn is None else turn.T @ update @ turn
-        return Z, np.einsum("cab,cb->ca", Z, self.k[sets])
+                half = np.swapaxes(_times(np.linalg.inv(inner), T.T), 1, 2)
+                V[rows] = _times(half, T.T)
+        return V, np.einsum("cab,cb->ca", V, self.y[sets])
 
     def log_evidence_of(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the log evidence (J, G) of the noise scales and the scales of the range errors."""
@@ -171,9 +192,11 @@ class BeamPosterior:
 
     def worst_known(self) -> FloatArray | None:
         """Return the angles (b,) of the least known combinations of k1 and k2 D in the first set."""
+        if not self.has_prior:
+            return None
         places = self.every.places.reshape(-1, max(self.every.terms, default=0) + 1)
-        V = self.covariance[0][places[:, :, None], places[:, None, :]]
-        return worst_known(V) if self.has_prior else None
+        rows = self.G[0][places]
+        return worst_known(rows @ self.V[0] @ np.swapaxes(rows, 1, 2))
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
@@ -183,9 +206,10 @@ class BeamPosterior:
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
         first = np.zeros(1, dtype=np.intp)
-        Z, Zk = self.narrowed(RangeErrorGrid.at(scale), first, first)
-        U = self.U[0]
-        return self.mean[0] - U @ Zk[0], self.covariance[0] - U @ Z[0] @ U.T
+        V, k = self.narrowed(RangeErrorGrid.at(scale), first, first)
+        covariance = self.G[0] @ V[0] @ self.G[0].T
+        covariance[np.ix_(self.others, self.others)] += self.P[0]
+        return self.mean[0] + self.G[0] @ (k[0] - self.k[0]), covariance
 
     def mixture(
         self,
@@ -202,13 +226,13 @@ class BeamPosterior:
         w /= w.sum()
         members = np.argwhere(w)
         weight = w[w > 0.0]
-        means, within, covariance = self._components(grid, weight, members, coordinates)
-        mean = weight @ means
-        off = means - mean
-        covariance = covariance + (weight[:, None] * off).T @ off
         order = np.argsort(-weight, kind="stable")
         enough = int(np.searchsorted(np.cumsum(weight[order]), 1.0 - LOST_WEIGHT)) + 1
         kept = np.sort(order[:enough])
+        means, sigmas, within = self._components(grid, weight, members, coordinates, kept)
+        mean = weight @ means
+        off = means - mean
+        covariance = within + (weight[:, None] * off).T @ off
         return Mixture(
             mean,
             0.5 * (covariance + covariance.T),
@@ -216,32 +240,41 @@ class BeamPosterior:
             w.sum(axis=0),
             weight[kept] / weight[kept].sum(),
             off[kept] @ coordinates.T,
-            within[kept],
+            sigmas,
             members[kept],
         )
 
     def _components(
-        self, grid: RangeErrorGrid, weight: FloatArray, members: IntArray, coordinates: FloatArray
+        self,
+        grid: RangeErrorGrid,
+        weight: FloatArray,
+        members: IntArray,
+        coordinates: FloatArray,
+        kept: IntArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return means and sigmas of components (C,), and their mean covariance.
+        """Return means of components (C,), sigmas of coordinates in some, and their mean covariance.
 
-        For members (C, 2), a set and a point of the grid each, in ascending order.
+        For members (C, 2), a set and a point of the grid each, in ascending order, as are those that
+        are `kept`.
         """
         sets = members[:, 0]
-        Z, Zk = self.narrowed(grid, sets, members[:, 1])
-        U, S = self.U, self.covariance
+        V, k = self.narrowed(grid, sets, members[:, 1])
+        G, P = self.G, self.P
         seen, first = np.unique(sets, return_index=True)
-        Zbar = np.add.reduceat(weight[:, None, None] * Z, first)
-        within = np.einsum("j,jab->ab", np.add.reduceat(weight, first), S[seen])
-        within -= np.einsum("jak,jkl,jbl->ab", U[seen], Zbar, U[seen], optimize=True)
+        Vbar = np.add.reduceat(weight[:, None, None] * V, first)
+        within = np.tensordot(G[seen] @ Vbar, G[seen], axes=((0, 2), (0, 2)))
+        known = np.einsum("j,jab->ab", np.add.reduceat(weight, first), P[seen])
+        within[np.ix_(self.others, self.others)] += known
         few = csr_array(coordinates)  # each of them is one of some unknowns of one beam
-        means, variances = self.mean[sets], np.empty((len(sets), len(coordinates)))
+        of_others = few[:, self.others]
+        means, variances = self.mean[sets], np.empty((len(kept), len(coordinates)))
         for j, a, e in zip(seen, first, np.append(first[1:], len(sets)), strict=True):
-            along = few @ U[j]
-            means[a:e] -= Zk[a:e] @ U[j].T
-            variances[a:e] = few.multiply(few @ S[j]).sum(axis=1)
-            variances[a:e] -= np.einsum("cmk,mk->cm", along @ Z[a:e], along)
-        return means, np.sqrt(np.maximum(variances, 0.0)), within
+            means[a:e] += (k[a:e] - self.k[j]) @ G[j].T
+            along, some = few @ G[j], slice(*np.searchsorted(kept, [a, e]))
+            variances[some] = of_others.multiply(of_others @ P[j]).sum(axis=1)
+            moved = _times(V[kept[some]], along.T)
+            variances[some] += np.einsum("ckm,km->cm", moved, along.T)
+        return means, np.sqrt(variances), within
 
 
 def _log_evidence(
@@ -274,11 +307,31 @@ def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
     return roots
 
 
+def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return matrices (C, K, L) times one (L, M) in a single product, which is faster."""
+    C, K, L = stack.shape
+    return np.asarray((stack.reshape(C * K, L) @ matrix).reshape(C, K, matrix.shape[1]))
+
+
 def _semidefinite(V: FloatArray) -> FloatArray:
     """Return covariances (J, K, K) without what rounding made negative."""
     values, axes = np.linalg.eigh(0.5 * (V + np.swapaxes(V, 1, 2)))
     semidefinite: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
     return semidefinite
+
+
+def _inverse_roots(matrix: FloatArray, widest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return T with T T' the inverses of information (J, K, K), and the logarithms (J,) of det T.
+
+    Information that rounding made negative is raised to what the widest prior (K,) gives.
+    """
+    try:
+        T = np.swapaxes(np.linalg.inv(np.linalg.cholesky(matrix)), 1, 2)
+        return T, np.log(np.einsum("jkk->jk", T)).sum(axis=1)
+    except np.linalg.LinAlgError:
+        values, axes = np.linalg.eigh(matrix)
+        values = np.maximum(values, max(float(widest.max()) ** -2, NEGLIGIBLE))
+        return axes / np.sqrt(values)[:, None], -0.5 * np.log(values).sum(axis=1)
 
 
 def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,10 +11,10 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
+from ..model.elimination import ReducedInformation
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, beams_lift
 from ..solvers.beam_problem import moved
-from .information import PlaneResponse
 from .learned import LearnedScales, ScaleProblem
 from .mixture import Mixture
 from .scales import Scale
@@ -106,12 +106,12 @@ def posterior(
 def _moved(
     problem: ScaleProblem,
     mixture: Mixture,
-    planes: PlaneResponse,
+    planes: ReducedInformation,
     unit: FloatArray,
     away: tuple[FloatArray, FloatArray],
 ) -> Parameters:
     """Return the parameters at the mean of the mixture, counted from a solution `away` of its own."""
-    steps = planes.step - np.einsum("jpan,n->jpa", planes.response, mixture.mean)
+    steps = planes.local_step - np.einsum("jpan,n->jpa", planes.local_response, mixture.mean)
     mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
     plane = mean * PLANE.natural_units(problem.length)
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
@@ -119,13 +119,13 @@ def _moved(
 
 
 def _joint(
-    problem: ScaleProblem, mixture: Mixture, planes: PlaneResponse, unit: FloatArray
+    problem: ScaleProblem, mixture: Mixture, planes: ReducedInformation, unit: FloatArray
 ) -> JointCovariance:
     """Return the joint covariance; planes for known beams averaged over the noise scales."""
     plane_unit = PLANE.natural_units(problem.length)
-    response = np.einsum("j,jpan->pan", mixture.sets, planes.response)
-    inverse = np.einsum("j,jpab->pab", mixture.sets, planes.inverse)
-    off = planes.step - np.einsum("j,jpa->pa", mixture.sets, planes.step)
+    response = np.einsum("j,jpan->pan", mixture.sets, planes.local_response)
+    inverse = np.einsum("j,jpab->pab", mixture.sets, planes.local_inverse)
+    off = planes.local_step - np.einsum("j,jpa->pa", mixture.sets, planes.local_step)
     inverse += np.einsum("j,jpa,jpb->pab", mixture.sets, off, off)
     beams, count = problem.readings.beams, problem.readings.planes
     return JointCovariance(

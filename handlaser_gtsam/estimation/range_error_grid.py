@@ -103,9 +103,10 @@ class RangeErrorGrid(Value):
             log_prior=self.log_prior[rows],
         )
 
-    def near(self, value: FloatArray) -> "RangeErrorGrid":
-        """Return the points whose value (G,), in the logarithm, is not far below the largest."""
-        return self.part(np.flatnonzero(value >= value.max() - LOG_DEPTH))
+
+def near_largest(value: FloatArray) -> IntArray:
+    """Return the points whose value (G,), a logarithm, is not far below the largest."""
+    return np.flatnonzero(value >= value.max() - LOG_DEPTH)
 
 
 def axes(angles: FloatArray) -> FloatArray:
@@ -139,7 +140,7 @@ def refined_grid(
     terms, most, grids = grid.individual.shape[1], farthest(linearity), []
     if terms == 0:
         return grid
-    kept = grid.near(log_evidence + grid.log_prior)
+    kept = grid.part(near_largest(log_evidence + grid.log_prior))
     for turned, rows in kept.bases():
         some = kept.part(rows)
         points = np.column_stack((some.individual, some.common))[

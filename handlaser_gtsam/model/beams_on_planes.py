@@ -21,7 +21,7 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .block import Rows, Slot, Values, Weights
 from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
-from .families import BEAM, PLANE, bases
+from .families import BEAM, PLANE, POSE, bases
 from .weighting import Whitening
 
 CHUNK_SLOTS = 32
@@ -155,6 +155,21 @@ class BeamsOnPlanes:
         impossible = None if grazing is None else grazing.reshape(shape)
         return Rows(columns.reshape(len(columns), *shape), impossible)
 
+    def of_cells(self, values: IntArray) -> IntArray:
+        """Return what the readings (N,) of each cell share (cells,); zero for none."""
+        found = np.zeros(self.cells, dtype=np.intp)
+        found[self._index % self.cells] = values
+        return found
+
+    def pose_columns(self, values: Values, columns: FloatArray) -> FloatArray:
+        """Return derivatives (6, K, B, cells) by the hand poses, given those by all else."""
+        beams = values[BEAM.name][:, :, None]
+        columns = columns.reshape(len(columns), -1, self.beams, self.cells)
+        s = columns[-1] + corrected(self.measured, beams[..., OF_RANGE_ERROR])
+        spot = beams[..., OF_LOCATION] + s[..., None] * beams[..., OF_DIRECTION]
+        covector = columns[:3]
+        return np.concatenate((np.cross(np.moveaxis(spot, -1, 0), covector, axis=0), covector))
+
     def begun(self, problems: Sequence[Parameters]) -> Values:
         """Return parameters of K problems as values, planes about their points nearest to the hands."""
         values = values_of(problems)
@@ -244,9 +259,11 @@ class BeamsOnPlanes:
         root = self.spread(np.array([how.root for how in whitenings])).reshape(-1, *shape)
         if all(how.common is None for how in whitenings):
             return Weights(root)
-        common = [self.spread(how.one_pass().T).reshape(-1, *shape) for how in whitenings]
+        none = np.zeros((self.size, POSE.dim))
+        common = [none if how.common is None else how.common for how in whitenings]
+        columns = np.stack([self.spread(V.T).reshape(-1, *shape) for V in common], axis=1)
         station = np.tile(np.arange(self.cells), self.beams).reshape(shape)
-        return Weights(root, np.stack(common, axis=1), station)
+        return Weights(root, columns, station)
 
 
 def values_of(problems: Sequence[Parameters]) -> dict[str, FloatArray]:

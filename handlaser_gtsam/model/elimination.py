@@ -1,5 +1,6 @@
 """What rows say of the unknowns that stay once local members are eliminated; linear algebra alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,14 @@ class ReducedInformation:
     local_response: FloatArray
     local_step: FloatArray
     local_saved: FloatArray
+
+    @classmethod
+    def joined(cls, parts: "Sequence[ReducedInformation]") -> "ReducedInformation":
+        """Return one of several, one after the other along the leading axis."""
+        if len(parts) == 1:
+            return parts[0]
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def covariance(self, floor: float, least: float = 0.0) -> FloatArray:
         """Return the inverse (n, n) of the only copy, along axes of at least `floor` information.

@@ -69,16 +69,20 @@ def means_and_scatter(
         Weights of the points; the scatter of each group is as for weights whose sum is one.
     """
     count = np.diff(np.append(first, points.shape[-2]))
+    x = np.ascontiguousarray(np.moveaxis(points, -1, 0))  # sums along the last axis are fast
     if weights is None:
-        means = np.add.reduceat(points, first, axis=-2) / count[:, None]
-        local = points - np.repeat(means, count, axis=-2)
-        outer = local[..., :, None] * local[..., None, :]
+        share = np.repeat(1.0 / count, count)
     else:
         share = weights / np.repeat(np.add.reduceat(weights, first, axis=-1), count, axis=-1)
-        means = np.add.reduceat(points * share[..., None], first, axis=-2)
-        local = points - np.repeat(means, count, axis=-2)
-        outer = local[..., :, None] * (local * share[..., None])[..., None, :]
-    return means, np.add.reduceat(outer, first, axis=-3)
+    means = np.add.reduceat(x * share, first, axis=-1)
+    x -= np.repeat(means, count, axis=-1)
+    scaled = x if weights is None else x * share
+    scatter = np.empty((*means.shape[1:], 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            scatter[..., i, j] = np.add.reduceat(x[i] * scaled[j], first, axis=-1)
+            scatter[..., j, i] = scatter[..., i, j]
+    return np.moveaxis(means, 0, -1), scatter
 
 
 def plane_through(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -124,12 +124,13 @@ class _StationSums:
         return cls(groups, SumsByKey(here[:, 0] if by_group else here.ravel()), by_group)
 
     def __call__(self, common: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return U'A (K, stations, c, q) of common columns (c, K, G, S) and columns (q, K, G, S)."""
+        """Return A'U (K, q, c, stations) of common columns (c, K, G, S) and columns (q, K, G, S)."""
         U, A = common[:, :, self.groups], columns[:, :, self.groups]
         if self.by_group:
-            return self.sums(U.transpose(1, 2, 0, 3) @ A.transpose(1, 2, 3, 0))
-        products = np.einsum("ckgs,qkgs->kgscq", U, A)
-        return self.sums(products.reshape(len(products), -1, len(U), len(A)))
+            products = U.transpose(1, 2, 0, 3) @ A.transpose(1, 2, 3, 0)
+            return self.sums(products).transpose(0, 3, 2, 1)
+        products = A.swapaxes(0, 1)[:, :, None] * U.swapaxes(0, 1)[:, None]
+        return self.sums(products.reshape(*products.shape[:3], -1), axis=3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +193,10 @@ class Structure:
         For each family: where each member begins among what stays (-1: it is local).
     number : dict
         For each family: the number of each member among the local ones (-1: it stays).
-    size, members, width : int
-        Unknowns that stay, local members, and unknowns of one.
+    size, members, width, stations : int
+        Unknowns that stay, local members, unknowns of one, and stations of common columns.
+    by_member : SumsByKey, optional
+        Runs of stations that see one local member (`by_run`); none where no station sees any.
     """
 
     def __init__(
@@ -220,6 +223,13 @@ class Structure:
             self.members += int(apart.sum())
         self.width = len(free[local])
         self.plans = [plan for i, block in enumerate(blocks) for plan in self._plans(i, block)]
+        self._plan_stations()
+
+    def by_run(self, sums: FloatArray) -> FloatArray:
+        """Return what stations have (K, q, c, stations), run by run: (K, runs, q, c x stations)."""
+        K, q = sums.shape[:2]
+        runs = sums[..., self._seen].reshape(*sums.shape[:3], -1, self._run)
+        return runs.transpose(0, 3, 1, 2, 4).reshape(K, runs.shape[3], q, -1)
 
     def gathered(self, name: str, step: FloatArray, local_step: FloatArray) -> FloatArray:
         """Return the steps (K, members, unknown coordinates) of a family, given all steps."""
@@ -235,6 +245,21 @@ class Structure:
         delta[:, stays] = step[:, place[stays][:, None] + np.arange(width)]
         delta[:, ~stays] = local_step[:, number[~stays]]
         return delta
+
+    def _plan_stations(self) -> None:
+        """Find the stations that see a local member, and runs of one length with the same member."""
+        self.stations = max((len(plan.member_of_station) for plan in self.plans), default=0)
+        member = np.full(self.stations, -1)
+        for plan in self.plans:
+            there = member[: len(plan.member_of_station)]
+            np.maximum(there, plan.member_of_station, out=there)
+        seen = np.flatnonzero(member >= 0)
+        self._seen, self._run = _sliced(seen), 1
+        self.by_member: SumsByKey | None = None
+        if seen.size:
+            cuts = np.flatnonzero(np.diff(member[seen])) + 1
+            self._run = int(np.gcd.reduce(np.append(cuts, len(seen))))
+            self.by_member = SumsByKey(member[seen[:: self._run]])
 
     def _plans(self, index: int, block: Block) -> list[_GroupPlan]:
         """Return the plans of the groups whose local member is eliminated, and of all others."""
@@ -430,19 +455,19 @@ def _take_common(
 ) -> None:
     """Take out the weight that rows of a station lose by what they have in common.
 
-    With the common columns U of a station (`Weights`) and Y = U'A of all its rows A, the normal
-    equations lose Y'Y.
+    With the common columns U of a station (`Weights`) and Y = A'U of all its rows A, the normal
+    equations lose Y Y'.
     """
     plans = [plan for plan in of.plans if blocks[plan.block].weights.common is not None]
     if not plans:
         return
     K, n = total.gradient.shape
-    stations = max(len(plan.member_of_station) for plan in plans)
     first = blocks[plans[0].block].weights.common
     assert first is not None
-    Y = np.zeros((K, stations, len(first), n + 1))
-    Z = np.zeros((K, stations, len(first), of.width))
-    member = np.full(stations, -1)
+    width = len(first)
+    Y = np.zeros((K, n + 1, width, of.stations))
+    Z = np.zeros((K, of.width, width, of.stations))
+    each = np.arange(width)[:, None]
     for plan in plans:
         U, columns = blocks[plan.block].weights.common, rows[plan.block]
         assert U is not None
@@ -450,33 +475,23 @@ def _take_common(
             here = _sliced(by_station.sums.keys)
             sums = by_station(U, columns[plan.columns])
             if isinstance(here, slice) or isinstance(place, slice):
-                Y[:, here, :, place] += sums
+                Y[:, place, :, here] += sums
             else:
-                Y[:, here[:, None], :, place] += sums.transpose(1, 3, 0, 2)
+                Y[:, place[:, None, None], each, here] += sums
         whole = plan.by_station[-1]
-        last = (
-            columns[-1:] if plan.own is None else np.concatenate((columns[plan.own], columns[-1:]))
-        )
-        sums = whole(U, last)
-        Y[:, whole.sums.keys, :, n:] += sums[..., -1:]
+        here = _sliced(whole.sums.keys)
+        Y[:, n:, :, here] += whole(U, columns[-1:])
         if plan.own is not None:
-            Z[:, whole.sums.keys] += sums[..., :-1]
-            np.maximum(
-                member[: len(plan.member_of_station)],
-                plan.member_of_station,
-                out=member[: len(plan.member_of_station)],
-            )
-    flat = Y.reshape(K, -1, n + 1)
-    product = flat.swapaxes(1, 2) @ flat
+            Z[..., here] += whole(U, columns[plan.own])
+    flat = Y.reshape(K, n + 1, -1)
+    product = flat @ flat.swapaxes(1, 2)
     total.matrix[:] -= product[:, :n, :n]
     total.gradient[:] -= product[:, :n, n]
     total.squares[:] -= product[:, n, n]
-    seen = np.flatnonzero(member >= 0)
-    if seen.size:
-        by_member = SumsByKey(member[seen])
-        here, Zt = by_member.keys, Z[:, seen].swapaxes(2, 3)
-        total.local[:, here] -= by_member(Zt @ Z[:, seen])
-        both = by_member(Zt @ Y[:, seen])
+    if of.by_member is not None:
+        here, Z = of.by_member.keys, of.by_run(Z)
+        total.local[:, here] -= of.by_member(Z @ Z.swapaxes(2, 3))
+        both = of.by_member(Z @ of.by_run(Y).swapaxes(2, 3))
         total.border[:, here] -= both[..., :n]
         total.local_gradient[:, here] -= both[..., n]
 

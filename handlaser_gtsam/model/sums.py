@@ -6,7 +6,7 @@ from ..arrays import FloatArray, IntArray
 
 
 class SumsByKey:
-    """Sums over groups of equal key, along the second axis of an array.
+    """Sums over groups of equal key, along an axis of an array.
 
     How to sum is found out once: keys that repeat as a whole, or in runs of one length, become a sum
     over a reshaped axis, all others a sorted `np.add.reduceat`.
@@ -39,15 +39,17 @@ class SumsByKey:
         if (lengths == lengths[0]).all():
             self._run = int(lengths[0])
 
-    def __call__(self, array: FloatArray) -> FloatArray:
-        """Return the sums (K, U, ...) of an array (K, G, ...)."""
-        K, rest = array.shape[0], array.shape[2:]
+    def __call__(self, array: FloatArray, axis: int = 1) -> FloatArray:
+        """Return the sums (..., U, ...) of an array (..., G, ...) along an axis from 0 on."""
+        before, after = array.shape[:axis], array.shape[axis + 1 :]
         if self._tiles > 1:
-            array = array.reshape(K, self._tiles, array.shape[1] // self._tiles, *rest).sum(axis=1)
+            width = array.shape[axis] // self._tiles
+            array = array.reshape(*before, self._tiles, width, *after).sum(axis=axis)
         if self._order is not None:
-            array = array[:, self._order]
+            array = array.take(self._order, axis=axis)
         if self._run == 1:
             return array
         if self._run:
-            return np.asarray(array.reshape(K, len(self.keys), self._run, *rest).sum(axis=2))
-        return np.asarray(np.add.reduceat(array, self._first, axis=1))
+            runs = array.reshape(*before, len(self.keys), self._run, *after)
+            return np.asarray(runs.sum(axis=axis + 1))
+        return np.asarray(np.add.reduceat(array, self._first, axis=axis))

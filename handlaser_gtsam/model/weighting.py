@@ -10,21 +10,25 @@ incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand p
 of the residuals by it. J S J' couples the readings of a station. Stations are independent.
 
 With D the diagonal part and U U' = inv(sqrt(D)) J S J' inv(sqrt(D)), C is sqrt(D) (I + U U') sqrt(D).
-U has six columns, however many readings a station has. With the eigenvectors A and eigenvalues l of
-U'U, and r = sqrt(1 + l), the symmetric inverse root of I + U U' is
+U has six columns, however many readings a station has. With the Cholesky factor L of I + U'U,
 
-    I - E E',    E = U A / sqrt(r (r + 1)),
+    inv(I + U U') = I - V V',    V = U inv(L'),
+
+which is all that weights need. With the eigenvectors A and eigenvalues m of V'V, its symmetric root is
+
+    I - E E',    E = V A / sqrt(1 + sqrt(1 - m)),
 
 so that R = (I - E E') inv(sqrt(D)) has R C R' = I.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, renumbered
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..data.value import Value
@@ -66,7 +70,7 @@ class Variances(Value):
         return replace(self, pose=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)  # no slots: the root is made when it is needed
 class Whitening(Value):
     """Makes the residuals of readings independent and equally precise.
 
@@ -81,8 +85,7 @@ class Whitening(Value):
     station : (N,)
         Number of each reading's station.
     common : (N, 6) or None
-        E, which couples the readings of a station; its columns are orthogonal within each station.
-        None where hand poses do not err.
+        V, which couples the readings of a station. None where hand poses do not err.
     """
 
     root: FloatArray
@@ -97,62 +100,60 @@ class Whitening(Value):
 
     def of_rows(self, rows: IntArray) -> "Whitening":
         """Return the whitening of some readings: of whole stations, in any order."""
-        station = np.unique(self.station[rows], return_inverse=True)[1].astype(np.intp)
+        station = renumbered(self.station[rows])
         common = None if self.common is None else self.common[rows]
         return Whitening(self.root[rows], self.sigma, station, common)
 
     def apply_rows(self, rows: FloatArray) -> FloatArray:
         """Return whitened rows (N, D)."""
-        return self._uncoupled(self.root[:, None] * rows)
+        scaled = self.root[:, None] * rows
+        return scaled if self.common is None else scaled - self._E @ (self._E.T @ scaled)
 
     def apply(self, residual: FloatArray) -> FloatArray:
         """Return whitened residuals (N,) [m]."""
         return self.apply_rows(residual[:, None])[:, 0]
 
-    def apply_transposed(self, rows: FloatArray) -> FloatArray:
-        """Return R' times rows (N, D)."""
-        return self.root[:, None] * self._uncoupled(rows)
-
     def weighed(self, rows: FloatArray) -> FloatArray:
         """Return sigma^2 inv(C) = R' R times rows (N, D)."""
-        return self.apply_transposed(self.apply_rows(rows))
+        if self.common is None:
+            return self.root[:, None] ** 2 * rows
+        scaled = self.root[:, None] * rows
+        weighed: FloatArray = self.root[:, None] * (scaled - self._V @ (self._V.T @ scaled))
+        return weighed
 
     def squares(self) -> FloatArray:
         """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 inv(C)."""
         squares: FloatArray = self.root**2
-        if self.common is None:
-            return squares
-        E = self._sparse(self.common)
-        along = (E @ (E.T @ E)).multiply(E).sum(axis=1)
-        return np.asarray(squares * (1.0 - 2.0 * (self.common**2).sum(axis=1) + along))
+        return squares if self.common is None else squares * (1.0 - (self.common**2).sum(axis=1))
 
     def coloured(self, white: FloatArray) -> FloatArray:
         """Return rows (N, D) that `apply_rows` makes `white`."""
         if self.common is None:
             return white / self.root[:, None]
-        E = self._sparse(self.common)
+        E = self._E
         # Orthogonal columns: inv(I - E E') = I + E inv(I - E'E) E', with E'E diagonal in a station.
         length = np.asarray(E.multiply(E).sum(axis=0)).ravel()[:, None]
         free = white + E @ ((E.T @ white) / (1.0 - length))
         return np.asarray(free / self.root[:, None])
 
-    def one_pass(self) -> FloatArray:
-        """Return U (N, 6) with I - U U' = (I - E E')^2: what a weight matrix takes out at once."""
-        if self.common is None:
-            return np.zeros((len(self.root), POSE.dim))
-        E = self._sparse(self.common)
-        length = np.asarray(E.multiply(E).sum(axis=0)).reshape(-1, POSE.dim)
-        return np.asarray(self.common * np.sqrt(2.0 - length)[self.station])
+    @cached_property
+    def _V(self) -> csr_array:
+        assert self.common is not None
+        return self._sparse(self.common)
 
-    def _uncoupled(self, rows: FloatArray) -> FloatArray:
-        """Return (I - E E') times rows (N, D)."""
-        if self.common is None:
-            return rows
-        E = self._sparse(self.common)
-        return np.asarray(rows - E @ (E.T @ rows))
+    @cached_property
+    def _E(self) -> csr_array:
+        assert self.common is not None
+        V = self.common
+        order = np.argsort(self.station, kind="stable")
+        first = np.flatnonzero(np.diff(self.station[order], prepend=-1))
+        outer = V[order, :, None] * V[order, None, :]
+        values, axes = np.linalg.eigh(np.add.reduceat(outer, first))
+        axes /= np.sqrt(1.0 + np.sqrt(1.0 - np.clip(values, 0.0, 1.0)))[:, None]
+        return self._sparse((V[:, None] @ axes[self.station])[:, 0])
 
     def _sparse(self, common: FloatArray) -> csr_array:
-        """Return E (N, 6 S) as a sparse matrix, in which each station has six columns of its own."""
+        """Return columns (N, 6) as (N, 6 S), in which each station has six columns of its own."""
         count, width = common.shape
         columns = (width * self.station[:, None] + np.arange(width)).ravel()
         shape = count, width * (int(self.station.max()) + 1)
@@ -184,34 +185,72 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    sensor, station = own_variances(parameters, readings, variances), stations_from_zero(readings)
+    sensor, station = own_variances(parameters, readings, variances), renumbered(readings.station)
     if variances.pose is None:
         typical = float(np.median(sensor))
         return Whitening(np.sqrt(typical / sensor), float(np.sqrt(typical)), station)
     linear = equation.linearize(
         equation.scene(parameters, readings), readings.distance, with_pose=True
     )
-    moved = linear.pose[:, None] @ covariance_roots(variances.pose)[readings.station]
-    variance = sensor + (moved**2).sum(axis=(1, 2))
+    moved = _moved(linear.pose, variances.pose, readings.station)
+    variance = sensor + (moved**2).sum(axis=1)
     typical = float(np.median(variance))
     if int(station.max()) + 1 == len(
         station
     ):  # errors of the pose are then noise of the only reading
         return Whitening(np.sqrt(typical / variance), float(np.sqrt(typical)), station)
     root = np.sqrt(typical / np.maximum(sensor, LEAST_OWN * variance))
-    common = _common_columns(moved[:, 0] * (root / np.sqrt(typical))[:, None], station)
+    common = _common_columns(moved * (root / np.sqrt(typical))[:, None], station)
     return Whitening(root, float(np.sqrt(typical)), station, common)
 
 
+def _moved(pose: FloatArray, covariance: FloatArray, station: IntArray) -> FloatArray:
+    """Return derivatives (N, 6) by the hand poses times roots of the covariances of their stations."""
+    if (covariance == covariance[0]).all():
+        return np.asarray(pose @ covariance_roots(covariance[:1])[0])
+    return np.asarray((pose[:, None] @ covariance_roots(covariance)[station])[:, 0])
+
+
 def _common_columns(U: FloatArray, station: IntArray) -> FloatArray:
-    """Return E (N, 6) of the module's docstring for U (N, 6), by station."""
+    """Return V (N, 6) of the module's docstring for U (N, 6), by station."""
     order = np.argsort(station, kind="stable")
-    first = np.flatnonzero(np.diff(station[order], prepend=-1))
-    outer = U[order, :, None] * U[order, None, :]
-    values, axes = np.linalg.eigh(np.add.reduceat(outer, first))
-    r = np.sqrt(1.0 + np.maximum(values, 0.0))
-    turned: FloatArray = U[:, None] @ (axes / np.sqrt(r * (r + 1.0))[:, None])[station]
-    return turned[:, 0]
+    count = np.bincount(station)
+    place = np.empty_like(station)  # of each reading in its station
+    place[order] = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    table = np.zeros((U.shape[1], 1, count.max(), len(count)))
+    table[:, 0, place, station] = U.T
+    return np.ascontiguousarray(without_common(table)[0][:, 0, place, station].T)
+
+
+def without_common(U: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return V with I - V V' = inv(I + U U') for every station, and the sums of log det(I + U U').
+
+    Parameters
+    ----------
+    U : (6, K, B, M)
+        Of K problems and the readings of B beams at M stations.
+
+    Returns
+    -------
+    V : (6, K, B, M)
+    log_det : (K,)
+    """
+    # V is U over the transposed Cholesky factor of I + U'U: all stations are eliminated at once.
+    V, width = U.copy(), len(U)
+    A = np.empty((width, width, *U.shape[1:2], U.shape[3]))
+    for i in range(width):
+        np.einsum("jkbm,kbm->jkm", U[: i + 1], U[i], out=A[i, : i + 1])
+        A[i, i] += 1.0
+    log_det = np.zeros(U.shape[1])
+    for i in range(width):
+        np.maximum(A[i, i], 1.0, out=A[i, i])  # a pivot of I + U'U, but for rounding
+        log_det += np.log(A[i, i]).sum(axis=1)
+        A[i:, i] /= np.sqrt(A[i, i])
+        V[i] /= A[i, i][:, None]
+        for j in range(i + 1, width):
+            A[j, i + 1 : j + 1] -= A[j, i] * A[i + 1 : j + 1, i]
+            V[j] -= A[j, i][:, None] * V[i]
+    return V, log_det
 
 
 def covariance_roots(covariance: FloatArray) -> FloatArray:
@@ -275,9 +314,3 @@ def unequal(variances: Variances, terms: int, readings: Readings) -> bool:
         or variances.incidence_sigma > 0.0
         or np.ptp(variances.range_sigma) > 0.0
     )
-
-
-def stations_from_zero(readings: Readings) -> IntArray:
-    """Return the number (N,) of every reading's station among those that have readings."""
-    _, station = np.unique(readings.station, return_inverse=True)
-    return station.astype(np.intp)

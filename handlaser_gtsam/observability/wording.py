@@ -106,7 +106,9 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
         return ()
     quantities = {part.quantity for part in parts}
     axes = [part.axes for part in parts if part.quantity == "location"]
-    location = _span(np.concatenate(axes, axis=1)) if axes else np.empty((3, 0))
+    location = (
+        _spans(np.concatenate(axes, axis=1)[None], WORTH_A_WORD)[0] if axes else np.empty((3, 0))
+    )
     words = []
     if "direction" in quantities:
         words.append(
@@ -165,8 +167,9 @@ def _parts(
         *(("beam", name, i, quantity) for name, i in names.beams for quantity in OF_BEAMS),
         *(("plane", name, p, quantity) for name, p in names.planes for quantity in OF_PLANES),
     ]
+    spans = {quantity: _spans(columns, share) for quantity, columns in rows.items()}
     parts = (
-        OpenPart(kind, name, quantity, _span(rows[quantity][i], share))
+        OpenPart(kind, name, quantity, spans[quantity][i])
         for kind, name, i, quantity in listed
         if long[quantity][i]
     )
@@ -214,10 +217,10 @@ def _part_words(part: OpenPart) -> str:
     return part.quantity
 
 
-def _span(rows: FloatArray, share: float = WORTH_A_WORD) -> FloatArray:
-    """Return an orthonormal basis, as columns, of what the columns of `rows` (D, K) span."""
+def _spans(rows: FloatArray, share: float) -> list[FloatArray]:
+    """Return orthonormal bases, as columns, of what the columns of every entry (D, K) span."""
     U, s, _ = np.linalg.svd(rows, full_matrices=False)
-    return U[:, s > share]
+    return [axes[:, size > share] for axes, size in zip(U, s, strict=True)]
 
 
 def vector_words(axis: FloatArray) -> str:

@@ -244,12 +244,14 @@ def _way(
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"
     ):
-        out = {(one.station, one.beam) for one in fit.rejected if one.reason not in BY_LIMITS}
+        out = [one for one in fit.rejected if one.reason not in BY_LIMITS]
         if not out:
             return None
-        rejected = np.array(
-            [[(s, b) in out for b in recording.beam_names] for s in recording.station_names]
-        )
+        row = {name: j for j, name in enumerate(recording.station_names)}
+        column = {name: i for i, name in enumerate(recording.beam_names)}
+        rejected = np.zeros(recording.ranges.shape, dtype=bool)
+        for one in out:
+            rejected[row[one.station], column[one.beam]] = True
     from .file_mistakes import better_way  # few recordings are wrong
 
     terms = solution.terms

@@ -137,25 +137,33 @@ class Projection:
         self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
         self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
 
-    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
+    def rest(
+        self, columns: FloatArray, pulled: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return columns (N, q), and `pulled` (7 B, q) in the prior, without what the unknowns explain.
 
-        They are projected twice, which removes what rounding leaves of the first projection.
+        The third array (7 B, q) is the beams' part of the unknowns that explain the rest. Columns are
+        projected twice, which removes what rounding leaves of the first projection.
         """
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
         moved = np.zeros_like(pulled)
-        pull = self.pull.reshape(-1, 1)
+        pull, response = self.pull.reshape(-1, 1), self.response.reshape(-1, self.pull.size)
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)
             beams, planes = np.split(gradient, [self.pull.size])
             planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
-            beams = beams + pull * pulled - np.einsum("pij,piq->jq", self.response, planes)
+            beams = beams + pull * pulled - response.T @ planes.reshape(len(response), -1)
             x = self.beam_inverse @ beams
-            y = self.plane_inverse @ planes - self.response @ x
-            rest -= self.J @ np.concatenate((x, y.reshape(-1, y.shape[2])))
+            y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
+            rest -= self.J @ np.concatenate((x, y))
             pulled -= pull * x
             moved += x
+        return rest, pulled, moved
+
+    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
+        """Return the `rest` of columns (N, q) with its weighed columns and squares."""
+        rest, pulled, moved = self.rest(columns, pulled)
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
         return Adjusted(rest, heavy, squares, moved)

@@ -198,14 +198,13 @@ def _spot_variance(
     at = calibration.parameters()
     how = whitening(at, readings, variances)
     normal = linearized(at, readings, 2, how).normal
-    S = normal.reduced(np.ones(normal.gradient.shape[1]), np.ones(PLANE.dim)).matrix
     prior, learned = np.zeros((len(calibration.beams), BEAM.dim)), calibration.range_error_scales
     if learned is not None:
         prior[:, MOUNT_DIM:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
-    S = S / how.sigma**2 + np.diag(prior.ravel())
     terms, length = [b.terms for b in calibration.beams.values()], calibration.fit.typical_range
     active = modelled(terms).ravel()
-    unit = np.tile(BEAM.natural_units(length), len(calibration.beams))[active]
-    S = S[np.ix_(active, active)] * np.outer(unit, unit)
-    A = J @ beams_lift(model.tangent_basis(at.directions), terms) * unit
+    unit = np.tile(BEAM.natural_units(length), len(calibration.beams))
+    known = prior.ravel() * (how.sigma * unit) ** 2
+    S = normal.reduced(unit, PLANE.natural_units(length), active, known).matrix / how.sigma**2
+    A = J @ beams_lift(model.tangent_basis(at.directions), terms) * unit[active]
     return float(np.trace(A @ np.linalg.pinv(S, rcond=SINGULAR, hermitian=True) @ A.T))

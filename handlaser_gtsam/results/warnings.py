@@ -114,24 +114,23 @@ def implausible_mounts(
             {"distance_m": far},
         )
     ahead = cosines(scene(parameters, readings)) > 0.0
-    for plane, name in enumerate(names.sorted_planes()):
-        here = readings.plane == plane
-        sides = {
-            bool(side): np.unique(readings.beam[here & (ahead == side)]) for side in (True, False)
-        }
-        if min(len(beams) for beams in sides.values()) == 0:
-            continue
-        labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
-        first, second = (int(max(beams, key=lambda i: distance[i])) for beams in sides.values())
-        culprit = labels[max(first, second, key=lambda i: distance[i])]
-        return CalibrationWarning(
-            "two-sides",
-            f"beams {labels[first]} and {labels[second]} hit plane {name} from its two sides, which no "
-            f"plate allows: beam {culprit} looks inverted, its readings fall as the distance grows; "
-            "correct the sign or the scale of its output",
-            {"plane": name, "beam": culprit},
-        )
-    return None
+    # Whether a beam hits a plane from the front, and from the back.
+    hits = np.zeros((2, readings.planes, readings.beams), dtype=bool)
+    hits[(~ahead).astype(int), readings.plane, readings.beam] = True
+    from_both = np.flatnonzero(hits.any(axis=2).all(axis=0))
+    if not from_both.size:
+        return None
+    name = names.sorted_planes()[from_both[0]]
+    labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
+    first, second = np.where(hits[:, from_both[0]], distance, -1.0).argmax(axis=1).tolist()
+    culprit = labels[max(first, second, key=lambda i: distance[i])]
+    return CalibrationWarning(
+        "two-sides",
+        f"beams {labels[first]} and {labels[second]} hit plane {name} from its two sides, which no "
+        f"plate allows: beam {culprit} looks inverted, its readings fall as the distance grows; "
+        "correct the sign or the scale of its output",
+        {"plane": name, "beam": culprit},
+    )
 
 
 def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:

@@ -110,19 +110,18 @@ class FittedPlane:
         Baarda's w-test: plane free, beams known with their covariance, readings with theirs. Zero for a
         reading that decides something by itself, of which the others say nothing.
         """
-        how = self.whitening
-        G, e, K = self._normal(state)
-        left = how.apply_transposed((e - G @ (K @ (G.T @ e)))[:, None])[:, 0]
-        squares, across = how.squares(), how.apply_transposed(G)
+        heavy, right, K = self._normal(state)
+        across, squares = heavy[:, :-1], self.whitening.squares()
+        left = heavy[:, -1] - across @ (K @ right)
         free = squares - ((across @ K) * across).sum(axis=1)
         tested = free > DECIDES_ITSELF * squares
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
 
     def misfit(self, state: BeamState) -> float:
         """Return chi2 of the readings: plane free, beams known with their covariance."""
-        G, e, K = self._normal(state)
-        right = G.T @ e
-        return float(e @ e - right @ K @ right)
+        heavy, right, K = self._normal(state)
+        chi2 = self.residual @ heavy[:, -1] / self.whitening.sigma
+        return float(chi2 - right @ K @ right)
 
     def agrees(self, state: BeamState) -> bool:
         """Tell whether the readings agree with the beams as they are."""
@@ -135,15 +134,20 @@ class FittedPlane:
         return free <= 0 or bool(chi2_sf(chi2, free) > NEGLIGIBLE)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return whitened derivatives G and residuals, and the inverse of G'G with what is known."""
-        how = self.whitening
+        """Return what is known of beams and plane.
+
+        Their derivatives and the residuals (N, n + 1) times sigma inv(C), the derivatives times
+        inv(C) times the residuals (n,), and the covariance (n, n).
+        """
         rows, prior = self._rows(state)
-        G, e = how.apply_rows(rows) / how.sigma, how.apply(self.residual) / how.sigma
-        H = G.T @ G
+        sigma = self.whitening.sigma
+        heavy = self.whitening.weighed(np.column_stack((rows, self.residual))) / sigma
+        normal = rows.T @ heavy / sigma
+        H, right = normal[:, :-1], normal[:, -1]
         H[: len(prior), : len(prior)] += prior
         scale = 1.0 / np.sqrt(np.diagonal(H))
         K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
-        return G, e, K
+        return heavy, right, K
 
     def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""

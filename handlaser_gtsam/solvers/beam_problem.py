@@ -111,9 +111,10 @@ def linearized(
     """
     block = BeamsOnPlanes([readings], None if whitening is None else [whitening])
     values = block.centred(values_of([parameters]))
-    require_steep(parameters, readings)
-    unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
     rows = block.evaluate(values)
+    if rows.impossible is not None:
+        require_steep(parameters, readings)
+    unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
     normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
         [whitened(rows, block.weights)]
     )

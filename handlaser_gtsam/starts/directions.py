@@ -117,8 +117,8 @@ def _reach(v: FloatArray, readings: Readings) -> FloatArray:
 
 def _turned(vectors: FloatArray, readings: Readings) -> FloatArray:
     """Return R u (C, N, 3) for vectors u (C, 3), hand frame."""
-    turned: FloatArray = np.einsum("nij,cj->cni", readings.world_R_hand, vectors)
-    return turned
+    along = vectors @ readings.world_R_hand.reshape(-1, 3).T
+    return np.asarray(along.reshape(len(vectors), -1, 3))
 
 
 def sphere(count: int) -> FloatArray:
@@ -155,7 +155,7 @@ def _common_location(
 ) -> FloatArray:
     """Return the location (C, 3) that all beams share, for known planes; weights are (C, N)."""
     each = n[:, readings.plane]
-    A = np.einsum("nji,cnj->cni", readings.world_R_hand, each)
+    A = (each.transpose(1, 0, 2) @ readings.world_R_hand).transpose(1, 0, 2)
     rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
     return least_squares(A, rhs, NEGLIGIBLE, weights)
 
