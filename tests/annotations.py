@@ -63,11 +63,12 @@ def callables(thing: object) -> Iterator[Callable[..., object]]:
 
 
 def hints_of(thing: object) -> list[object]:
-    """Return the annotations of one public name."""
+    """Return the annotations of one public name, without those of private fields."""
     hints = [typing.get_type_hints(one, None, LATE) for one in callables(thing)]
     if dataclasses.is_dataclass(thing):
         hints.append(typing.get_type_hints(thing, None, LATE))
-    return [hint for one in hints for hint in one.values()]
+    named_hints = [pair for one in hints for pair in one.items()]
+    return [hint for name, hint in named_hints if not name.startswith("_")]
 
 
 def _home(thing: object) -> str:

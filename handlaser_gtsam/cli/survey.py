@@ -1,20 +1,23 @@
-"""What `handlaser calibrate` does with a survey: sensors of many rays, spheres, points, relations."""
+"""What `calibrate` and `validate` do with a survey: sensors of many rays, other targets, relations."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from ..quantities import IN_MM
 from .answer import Answer, print_wrapped
 from .exit_codes import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..data.survey import Survey
     from ..files.rig_toml import Rig
     from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
+    from ..validation.survey import SurveyValidation
     from .calibrate import Output
 
 
@@ -55,14 +58,13 @@ def survey_answer(
     InputError
     """
     from ..files.survey_json import survey_text
-    from ..files.survey_reading import read_survey, survey_of
     from ..files.writing import require_outputs, write_text
     from ..pipeline import calibrate
     from ..results.survey import survey_limits
 
     tables = () if rig.survey is None else rig.survey.files
     require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
-    survey = read_survey(path, rig) if recording is None else survey_of(recording, rig)
+    survey = _read(path, rig, recording)
     result = calibrate(survey, rig.noise)
     text, checks = survey_text(result), survey_limits(result, rig.limits)
     written = [file for file in (output.out, output.report) if file is not None]
@@ -77,6 +79,58 @@ def survey_answer(
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
     show = partial(_show, result, checks, written)
     return Answer(text, show, warnings, _failure(result, checks))
+
+
+def survey_validation(
+    path: Path, rig: "Rig", recording: "Recording | None", splits: int, seed: int
+) -> Answer:
+    """Validate a survey, and return what is said; arguments as of `survey_answer`.
+
+    Raises
+    ------
+    InputError
+    """
+    import numpy as np
+
+    from ..files.survey_json import survey_validation_text
+    from ..results.significance import SINGLE_LEVEL
+    from ..validation.survey import validate_survey
+
+    survey = _read(path, rig, recording)
+    result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
+    failure = _failure(result.calibration, [])
+    against = [one.name for one in result.contradicted]
+    if failure is None and against:
+        words = f"what the rest of the survey does not predict (p below {SINGLE_LEVEL:g}): "
+        failure = NOT_USABLE, words + ", ".join(against)
+    show = partial(print_wrapped, _validation_lines(result))
+    return Answer(survey_validation_text(result), show, failure=failure)
+
+
+def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
+    reference = result.reference
+    yield result.calibration.verdict
+    yield (
+        f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
+        f"({reference.parameter}); standard deviations by {100.0 * reference.largest_sigma:.2g} %"
+    )
+    groups = ("without ", result.targets), ("without 30 % of the stations, draw ", result.splits)
+    for words, some in groups:
+        for one in some:
+            if one.message:
+                yield f"{words}{one.name}: no prediction: {one.message}"
+            else:
+                yield (
+                    f"{words}{one.name}: {one.shots} shots predicted, chi2/dof "
+                    f"{one.chi2:.1f}/{one.dof} (p = {one.p_value:.2g}); spots move by "
+                    f"{one.shift * IN_MM:.2g} mm"
+                )
+
+
+def _read(path: Path, rig: "Rig", recording: "Recording | None") -> "Survey":
+    from ..files.survey_reading import read_survey, survey_of
+
+    return read_survey(path, rig) if recording is None else survey_of(recording, rig)
 
 
 def _show(

@@ -65,17 +65,38 @@ def validate(
 
 
 def _answered(path: Path, against: Against, rig: "Rig", model: Model, splits: Splits) -> Answer:
+    from ..data.survey import beyond_planes
     from ..errors import InputError
-    from ..files.rig_reading import read_with
+    from ..files.rig_reading import read_stated, read_with
 
     if against.calibration is not None and against.hold_out is not None:
         raise InputError("--calibration and --hold-out", "one of the two")
-    options = model.options(rig)
-    report, rig = read_with(rig, path)
-    recording = report.recording
+    if rig.survey is not None:
+        return _of_survey(path, rig, None, against, model, splits)
     if against == Against():
-        return _validated(recording, rig, options, splits)
-    return _tested(recording, rig, options, against)
+        report, rig = read_stated(rig, path)
+        if beyond_planes(report.recording.plane_names):
+            return _of_survey(path, rig, report.recording, against, model, splits)
+        return _validated(report.recording, rig, model.options(rig), splits)
+    report, rig = read_with(rig, path)
+    return _tested(report.recording, rig, model.options(rig), against)
+
+
+def _of_survey(
+    path: Path,
+    rig: "Rig",
+    recording: "Recording | None",
+    against: Against,
+    model: Model,
+    splits: Splits,
+) -> Answer:
+    from .survey import refuse_of_beams, survey_validation
+
+    stated = [] if against == Against() else ["--calibration or --hold-out"]
+    if model != Model():
+        stated.append("options of how beams before planes are calibrated")
+    refuse_of_beams(rig, stated, path)
+    return survey_validation(path, rig, recording, splits.splits, splits.seed)
 
 
 def _validated(

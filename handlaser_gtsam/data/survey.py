@@ -117,9 +117,9 @@ class Shots(Value):
             raise InputError(
                 f"sigma_across of {self.name}", "it for a profiler only, and its sigma beside it"
             )
-        object.__setattr__(self, "free", tuple(self.free))
         for error in self.free:
             require_word("a range error", error, ERRORS[self.kind])
+        store(self, "free", tuple(one for one in ERRORS[self.kind] if one in self.free))
 
     @classmethod
     def profiler(

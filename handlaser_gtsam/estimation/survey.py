@@ -6,7 +6,7 @@ eliminates, chi2. Shots are tested as wholes, because their points share what ma
 within a shot were sorted out when it was condensed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,6 +85,8 @@ class SurveyEstimate:
     Attributes
     ----------
     rows : Rows
+    given : Noise
+        What was stated of it.
     problem : BlockProblem
         Of the shots that were used, in their standard deviations, errors of the hand counted.
     estimate : Estimate
@@ -97,6 +99,7 @@ class SurveyEstimate:
     """
 
     rows: Rows
+    given: Noise
     problem: BlockProblem
     estimate: Estimate
     noise: Components
@@ -104,9 +107,16 @@ class SurveyEstimate:
     used: BoolArray
     tests: tuple[RelationTest, ...]
 
+    def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
+        """Return the same shots at other values and sizes of the noise, which are not learned."""
+        relations = relations_of(self.rows)
+        return SurveyState(
+            self.rows, self.given, dict(values), sizes, self.used, relations, learning=False
+        )
+
 
 @dataclass(slots=True)
-class _State:
+class SurveyState:
     """The values and sizes so far, and which items count."""
 
     rows: Rows
@@ -181,7 +191,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     sizes = _first_sizes(stated, inside, noise)
     used = np.ones(len(rows.items), dtype=bool)
     learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
-    state = _State(rows, noise, {}, sizes, used, relations_of(rows), learning)
+    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), learning)
     started = start_of(rows, state.sigmas())
     if started.values is None:
         names = ", ".join(_name(rows, *entity) for entity in started.without)
@@ -200,11 +210,11 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
         found = replace(found, status="contradicted", message=message)
     return SurveyEstimate(
-        rows, problem, found, state.sizes, stated, state.used, _tested(state, problem)
+        rows, noise, problem, found, state.sizes, stated, state.used, _tested(state, problem)
     )
 
 
-def _doubtful(state: _State) -> list[str]:
+def _doubtful(state: SurveyState) -> list[str]:
     """Return the sensors, beams and targets of which too many shots were left out to be trusted."""
     shares: dict[str, list[bool]] = {}
     for item, used in zip(state.rows.items, state.used, strict=True):
@@ -259,7 +269,7 @@ def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components
     return Components(sigma, (turn, shift))
 
 
-def _leave_out_gross(state: _State) -> None:
+def _leave_out_gross(state: SurveyState) -> None:
     """Leave out shots that are far from what most agree on, before sizes are learned.
 
     While most shots misfit, those that fit worst are left out and the rest is solved again (the
@@ -288,7 +298,7 @@ def _leave_out_gross(state: _State) -> None:
         state.used = kept
 
 
-def _misfits(state: _State) -> FloatArray:
+def _misfits(state: SurveyState) -> FloatArray:
     """Return the root mean square misfit of every item, used or not, in standard deviations."""
     blocks, groups = blocks_of(state.rows.items, state.sigmas(), state.values)
     of = {id(item): i for i, item in enumerate(state.rows.items)}
@@ -304,7 +314,7 @@ def _misfits(state: _State) -> FloatArray:
     return np.sqrt(squares / np.maximum(count, 1.0))
 
 
-def _settle(state: _State, inside: Inside, stated: Components) -> bool:
+def _settle(state: SurveyState, inside: Inside, stated: Components) -> bool:
     """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes.
 
     Tell whether that was reached.
@@ -321,7 +331,9 @@ def _settle(state: _State, inside: Inside, stated: Components) -> bool:
     return False
 
 
-def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[float, float]) -> bool:
+def _learned(
+    state: SurveyState, inside: Inside, stated: Components, prior: tuple[float, float]
+) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
     if not state.learning:
         return False
@@ -343,7 +355,7 @@ def _learned(state: _State, inside: Inside, stated: Components, prior: tuple[flo
     return bool((np.abs(after - before) > SIZES_SETTLED * np.maximum(after, before)).any())
 
 
-def _worst_changed(state: _State) -> bool:
+def _worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
     problem, groups = state.problem()
     rows = problem.rows(problem.blocks, state.values)
@@ -379,7 +391,7 @@ def _most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
     return int(np.lexsort((-chi2, p))[0])
 
 
-def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: _State) -> FloatArray:
+def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: SurveyState) -> FloatArray:
     """Return the probability that a shot is so far off by chance.
 
     Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
@@ -391,7 +403,7 @@ def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: _State) 
     return np.where(dof > 0, p, 1.0)
 
 
-def _tested(state: _State, problem: BlockProblem) -> tuple[RelationTest, ...]:
+def _tested(state: SurveyState, problem: BlockProblem) -> tuple[RelationTest, ...]:
     """Test each relation against the readings and all relations that are not contradicted."""
     if not state.relations:
         return ()

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class Item:
     target : (family, number)
     shot : Condensed, optional
         Of a sensor.
+    points : (n,), optional
+        Rows of its table that count.
     reading : float
         Of a beam [m].
     """
@@ -62,6 +64,7 @@ class Item:
     station: int
     target: tuple[str, int]
     shot: Condensed | None = None
+    points: IntArray | None = None
     reading: float = np.nan
 
 
@@ -75,8 +78,8 @@ class Rows:
     items : tuple of Item
     targets : mapping
         Labels of the targets of each family, in their order.
-    bodies : tuple of Known
-        Relations of whole bodies, one a body.
+    known : tuple of Known
+        Relations, without those of targets that no shot has seen.
     lost : tuple of (sensor, station)
         Shots with too few points on their target.
     length : float
@@ -86,9 +89,14 @@ class Rows:
     survey: Survey
     items: tuple[Item, ...]
     targets: Mapping[str, tuple[str, ...]]
-    bodies: tuple[Known, ...]
+    known: tuple[Known, ...]
     lost: tuple[tuple[int, int], ...]
     length: float
+
+    @property
+    def bodies(self) -> tuple[Known, ...]:
+        """Relations of whole bodies, one a body."""
+        return tuple(one for one in self.known if one.relation == "body")
 
     def counts(self) -> dict[str, int]:
         """Return the members of each family."""
@@ -137,17 +145,20 @@ def rows_of(survey: Survey) -> Rows:
             for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True)
             for label, part in _parts(shots, rows, labels[station])
         ]
-        for (station, label, _), shot in zip(parts, _condensed(shots, parts), strict=True):
+        for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
             if shot is None:
                 lost.append((member, station))
                 continue
             at = number(label)
-            items.append(Item(SENSOR.name, member, station, at, shot))
+            items.append(Item(SENSOR.name, member, station, at, shot, part[shot.kept]))
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
             at, d = number(labels[station]), float(survey.ranges[station, member])
             items.append(Item(BEAM.name, member, station, at, reading=d))
-    bodies = tuple(known for known in survey.known if known.relation == "body")
+    seen = {f"sensor:{shots.name}" for shots in survey.shots}
+    seen |= {f"beam:{name}" for name in survey.beam_names}
+    seen |= {label for names in targets.values() for label in names}
+    seen_of = [_seen_of(one, seen) for one in survey.known]
     ranges = [
         item.reading if item.shot is None else float(np.abs(item.shot.reading).mean())
         for item in items
@@ -156,10 +167,21 @@ def rows_of(survey: Survey) -> Rows:
         survey,
         tuple(items),
         {family: tuple(names) for family, names in targets.items()},
-        bodies,
+        tuple(one for one in seen_of if one is not None),
         tuple(lost),
         float(np.median(ranges)) if ranges else 1.0,
     )
+
+
+def _seen_of(known: Known, seen: set[str]) -> Known | None:
+    """Return what a relation says of variables that were seen; None where that is nothing."""
+    there = [label in seen or normal_label(label) in seen for label in known.of]
+    if all(there):
+        return known
+    if known.faces is None or not any(there):
+        return None
+    of = tuple(label for label, here in zip(known.of, there, strict=True) if here)
+    return replace(known, of=of, faces=known.faces[there])
 
 
 def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list[Condensed | None]:
@@ -305,7 +327,7 @@ def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:
     }
     numbers |= {f"beam:{name}": (BEAM.name, i) for i, name in enumerate(rows.survey.beam_names)}
     found = []
-    for known in rows.survey.known:
+    for known in rows.known:
         of = [numbers.get(label) or numbers[normal_label(label)] for label in known.of]
         if known.relation == "body":
             body = rows.bodies.index(known)

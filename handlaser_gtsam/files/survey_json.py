@@ -7,6 +7,7 @@ from pydantic import Field
 
 from ..checks import require_kind
 from ..results.survey import SurveyCalibration
+from ..validation.survey import SurveyValidation
 from .calibration_file import Known, Many, Numbers, Vector, Version, WarningRecord
 from .checked_text import FileRecord, json_value, read_checked
 from .json_text import Record, json_text, record
@@ -111,6 +112,22 @@ def survey_text(result: SurveyCalibration) -> str:
         "dof": result.dof,
     }
     return json_text("survey", whole)
+
+
+def survey_validation_text(result: SurveyValidation) -> str:
+    """Return a validation of a survey as JSON text."""
+    left_out = "name shots chi2 dof p_value shift_m message"
+    whole: Record = {
+        "verdict": {
+            "usable": result.calibration.usable and not result.contradicted,
+            "sentence": result.calibration.verdict,
+        },
+        "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
+        "targets_left_out": [record(one, left_out) for one in result.targets],
+        "splits": [record(one, left_out) for one in result.splits],
+        "contradicted": [one.name for one in result.contradicted],
+    }
+    return json_text("survey-validation", whole)
 
 
 def write_survey(path: Path | str, result: SurveyCalibration) -> None:

@@ -83,6 +83,8 @@ class SensorMount(Value):
         Standard deviation of a reading [m].
     reading : float
         Working distance: the median reading [m].
+    spot : (3,)
+        Of the ray in the middle at that distance, in the sensor's frame [m].
     spot_error : float
         Radius around a spot at that distance that holds it with 95 % [m].
     shots, rejected : int
@@ -99,6 +101,7 @@ class SensorMount(Value):
     rotation_sigma: FloatArray
     reading_sigma: float
     reading: float
+    spot: FloatArray
     spot_error: float
     shots: int
     rejected: int
@@ -215,6 +218,7 @@ class SurveyCalibration(Value):
     warnings: tuple[CalibrationWarning, ...]
     chi2: float
     dof: int
+    _found: SurveyEstimate
 
     @property
     def usable(self) -> bool:
@@ -312,6 +316,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         tuple(_warnings(found, sensors, relations, rejected)),
         estimate.chi2,
         estimate.dof,
+        found,
     )
 
 
@@ -341,6 +346,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         np.sqrt(np.diagonal(C)[:3]),
         float(found.noise.sigma[member]),
         reading,
+        spot,
         radius(J @ C[:6, :6] @ J.T) if np.isfinite(C[:6, :6]).all() else math.inf,
         len(items),
         int((~found.used[items]).sum()),

@@ -20,6 +20,7 @@ class UnitVectors:
         """Return how unit vectors near `start` (K, 3) are written."""
         follows = np.abs(start).argmax(axis=1)
         kept = np.array([[i for i in range(3) if i != f] for f in follows], dtype=np.intp)
+        kept = kept.reshape(-1, 2)
         return cls(kept, follows, np.sign(start[np.arange(len(start)), follows]))
 
     def pack(self, vectors: FloatArray) -> FloatArray:

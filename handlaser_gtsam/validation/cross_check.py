@@ -85,7 +85,7 @@ def _rows(
     reference: ReferenceSolution,
     variance: float,
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield the rows of `_compare` of every beam and plane; `variance` is the variance of a reading."""
+    """Yield the rows of `compared` of every beam and plane; `variance` is the variance of a reading."""
     found = reference.parameters
     off = [ours - other for ours, other in zip(own.beams, found.beams, strict=True)]
     names = [f"beam {name}" for name in calibration.beams]
@@ -93,18 +93,18 @@ def _rows(
     terms = [beam.terms for beam in calibration.beams.values()]
     rows = zip(names, np.hstack(off), joint.all_beams(), theirs, terms, strict=True)
     for name, e, mine, other, count in rows:
-        yield from _compare(f"{name} location", e, mine, other, slice(0, 3))
-        yield from _compare(f"{name} direction", e, mine, other, slice(3, 6))
-        yield from _compare(f"{name} range error", e, mine, other, slice(6, 6 + count))
+        yield from compared(f"{name} location", e, mine, other, slice(0, 3))
+        yield from compared(f"{name} direction", e, mine, other, slice(3, 6))
+        yield from compared(f"{name} range error", e, mine, other, slice(6, 6 + count))
     difference = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
     names = [f"plane {name}" for name in calibration.planes]
     theirs = variance * reference.plane_covariances
     for name, e, mine, other in zip(names, difference, joint.all_planes(), theirs, strict=True):
-        yield from _compare(f"{name} normal", e, mine, other, slice(0, 3))
-        yield from _compare(f"{name} offset", e, mine, other, slice(3, 4))
+        yield from compared(f"{name} normal", e, mine, other, slice(0, 3))
+        yield from compared(f"{name} offset", e, mine, other, slice(3, 4))
 
 
-def _compare(
+def compared(
     name: str, difference: FloatArray, mine: FloatArray, other: FloatArray, part: slice
 ) -> list[tuple[str, float, float]]:
     """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.

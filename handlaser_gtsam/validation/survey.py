@@ -1,0 +1,352 @@
+"""Validation of surveys: does an independent solver agree, and is predicted what was left out.
+
+Two tests. SciPy solves the same points again, by formulas of its own (`solvers/survey_reference.py`).
+And every target, and random parts of the stations, are left out and predicted: with the rest of the
+survey alone the mounts are found again, and what the shots that were left out add to the sum of squares
+is compared with what it should be.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.survey import Survey, normal_label
+from ..data.value import Value
+from ..errors import HandlaserError, InputError
+from ..estimation.survey import SurveyEstimate, estimate_survey
+from ..estimation.survey_rows import Item
+from ..model.distributions import chi2_sf, f_sf
+from ..model.families import BEAM, PLANE, POSE, bases
+from ..model.known import BODY
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
+from ..quantities import SINGULAR
+from ..results.significance import SINGLE_LEVEL
+from ..results.survey import SurveyCalibration, survey_calibration
+from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
+from .cross_check import CrossCheck, compared
+
+PART_LEFT_OUT = 0.3
+"""Of the stations, in a random split: as of recordings."""
+PARTS = {
+    SENSOR.name: {"rotation": 3, "location": 3, "range error": 4},
+    BEAM.name: {"location": 3, "direction": 3, "range error": 2},
+    PLANE.name: {"normal": 3, "offset": 1},
+    SPHERE.name: {"centre": 3, "radius": 1},
+    POINT.name: {"position": 3},
+}
+"""What is compared at a time of each kind of variable, and how many numbers it has."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyLeftOut(Value):
+    """How the rest of a survey predicts what was left out.
+
+    Attributes
+    ----------
+    name : str
+        A label, or the number of a random split.
+    shots : int
+        Shots and readings of beams that were left out.
+    chi2, dof : float, int
+        What they add to the sum of squares, and what it should be about.
+    p_value : float
+        Probability of more by chance; NaN where nothing was predicted.
+    shift : float
+        Largest shift of a spot at working distance against the whole survey [m].
+    message : str
+        Why there is no prediction.
+    """
+
+    name: str
+    shots: int
+    chi2: float = 0.0
+    dof: int = 0
+    p_value: float = np.nan
+    shift: float = np.nan
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyValidation(Value):
+    """What a validation of a survey found.
+
+    Attributes
+    ----------
+    calibration : SurveyCalibration
+    reference : CrossCheck
+    targets, splits : tuple of SurveyLeftOut
+    """
+
+    calibration: SurveyCalibration
+    reference: CrossCheck
+    targets: tuple[SurveyLeftOut, ...]
+    splits: tuple[SurveyLeftOut, ...]
+
+    @property
+    def contradicted(self) -> tuple[SurveyLeftOut, ...]:
+        """Return what the rest does not predict: together by chance in one of 1 / SINGLE_LEVEL."""
+        tested = [one for one in (*self.targets, *self.splits) if one.dof]
+        return tuple(one for one in tested if one.p_value < SINGLE_LEVEL / len(tested))
+
+
+def validate_survey(
+    survey: Survey,
+    noise: Noise | None = None,
+    splits: int = 5,
+    rng: np.random.Generator | None = None,
+) -> SurveyValidation:
+    """Calibrate a survey, solve it again with SciPy, and predict targets and stations left out.
+
+    Parameters
+    ----------
+    survey : Survey
+    noise : Noise, optional
+        As for `calibrate`.
+    splits : int
+        Random splits of the stations.
+    rng : Generator, optional
+        Of the splits; the same ones each time where it is not given.
+
+    Raises
+    ------
+    InputError
+        A survey that does not converge.
+    """
+    require_kind("survey", survey, Survey)
+    noise = Noise() if noise is None else noise
+    rng = np.random.default_rng(0) if rng is None else rng
+    whole = estimate_survey(survey, noise)
+    calibration = survey_calibration(whole)
+    reference = cross_check_survey(calibration)
+    labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
+    different = sorted(set(labels.tolist()))
+    targets = [
+        _left_out(calibration, label, labels == label) for label in different if len(different) > 1
+    ]
+    random = []
+    for number in range(splits):
+        out = np.zeros(len(labels), dtype=bool)
+        out[rng.permutation(len(labels))[: round(PART_LEFT_OUT * len(labels))]] = True
+        random.append(_left_out(calibration, f"{number + 1}", out))
+    return SurveyValidation(calibration, reference, tuple(targets), tuple(random))
+
+
+def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
+    """Solve what counts of a survey again with SciPy, with the noise that the calibration found.
+
+    Raises
+    ------
+    InputError
+        A calibration that did not converge.
+    """
+    require_kind("calibration", calibration, SurveyCalibration)
+    if calibration.status not in ("converged", "contradicted"):
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    found = calibration._found
+    theirs = solve_survey(_problem(found))
+    rows = list(_rows(calibration, theirs))
+    worst = max(rows, key=lambda row: row[1])
+    worst_sigma = max(rows, key=lambda row: row[2])
+    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], theirs.evaluations)
+
+
+def _problem(found: SurveyEstimate) -> SurveyProblem:
+    """Return what SciPy solves: every point that counts, of the shots that count."""
+    rows, values = found.rows, found.estimate.values
+    state = found.at({name: x[None] for name, x in values.items()}, found.noise)
+    sigma = state.sigmas()
+    groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
+    for item, used in zip(rows.items, found.used, strict=True):
+        if used:
+            member = -1 if item.points is None else item.member
+            groups[item.family, member, item.target[0]].append(item)
+    observed = [
+        _observed(rows.survey, kind, items, sigma[family, items[0].member])
+        for (family, _, kind), items in groups.items()
+    ]
+    plane = values.get(PLANE.name, np.zeros((0, 7)))
+    start = {
+        "sensor": values.get(SENSOR.name, np.zeros((0, 12)))[:, :12],
+        "beam": values.get(BEAM.name, np.zeros((0, 8))),
+        "plane": np.column_stack(
+            (plane[:, :3], plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(1))
+        ),
+        "sphere": values.get(SPHERE.name, np.zeros((0, 4))),
+        "point": values.get(POINT.name, np.zeros((0, 3))),
+        "body": values.get(BODY.name, np.zeros((0, 12))),
+    }
+    numbers = {
+        label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)
+    }
+    numbers |= {f"sensor:{s.name}": ("sensor", i) for i, s in enumerate(rows.survey.shots)}
+    numbers |= {f"beam:{name}": ("beam", i) for i, name in enumerate(rows.survey.beam_names)}
+    known = [
+        (one, [numbers.get(label) or numbers[normal_label(label)] for label in one.of])
+        for one in rows.known
+    ]
+    of = rows.survey.stations
+    return SurveyProblem(
+        observed,
+        rows.survey.shots,
+        of.world_R_hand,
+        of.world_t_hand,
+        state.pose_covariance(),
+        float(found.noise.sigma[-1]),
+        rows.survey.linearity,
+        rows.length,
+        start,
+        plane[:, 4:],
+        known,
+    )
+
+
+def _observed(survey: Survey, kind: str, items: list[Item], sigma: float) -> Observed:
+    """Return the points of all shots of one sensor before one kind of target, or of all beams."""
+    station = np.array([item.station for item in items])
+    target = np.array([item.target[1] for item in items])
+    points = [item.points for item in items if item.points is not None]
+    if not points:
+        member = np.array([item.member for item in items])
+        reading = np.array([item.reading for item in items])
+        return Observed(kind, member, station, target, sigma, reading)
+    shots, which = survey.shots[items[0].member], np.concatenate(points)
+    each = [len(some) for some in points]
+    return Observed(
+        kind,
+        items[0].member,
+        np.repeat(station, each),
+        np.repeat(target, each),
+        sigma,
+        shots.reading[which],
+        shots.across[which],
+    )
+
+
+def _rows(
+    calibration: SurveyCalibration, theirs: SurveySolution
+) -> Iterator[tuple[str, float, float]]:
+    """Yield a name, a difference in standard deviations, and that of these, relative."""
+    found = calibration._found
+    rows, values = found.rows, found.estimate.values
+    for (kind, i), other in theirs.values.items():
+        if kind == BODY.name:
+            continue  # faces may leave it open; what it does shows in its planes
+        mine, own = found.estimate.marginal(kind, i), values[kind][i]
+        if kind == SENSOR.name:
+            sensor = list(calibration.sensors.values())[i]
+            name, mine = f"sensor {sensor.name}", sensor.covariance
+            own = np.append(np.zeros(6), list(sensor.range_error.values()))
+        elif kind == BEAM.name:
+            name = f"beam {rows.survey.beam_names[i]}"
+            lift = np.zeros((8, 7))
+            lift[:3, :3], lift[3:6, 3:5], lift[6:, 5:] = np.eye(3), bases(own[3:6]), np.eye(2)
+            mine = lift @ mine @ lift.T
+        else:
+            name = rows.label((kind, i))
+        if kind == PLANE.name:
+            n, c = own[:3], own[4:]
+            own = np.append(n, own[3] - n @ c)
+            lift = np.zeros((4, 3))
+            lift[:3, :2], lift[3, :2], lift[3, 2] = bases(n), -c @ bases(n), 1.0
+            mine = lift @ mine @ lift.T
+        first = 0
+        for word, width in PARTS[kind].items():
+            part = slice(first, min(first + width, len(own)))
+            yield from compared(
+                f"{name} {word}", own - other, mine, theirs.covariances[kind, i], part
+            )
+            first += width
+
+
+def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:
+    """Predict the shots of some stations from the rest of the survey."""
+    whole = calibration._found
+    test = [item for item, used in zip(whole.rows.items, whole.used, strict=True) if used]
+    test = [item for item in test if out[item.station]]
+    rest = _without(whole.rows.survey, out)
+    if not test or rest is None:
+        return SurveyLeftOut(name, len(test), message="nothing is left")
+    try:
+        found = estimate_survey(rest, whole.given)
+    except HandlaserError as error:
+        return SurveyLeftOut(name, len(test), message=str(error))
+    if found.estimate.status != "converged":
+        return SurveyLeftOut(name, len(test), message=found.estimate.message)
+    values = _values_of(whole, found)
+    problem, groups = whole.at(values, found.noise).problem()
+    rows = problem.rows(problem.blocks, values)
+    J, e = rows.whitened()
+    predicted = np.zeros(len(e), dtype=bool)
+    for part, shape, items in zip(rows.where, rows.shapes, groups, strict=False):
+        predicted[part] = np.repeat([out[item.station] for item in items], shape[1])
+    both, rank = _squares(J, e)
+    known, known_rank = _squares(J[~predicted], e[~predicted])
+    dof = int(predicted.sum()) - (rank - known_rank)
+    squares = both - known
+    if dof <= 0:
+        return SurveyLeftOut(name, len(test), message="it says nothing about the mounts")
+    redundancy = int((~predicted).sum()) - known_rank
+    learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
+    p = f_sf(squares / dof, dof, max(redundancy, 1)) if learned else chi2_sf(squares, dof)
+    return SurveyLeftOut(name, len(test), squares, dof, float(p), _shift(calibration, found))
+
+
+def _without(survey: Survey, out: BoolArray) -> Survey | None:
+    """Return a survey without the readings of some stations; None where none are left."""
+    shots = []
+    for one in survey.shots:
+        kept = ~out[one.station]
+        if kept.any():
+            shots.append(
+                replace(
+                    one,
+                    station=one.station[kept],
+                    across=one.across[kept],
+                    reading=one.reading[kept],
+                )
+            )
+    ranges = survey.ranges
+    if ranges is not None:
+        ranges = np.where(out[:, None], np.nan, ranges)
+    if len(shots) < len(survey.shots) or (ranges is not None and np.isnan(ranges).all(0).any()):
+        return None
+    return replace(survey, shots=tuple(shots), ranges=ranges)
+
+
+def _values_of(whole: SurveyEstimate, found: SurveyEstimate) -> dict[str, FloatArray]:
+    """Return the values that the rest has found, and of what it has not seen those of the whole."""
+    values = {name: x[None].copy() for name, x in whole.estimate.values.items()}
+    for kind, x in found.estimate.values.items():
+        if kind == PLANE.name or kind in found.rows.targets:
+            labels = whole.rows.targets[kind]
+            values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
+        elif kind != POSE.name:
+            values[kind][0, : len(x)] = x
+    return values
+
+
+def _squares(J: FloatArray, e: FloatArray) -> tuple[float, int]:
+    """Return the least sum of squares of linear rows, and their rank."""
+    scale = np.linalg.norm(J, axis=0)
+    U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    U = U[:, size > SINGULAR**0.5 * size.max()]
+    return float(e @ e - ((U.T @ e) ** 2).sum()), U.shape[1]
+
+
+def _shift(calibration: SurveyCalibration, found: SurveyEstimate) -> float:
+    """Return by how much spots at working distance move at most [m]; of beams, their locations."""
+    rest, shifts = survey_calibration(found), [0.0]
+    for name, sensor in calibration.sensors.items():
+        other, spot = rest.sensors[name], sensor.spot
+        there = other.rotation @ spot + other.location
+        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
+    for name, beam in calibration.beams.items():
+        shifts.append(float(np.linalg.norm(beam.location - rest.beams[name].location)))
+    return max(shifts)

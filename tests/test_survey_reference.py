@@ -1,0 +1,168 @@
+"""Surveys against an independent solver, and against what they have not seen."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_distance, rigs_by_rays
+from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of
+from handlaser_gtsam.validation.survey import cross_check_survey, validate_survey
+
+CONDENSED = 2e-3
+"""Shots whose readings are not linear in their shape are condensed to first order in the noise."""
+ROUND = 2e-2
+"""So are shots on spheres, whose shape bends most."""
+CASES = {
+    "profiler": ("profiler", {}, EXACT, 1e-7),
+    "profiler, hand stated": ("profiler", {"hand_sigma": HAND}, STATED, 1e-5),
+    "profiler, body": ("profiler", {"targets": "body"}, EXACT, 1e-6),
+    "scanner": ("scanner", {}, EXACT, CONDENSED),
+    "array": ("array", {}, EXACT, CONDENSED),
+    "points": ("points", {}, EXACT, CONDENSED),
+    "beams, point": ("beams", {"targets": "point", "stations": 15}, EXACT, CONDENSED),
+    "profiler, sphere": ("profiler", {"targets": "sphere"}, EXACT, ROUND),
+    "array, spheres": ("array", {"targets": "spheres"}, EXACT, ROUND),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_scipy_finds_the_same_from_all_points_by_themselves(case):
+    kind, options, noise, bound = CASES[case]
+    rig = getattr(rigs_by_rays, kind)(3, **options)
+    known = body_of(rig) if options.get("targets") == "body" else []
+    agreement = cross_check_survey(hl.calibrate(survey_of(rig, known), noise))
+    assert agreement.largest < bound, agreement
+    assert agreement.largest_sigma < bound, agreement
+
+
+def cell():
+    return rigs_by_rays.profiler(5, targets="planes+sphere", planes=3, stations=10)
+
+
+def relations():
+    rig = cell()
+    plane = rig.truth["targets"]["plane:A"]
+    n, mount = plane["normal"], np.array(rig.truth["profiler"])
+    other = next(
+        label
+        for label in ("plane:B", "plane:C")
+        if abs(n @ rig.truth["targets"][label]["normal"]) < 0.95
+    )
+    ball = rig.truth["targets"]["sphere:S1"]
+    angle = float(np.arccos(n @ rig.truth["targets"][other]["normal"]))
+    tight = {"sigma": 2e-5, "sigma_angle": 2e-4}
+    upright = np.cross(n, [0.3, 0.2, 0.5])
+    yield hl.Known("angle", ("plane:A", other), angle + 1e-4, 0.0, 1e-4)
+    yield hl.Known("parallel", ("plane:A", "plane:B"), 0.1, sigma=0.1, sigma_angle=0.3)
+    yield hl.Known("along", ("plane:A",), sigma_angle=2e-4, direction=3.0 * n)
+    yield hl.Known("upright", ("plane:A",), sigma_angle=2e-4, direction=upright)
+    yield hl.Known("plane", ("plane:A",), 2.0 * plane["offset"], **tight, direction=2.0 * n)
+    yield hl.Known("radius", ("sphere:S1",), ball["radius"], sigma=1e-5)
+    yield hl.Known("position", ("sphere:S1",), sigma=2e-5, direction=ball["centre"])
+    yield hl.Known("mount", ("sensor:profiler",), **tight, pose=mount)
+
+
+@pytest.mark.parametrize("known", list(relations()), ids=lambda known: known.relation)
+def test_scipy_counts_every_relation_alike(known):
+    rig = cell()
+    with_it = hl.calibrate(survey_of(rig, [known]), EXACT)
+    assert cross_check_survey(with_it).largest < ROUND
+    # And the relation is more than nothing.
+    without = hl.calibrate(survey_of(rig), EXACT)
+    free, held = without._found.estimate.covariance, with_it._found.estimate.covariance
+    assert (np.diagonal(held) < (1.0 - 1e-9) * np.diagonal(free)).any()
+
+
+def test_scipy_counts_a_relation_of_two_sensors_alike():
+    rig = rigs_by_distance.mixed(4)
+    survey = survey_of(rig)
+    first, second = (shots.name for shots in survey.shots[:2])
+    T, Q = (np.array(rig.truth[name]) for name in (first, second))
+    of = f"sensor:{first}", f"sensor:{second}"
+    pose = np.linalg.inv(T) @ Q
+    known = hl.Known("mounts", of, sigma=2e-5, sigma_angle=2e-4, pose=pose)
+    found = hl.calibrate(survey_of(rig, [known]), EXACT)
+    assert cross_check_survey(found).largest < ROUND
+
+
+def test_scipy_counts_relations_of_beams_alike():
+    rig = rigs_by_distance.beams(4, count=2)
+    names = survey_of(rig).beam_names
+    v, w = (rig.truth[name]["direction"] for name in names)
+    pose = np.eye(4)
+    pose[:3, 3] = rig.truth[names[0]]["location"]
+    pose[:3, :3] = Rotation.align_vectors([v], [[0.0, 0.0, 1.0]])[0].as_matrix()
+    known = [
+        hl.Known("angle", tuple(f"beam:{name}" for name in names), np.arccos(v @ w), 0.0, 1e-4),
+        hl.Known("mount", (f"beam:{names[0]}",), sigma=1e-4, sigma_angle=1e-3, pose=pose),
+    ]
+    found = hl.calibrate(survey_of(rig, known), EXACT)
+    assert cross_check_survey(found).largest < ROUND
+
+
+def test_range_errors_that_are_free_are_found_alike():
+    survey = survey_of(rigs_by_rays.scanner(2, planes=3))
+    shots = replace(survey.shots[0], free=("scale", "k1"))
+    assert shots.free == ("k1", "scale")
+    found = hl.calibrate(replace(survey, shots=(shots,)), EXACT)
+    assert cross_check_survey(found).largest < ROUND
+
+
+def test_what_is_left_out_is_predicted_as_well_as_it_should_be():
+    p_values = []
+    for seed in range(4):
+        rig = rigs_by_distance.profiler(seed, targets="planes+sphere", planes=2)
+        found = validate_survey(survey_of(rig), EXACT, splits=2)
+        assert not found.contradicted
+        p_values += [one.p_value for one in (*found.targets, *found.splits) if one.dof]
+    assert len(p_values) >= 16
+    assert min(p_values) > 1e-4
+    assert 0.25 < np.median(p_values) < 0.85
+
+
+def test_a_target_that_reads_otherwise_is_not_predicted():
+    rig = rigs_by_distance.profiler(1, planes=3)
+    survey = survey_of(rig)
+    shots = survey.shots[0]
+    label = np.array(survey.stations.plane_labels)[shots.station]
+    dark = label == sorted(set(label))[0]  # a surface on which the sensor reads 0.3 % more
+    bent = replace(shots, reading=np.where(dark, 1.003 * shots.reading, shots.reading))
+    found = validate_survey(replace(survey, shots=(bent,)), EXACT, splits=0)
+    assert found.calibration.status == "contradicted" or sorted(set(label))[0] in {
+        one.name for one in found.contradicted
+    }
+
+
+def test_a_relation_of_what_no_shot_sees_counts_for_nothing():
+    rig = rigs_by_rays.profiler(3, targets="body")
+    (body,) = body_of(rig)
+    survey = survey_of(rig, [body])
+    shots = survey.shots[0]
+    unseen = np.array(survey.stations.plane_labels)[shots.station] == body.of[0]
+    rest = hl.Shots.profiler(
+        shots.name, shots.station[~unseen], shots.across[~unseen], shots.reading[~unseen]
+    )
+    found = hl.calibrate(replace(survey, shots=(rest,)), EXACT)
+    assert found.relations[0].known.of == body.of[1:]
+    assert not found.relations[0].contradicted
+
+
+def test_the_command(handlaser):
+    poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
+    code, out, _ = handlaser("validate", poses, "--rig", rig, "--splits", "1")
+    assert code == 0
+    assert "SciPy, point by point, differs by" in out
+    assert "without sphere:ball" in out
+    _, out, _ = handlaser("validate", poses, "--rig", rig, "--splits", "0", "--json")
+    answer = json.loads(out)
+    assert answer["verdict"]["usable"]
+    assert answer["splits"] == []
+    assert [one["name"] for one in answer["targets_left_out"]] == ["plane:plate", "sphere:ball"]
+    code, _, err = handlaser("validate", poses, "--rig", rig, "--calibration", poses)
+    assert code == 2
+    assert "--calibration or --hold-out" in err
