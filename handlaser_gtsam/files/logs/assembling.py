@@ -12,15 +12,11 @@ from ...model.sensor import Sensor
 from ...text import count
 from .averaging import Averaged, averaged
 from .format import LogFormat
-from .format_checks import convention_of
-from .held import held_poses
 from .joining import Stations
-from .lag import Lag
-from .motion import Raw
 from .planes import intervals, planes_of
 from .poses import hand_poses
 from .report import LogReport
-from .suspicion import refuse_wrong_convention
+from .suspicion import held_poses, refuse_wrong_convention
 
 
 def assembled(
@@ -46,9 +42,8 @@ def assembled(
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
         raise InputError(found, "repeated readings, or the sigma itself", path)
     planes, chosen, warnings = _planes(log, given)
-    if readings.codes is not None:
-        counted = (log.station >= 0) & chosen[log.station]
-        warnings = (*readings.codes.warnings(counted), *warnings)
+    counted = (log.station >= 0) & chosen[log.station]
+    warnings = (*readings.code_warnings(counted), *warnings)
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean.ranges).all(axis=1)
         chosen = chosen & ~unread
@@ -56,8 +51,7 @@ def assembled(
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    raw = Raw(poses.poses, convention_of(given), given.inverted, log.way)
-    R, t = hand_poses(*raw.poses(), raw.convention, given.tool, given.base)
+    R, t = hand_poses(poses.poses, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
@@ -73,9 +67,8 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(
-        recording, raw, rows, given.range_units, path, as_stated=given.as_stated
-    )
+    needed, way = log.way.narrowed(rows)
+    doubts += refuse_wrong_convention(recording, poses.poses[needed], way, given, path)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
     texts = (_counts(recording), poses.words, log.words)
@@ -87,9 +80,9 @@ def assembled(
             for beam, value in zip(readings.beams, mean.scatter_of, strict=True)
             if not np.isnan(value)
         },
-        log.lag.value,
-        log.lag.sigma or None,
-        (*filter(None, texts), *_lag_lines(log.lag), *_average_lines(mean, given)),
+        log.lag[0],
+        log.lag[1] or None,
+        (*filter(None, texts), *_lag_lines(*log.lag), *_average_lines(mean, given)),
         tuple(path for path in given.files if path is not None),
     )
 
@@ -138,13 +131,12 @@ def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
 
 
-def _lag_lines(lag: Lag) -> Iterator[str]:
-    later = "later" if lag.value >= 0.0 else "earlier"
-    much = f"{1e3 * abs(lag.value):.4g} ms" if abs(lag.value) < 1.0 else f"{abs(lag.value):.4f} s"
-    if lag.sigma:
-        sigma = f"{1e3 * lag.sigma:.2g} ms"
-        yield f"readings are stamped {much} {later} than poses, estimated to {sigma}"
-    elif lag.value:
+def _lag_lines(lag: float, sigma: float) -> Iterator[str]:
+    later = "later" if lag >= 0.0 else "earlier"
+    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
+    if sigma:
+        yield f"readings are stamped {much} {later} than poses, estimated to {1e3 * sigma:.2g} ms"
+    elif lag:
         yield f"readings are taken to be stamped {much} {later} than poses"
 
 

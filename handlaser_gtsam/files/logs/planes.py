@@ -11,8 +11,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError
 from ...text import A_NAME, name_fault, shown
-from ..table import read_table
-from .cells import labels
+from ..table import labels, read_table
 from .format import LogFormat
 from .stands import Track, find_stands
 
@@ -82,7 +81,7 @@ def _of_file(path: Path) -> list[Interval]:
     table = read_table(path, ("plane", "from", "to"))
     for name in ("plane", "from", "to"):
         if name not in table.frame.columns:
-            raise InputError(f"no column {name!r}", "plane,from,to", path, table.header_line, name)
+            raise table.fault(f"no column {name!r}", "plane,from,to", name)
     columns = [labels(table, name) for name in ("plane", "from", "to")]
     return [_interval(*row) for row in zip(*columns, strict=True)]
 
