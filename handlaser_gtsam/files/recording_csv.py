@@ -22,7 +22,7 @@ from ..data.recording import Recording, first_repeated
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH
-from ..text import A_NAME, name_fault, some
+from ..text import A_NAME, name_fault
 from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
 from .table import column_numbers, labels, read_table
@@ -128,11 +128,7 @@ def stations_of(
 def _check_header(table: _Table) -> list[str]:
     """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
-    for name in ("plane", *POSE):
-        if name not in columns:
-            near = next((c for c in columns if c.lower() == name), None)
-            found = f"column {near!r}" if near else f"no column {name!r} among {_short(columns)}"
-            raise table.fault(found, f"{name!r}", name)
+    table.require("plane", *POSE)
     for column in columns:
         start, number = re.fullmatch(r"(.*?)_?(\d*)", column).groups()  # type: ignore[union-attr]
         likeness = SequenceMatcher(None, start.lower(), "range").ratio()
@@ -146,7 +142,7 @@ def _check_header(table: _Table) -> list[str]:
         if fault:
             raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
-        found = f"no column of ranges among {_short(columns)}"
+        found = f"no column of ranges among {table.names}"
         raise table.fault(found, "range_NAME for every beam, in metres", "range_NAME")
     return beams
 
@@ -220,7 +216,3 @@ def _refuse_unread(
     unread = np.array([plane not in read for plane in planes])
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
-
-
-def _short(names: list[str]) -> str:
-    return some([name[:40] for name in names], 12)

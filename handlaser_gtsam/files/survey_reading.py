@@ -64,9 +64,7 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tup
     if rig.log.stated or path.suffix.lower() != ".csv":
         return _of_log(path, rig.log), None, ()
     table = read_table(path, ("plane", *POSE))
-    for name in ("plane", *POSE):
-        if name not in table.frame.columns:
-            raise table.fault(f"no column {name!r}", f"{name!r}", name)
+    table.require("plane", *POSE)
     R, t, labels, names = stations_of(table)
     stations = StationList(R, t, labels, names)
     columns = [name for name in table.frame.columns if name.startswith(PREFIX)]

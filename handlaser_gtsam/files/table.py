@@ -17,7 +17,7 @@ import polars as pl
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import CalibrationWarning, InputError
-from ..text import A_NAME, LONGEST_NAME, count, name_fault, shown
+from ..text import A_NAME, LONGEST_NAME, count, name_fault, shown, some
 from .checked_text import read_text
 
 SEPARATORS = ",;\t"
@@ -81,9 +81,27 @@ class Table:
             found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
-    def fault(self, found: str, expected: str, column: str) -> InputError:
-        """Return the error for a fault of the header."""
-        return InputError(found, expected, self.path, self.header_line, column)
+    def fault(self, found: str, expected: str, column: str | None = None) -> InputError:
+        """Return the error for a fault of the header, if the file has one."""
+        return InputError(found, expected, self.path, self.header_line or None, column)
+
+    @property
+    def names(self) -> str:
+        """The first names of the header, in words."""
+        return some([name[:40] for name in self.frame.columns], 12)
+
+    def require(self, *names: str) -> None:
+        """Refuse a header without one of these names.
+
+        Raises
+        ------
+        InputError
+        """
+        for name in names:
+            if name not in self.frame.columns:
+                near = next((one for one in self.frame.columns if one.lower() == name), None)
+                found = f"column {near!r}" if near else f"no column {name!r} among {self.names}"
+                raise self.fault(found, f"{name!r}", name)
 
     def refuse_cut(self) -> None:
         """Refuse a last line without a line end, unless its last cell shows that it is whole.

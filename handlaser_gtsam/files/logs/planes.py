@@ -79,9 +79,7 @@ def _interval(plane: str, first: str, last: str) -> Interval:
 def _of_file(path: Path) -> list[Interval]:
     """Return the intervals of a CSV file: `plane`, `from`, `to`."""
     table = read_table(path, ("plane", "from", "to"))
-    for name in ("plane", "from", "to"):
-        if name not in table.frame.columns:
-            raise table.fault(f"no column {name!r}", "plane,from,to", name)
+    table.require("plane", "from", "to")
     columns = [labels(table, name) for name in ("plane", "from", "to")]
     return [_interval(*row) for row in zip(*columns, strict=True)]
 

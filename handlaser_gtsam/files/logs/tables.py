@@ -234,10 +234,10 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _workbook(path: Path, given: LogFormat) -> Table:
-    sheet = read_sheet(path, given)
-    table = _of_values(sheet.rows, path)
-    lines, header = table.lines + sheet.header_line, sheet.header_line
-    table = replace(table, header_line=header, lines=lines, warnings=sheet.warnings)
+    rows, header, warnings = read_sheet(path, given)
+    table = _of_values(rows, path)
+    lines = table.lines + header
+    table = replace(table, header_line=header, lines=lines, warnings=warnings)
     return _with_points(table, given, numbers_have_points=True)
 
 
