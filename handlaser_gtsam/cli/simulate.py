@@ -1,6 +1,6 @@
 """handlaser simulate: a recording whose truth is known."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +20,7 @@ SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene s
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """What is simulated."""
+    """What is simulated, and what readings and hand poses err by."""
 
     scene: Annotated[
         SceneName,
@@ -31,12 +31,6 @@ class SceneOptions:
     stations: Annotated[int, typer.Option(min=1, help="Stations a plane.")] = 11
     k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0
     k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseOptions:
-    """What readings and hand poses err by."""
-
     range_sigma_mm: SigmaOption = None
     pose_translation_sigma_mm: SigmaOption = None
     pose_rotation_sigma_deg: SigmaOption = None
@@ -48,7 +42,6 @@ class NoiseOptions:
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
     scene: SceneOptions,
-    noise: NoiseOptions,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
@@ -57,39 +50,31 @@ def simulate(
     from ..text import printable
 
     with Working():
-        _write(folder, scene, noise, seed, force=force)
+        _write(folder, scene, seed, force=force)
     if not quiet:
         place, counts = printable(str(folder)), f"{scene.planes} planes, {scene.stations} stations"
         print_wrapped([f"wrote {', '.join(FILES)} to {place}: {counts} each"])
 
 
-def _write(
-    folder: Path, scene: SceneOptions, noise: NoiseOptions, seed: int, *, force: bool
-) -> None:
+def _write(folder: Path, scene: SceneOptions, seed: int, *, force: bool) -> None:
     import numpy as np
 
     from ..errors import InputError
     from ..files.calibration_json import write_truth
     from ..files.recording_csv import write_recording
-    from ..files.rig_toml import errors_instead, write_rig
+    from ..files.rig_toml import write_rig
+    from ..files.study_toml import SceneTable
     from ..validation import scenes
     from ..validation import simulate as simulation
 
     there = [file for file in FILES if (folder / file).exists()]
     if there and not force:
         raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
-    name = scene.scene.value
-    errors = errors_instead(
-        scenes.ERRORS[name],
-        noise.range_sigma_mm,
-        noise.pose_translation_sigma_mm,
-        noise.pose_rotation_sigma_deg,
-        noise.pose_axes,
-    )
-    layout = scenes.Layout(scene.beams, scene.planes, scene.stations, scene.k1, scene.k2_per_m)
+    stated = {name: getattr(value, "value", value) for name, value in asdict(scene).items()}
+    table = SceneTable.model_construct(**stated)  # is checked by what it makes
+    errors, sensor = table.errors(), scenes.SENSORS[table.scene]
     rng = np.random.default_rng(seed)
-    truth, motion = scenes.SCENES[name](layout, rng)
-    sensor = scenes.SENSORS[name]
+    truth, motion = scenes.SCENES[table.scene](table.layout(), rng)
     recording = simulation.simulate(truth, motion, errors, rng, sensor)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ from ...data.recording import Recording
 from ...errors import InputError
 from ...model.sensor import Sensor
 from ...text import shown
+from ..checked_text import in_file
 from ..recording_csv import POSE
 from ..table import read_table
 from ..writing import path_of
@@ -81,13 +82,9 @@ def describe_log(
     require_kind("sensor", sensor, Sensor)
     if not path.exists():
         raise InputError("no such file", "a log", path)
-    try:
+    with in_file(path):
         stations = _of_bag(path, given) if is_bag(path) else _of_tables(path, given, sensor)
         return assembled(stations, given, sensor, range_sigma)
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, path) from error
 
 
 def is_log(path: Path, given: LogFormat) -> bool:
