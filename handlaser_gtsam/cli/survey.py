@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from .answer import Answer, print_wrapped
-from .exit_codes import NOT_USABLE, UNDETERMINED
+from .stopping import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -85,7 +85,7 @@ def _show(
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
     from ..text import printable
-    from .width import text_width
+    from .answer import text_width
 
     width = text_width()
     lines = text_lines([result.verdict], width)
