@@ -4,8 +4,7 @@ import io
 import os
 import sys
 
-from .exit_codes import BAD_INPUT, INTERRUPTED, UNDETERMINED
-from .stopping import WORDS, CtrlC
+from .stopping import BAD_INPUT, INTERRUPTED, UNDETERMINED, WORDS, CtrlC
 
 THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"
 """Environment variables of the linear algebra under NumPy, which reads them when it is imported."""

@@ -1,13 +1,22 @@
-"""What a verb answers: tables or JSON on stdout, warnings and what went wrong on stderr."""
+"""What a verb answers: tables or JSON on stdout, warnings and what went wrong on stderr.
+
+Text is no wider than the screen.
+"""
 
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import typer
 
-from .exit_codes import INTERRUPTED
+from .stopping import INTERRUPTED
+
+NARROWEST = 40
+"""Columns below which nothing gets any narrower: tables are unreadable there."""
+NO_SCREEN = 1000
+"""Columns of what is no screen, a pipe or a file: no table is wider."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +57,6 @@ class Answer:
 def print_wrapped(lines: Iterable[str]) -> None:
     """Print lines no wider than the screen, and than `WIDTH`; nothing once their reader has gone."""
     from ..results.lines import wrapped
-    from .width import text_width
 
     try:
         for line in lines:
@@ -56,3 +64,15 @@ def print_wrapped(lines: Iterable[str]) -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def columns() -> int:
+    """Return the columns of the terminal or of COLUMNS; `NO_SCREEN` where there is neither."""
+    return max(shutil.get_terminal_size((NO_SCREEN, 24)).columns, NARROWEST)
+
+
+def text_width() -> int:
+    """Return the columns of text: as many as the screen has, but at most `WIDTH`."""
+    from ..results.lines import WIDTH  # loads NumPy, which the help does without
+
+    return min(columns(), WIDTH)

@@ -12,10 +12,7 @@ from .options import QuietOption
 from .progress_line import Working
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from ..files.logs.format import LogFormat
-    from ..files.logs.report import LogReport
     from ..model.sensor import Sensor
 
 LogArgument = Annotated[
@@ -55,38 +52,32 @@ def convert(
 
     Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
     """
-    with Working():
-        answer = _converted(log_file, log, {"--out": out, "--write-log": write_log}, rig, range_mm)
-    answer.give(json=False, quiet=quiet)
-
-
-def _converted(
-    path: Path,
-    log: Log,
-    outputs: "Mapping[str, Path | None]",
-    rig: Path | None,
-    range_mm: tuple[float, float] | None,
-) -> Answer:
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
     from ..files.writing import require_outputs, write_text
+    from ..text import printable, some
 
-    given, sensor, sigma = _known(log, rig, range_mm)
-    out, rig_file = outputs["--out"], outputs["--write-log"]
-    require_outputs(outputs, (path, *given.files))
-    require_outputs({"--out": out}, (rig,))
-    rig_text = ""
-    if rig_file is not None:  # refused, if at all, before anything is written
-        from ..files.rig_toml import with_log_table
+    with Working():
+        given, sensor, sigma = _known(log, rig, range_mm)
+        outputs = {"--out": out, "--write-log": write_log}
+        require_outputs(outputs, (log_file, *given.files))
+        require_outputs({"--out": out}, (rig,))
+        rig_text = ""
+        if write_log is not None:  # refused, if at all, before anything is written
+            from ..files.rig_toml import with_log_table
 
-        rig_text = with_log_table(rig_file, given)
-    report = describe_log(path, given, sensor, sigma)
-    if out is not None:
-        write_recording(out, report.recording)
-    if rig_file is not None:
-        write_text(rig_file, rig_text)
+            rig_text = with_log_table(write_log, given)
+        report = describe_log(log_file, given, sensor, sigma)
+        if out is not None:
+            write_recording(out, report.recording)
+        if write_log is not None:
+            write_text(write_log, rig_text)
+    lines, ignored = list(report.lines), report.recording.ignored_columns
+    lines += [f"not used: {some(ignored, 8)}"] if ignored else []
+    lines += [f"wrote {path}" for path in outputs.values() if path is not None]
     warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
-    return Answer("", partial(print_wrapped, _lines(report, outputs.values())), warnings)
+    show = partial(print_wrapped, [printable(line) for line in lines])
+    Answer("", show, warnings).give(json=False, quiet=quiet)
 
 
 def _known(
@@ -104,14 +95,3 @@ def _known(
         return known.log, known.sensor, known.noise.range_sigma
     sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
     return with_stated(LogFormat(), log.stated()), sensor, None
-
-
-def _lines(report: "LogReport", written: "Iterable[Path | None]") -> list[str]:
-    from ..text import printable, some
-
-    lines = list(report.lines)
-    ignored = report.recording.ignored_columns
-    if ignored:
-        lines.append(f"not used: {some(ignored, 8)}")
-    lines += [f"wrote {path}" for path in written if path is not None]
-    return [printable(line) for line in lines]

@@ -51,9 +51,3 @@ EXAMPLES = {
 }
 """What a person copies, by verb; `watch` runs until it is stopped. The files stand in
 examples/gripper and examples/study."""
-
-
-def epilog(verb: str) -> str:
-    """Return the end of a verb's help, which is not to be wrapped; empty where there is none."""
-    lines = "\n".join(EXAMPLES.get(verb, ()))
-    return f"\b\nExamples:\n{lines}" if lines else ""

@@ -1,6 +1,7 @@
 """handlaser calibrate --incremental: plane by plane, and what each of them taught."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,38 +20,33 @@ from ..session.reports import Comparison, Update
 from ..session.session import Session
 
 
-@dataclass(frozen=True, slots=True)
-class PlaneByPlane:
-    """What came of a recording that was fed plane by plane.
+def plane_by_plane(
+    recording: Recording, noise: Noise, options: CalibrationOptions
+) -> tuple[Calibration, Recording, Table, Comparison | None]:
+    """Feed a recording to a session plane by plane, then compare it with the batch calibration.
 
-    Attributes
-    ----------
-    result : Calibration
+    Returns
+    -------
+    calibration : Calibration
     recording : Recording
         The same stations, in the order of the result.
-    updates : tuple of (str, Update)
-        By plane.
+    taught : Table
+        What every plane taught, and how standard deviations fell; the result comes last.
     comparison : Comparison or None
         With the batch calibration; None where the planes did not all join, and the batch stands alone.
     """
-
-    result: Calibration
-    recording: Recording
-    updates: tuple[tuple[str, Update], ...]
-    comparison: Comparison | None
-
-
-def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptions) -> PlaneByPlane:
-    """Feed a recording to a session plane by plane, then compare it with the batch calibration."""
     session, updates = Session(noise, options), []
     planes = recording.plane_names
     for index, name in enumerate(planes):
         tell("planes", index, len(planes), f"plane {name}")
         updates.append((name, session.add(recording.plane(name))))
-    fed = tuple(updates)
+    rows = [
+        _row(name, update.information, update.sigma, len(update.rejected), _remark(name, update))
+        for name, update in updates
+    ]
     tell("planes", len(planes), len(planes), "all at once")
     if not session.started or session.waiting:
-        return PlaneByPlane(calibrate(recording, noise, options), recording, fed, None)
+        return calibrate(recording, noise, options), recording, _table(rows), None
     moved = session.moved()
     comparison = session.recalibrate()
     if comparison.changes:  # what had moved may have been noise that is known better now
@@ -58,7 +54,17 @@ def plane_by_plane(recording: Recording, noise: Noise, options: CalibrationOptio
     result = session.calibration()
     if moved is not None:
         result = replace(result, warnings=(_warning(moved), *result.warnings))
-    return PlaneByPlane(result, session.recording(), fed, comparison)
+    sigmas = [beam.sigma for beam in result.beams.values() if beam.sigma is not None]
+    if len(sigmas) == len(result.beams):
+        rejected = len(result.fit.rejected)
+        rows.append(_row("result", None, np.array(sigmas), rejected, comparison.message))
+    return result, session.recording(), _table(rows), comparison
+
+
+def _table(rows: Sequence[tuple[Cell, ...]]) -> Table:
+    titles = ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected")
+    columns = Column("plane", number=False), *map(Column, titles), Column("notes", number=False)
+    return Table("updates", "", columns, tuple(rows))
 
 
 def _warning(moved: Moved) -> CalibrationWarning:
@@ -73,22 +79,6 @@ def _warning(moved: Moved) -> CalibrationWarning:
     if not np.isnan(moved.turn):
         values |= {"shift_m": shift, "turn_rad": moved.turn}
     return CalibrationWarning("beam-moved", words, values)
-
-
-def update_table(fed: PlaneByPlane) -> Table:
-    """Return what every plane taught, and how standard deviations fell; the result comes last."""
-    rows = [
-        _row(name, update.information, update.sigma, len(update.rejected), _remark(name, update))
-        for name, update in fed.updates
-    ]
-    beams = fed.result.beams.values()
-    if fed.comparison is not None and all(beam.sigma is not None for beam in beams):
-        sigma = np.array([beam.sigma for beam in beams])
-        rejected = len(fed.result.fit.rejected)
-        rows.append(_row("result", None, sigma, rejected, fed.comparison.message))
-    titles = ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected")
-    columns = Column("plane", number=False), *map(Column, titles), Column("notes", number=False)
-    return Table("updates", "", columns, tuple(rows))
 
 
 def _row(

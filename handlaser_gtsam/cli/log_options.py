@@ -9,7 +9,6 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 
 from ..files.logs.format import LogFormat
-from .listed import listed, numbers
 
 FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
 """A field in the section Attributes, and what is said of it."""
@@ -28,11 +27,27 @@ class Log:
         for one in fields(LogFormat):
             value = self._given.get(one.name)
             if isinstance(value, str) and get_origin(one.type) is tuple:
-                parts = numbers if get_args(one.type)[0] is float else listed
-                value = parts(one.name, value)
+                value = _parts(one.name, value, numbers=get_args(one.type)[0] is float)
             if value is not None and value is not False:
                 found[one.name] = value
         return found
+
+
+def _parts(name: str, text: str, *, numbers: bool) -> tuple[object, ...]:
+    """Return the names of a list, between commas, or its numbers, between commas or blanks."""
+    from ..errors import InputError
+    from ..text import shown
+
+    parts = [part.strip() for part in text.split(",")]
+    try:
+        if numbers:
+            return tuple(map(float, text.replace(",", " ").split()))
+        if all(parts):
+            return tuple(parts)
+    except ValueError:
+        pass
+    what = f"{'numbers' if numbers else 'names'} with commas between them"
+    raise InputError(f"--{name.replace('_', '-')} {shown(text)}", what)
 
 
 def _parameters() -> list[inspect.Parameter]:

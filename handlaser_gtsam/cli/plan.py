@@ -1,6 +1,6 @@
 """handlaser plan: the stations to measure next."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,17 +26,22 @@ MOST_TO_GOAL = 100
 """Stations where no number is given, at most, until the goal is reached."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlanOptions:
-    """What is planned, and where it is written."""
-
+def plan(
+    given: Given,
+    model: Model,
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
+        ),
+    ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
             help="Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the "
             "planes is their place only: stations before them count as before planes that were moved."
         ),
-    ] = None
+    ] = None,
     planes: Annotated[
         int | None,
         typer.Option(
@@ -44,7 +49,7 @@ class PlanOptions:
             help="Times to move the plate, to orientations that are part of the plan; "
             "default: before the planes as they stand.",
         ),
-    ] = None
+    ] = None,
     stations: Annotated[
         int | None,
         typer.Option(
@@ -52,27 +57,15 @@ class PlanOptions:
             help="Stations in all, at most: fewer where they reach the goal or the limits of the rig "
             "file. Default: 20, or as many as that takes; for a first motion, as many as it takes.",
         ),
-    ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Draws the candidates.")] = 0
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Draws the candidates.")] = 0,
     out: Annotated[
         Path | None,
         typer.Option(readable=False, help="Write the stations to this CSV file."),
-    ] = None
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(readable=False, help="Write the forecast to this picture, SVG."),
-    ] = None
-
-
-def plan(
-    given: Given,
-    model: Model,
-    wanted: PlanOptions,
-    recording: Annotated[
-        Path | None,
-        typer.Argument(
-            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
-        ),
     ] = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
@@ -93,23 +86,31 @@ def plan(
 
     with Working():
         rig = given.read()
-        outputs = {"--out": wanted.out, "--picture": wanted.picture}
-        require_outputs(outputs, (recording, wanted.calibration, given.rig, *rig.log.files))
-        planned = _planned(recording, rig, model, wanted)
+        outputs = {"--out": out, "--picture": picture}
+        require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
+        planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         lines = list(plan_lines(planned, rig.goal))
         if rig.workspace is not None and rig.workspace.robot is not None:
             lines += scene_lines(rig.workspace.robot)
-        if wanted.out is not None:
-            write_stations(wanted.out, planned.stations)
-        if wanted.picture is not None:
-            write_text(wanted.picture, forecast_svg(planned.forecast, rig.goal))
+        if out is not None:
+            write_stations(out, planned.stations)
+        if picture is not None:
+            write_text(picture, forecast_svg(planned.forecast, rig.goal))
         written = [path for path in outputs.values() if path is not None]
         lines += [f"wrote {printable(str(path))}" for path in written]
         answer = Answer(plan_text(planned), partial(print_wrapped, lines))
     answer.give(json=json_, quiet=quiet)
 
 
-def _planned(recording: Path | None, rig: "Rig", model: Model, wanted: PlanOptions) -> "Plan":
+def _planned(
+    recording: Path | None,
+    result: Path | None,
+    rig: "Rig",
+    model: Model,
+    planes: int | None,
+    stations: int | None,
+    seed: int,
+) -> "Plan":
     """Return a first motion, or the next stations of a recording or a result."""
     import numpy as np
 
@@ -120,34 +121,33 @@ def _planned(recording: Path | None, rig: "Rig", model: Model, wanted: PlanOptio
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
 
-    rng = np.random.default_rng(wanted.seed)
-    if recording is not None and wanted.calibration is not None:
+    rng = np.random.default_rng(seed)
+    if recording is not None and result is not None:
         raise InputError("RECORDING and --calibration", "one of the two")
-    if recording is None and wanted.calibration is None:
+    if recording is None and result is None:
         if rig.bounds is None or rig.workspace is None:
             raise InputError(
                 "neither RECORDING nor --calibration",
                 "one of the two, or the tables [blind] and [workspace] of the rig file",
             )
-        planes = wanted.planes or 1
-        count = None if wanted.stations is None else wanted.stations // planes
+        count = None if stations is None else stations // (planes or 1)
         return blind_motion(
             *(rig.bounds, rig.sensor, rig.workspace, rig.noise, count),
-            planes=planes,
+            planes=planes or 1,
             goal=rig.goal,
             rng=rng,
         )
     require_range(rig.sensor)
     calibration: Calibration | Mounts
-    if wanted.calibration is not None:
-        calibration, plates = _result(wanted.calibration, rig)
+    if result is not None:
+        calibration, plates = _result(result, rig)
     else:
         report, rig = read_with(rig, recording or Path())
         calibration, plates = calibrate(report.recording, rig.noise, model.options(rig)), None
         if calibration.status != "converged":
             raise SolverError(calibration.message)
-    placement = None if wanted.planes is None else replace(rig.placement, count=wanted.planes)
-    count = wanted.stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
+    placement = None if planes is None else replace(rig.placement, count=planes)
+    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
     return planning.plan(
         *(calibration, count, rig.sensor, rig.workspace, rig.goal),
         plates=plates,

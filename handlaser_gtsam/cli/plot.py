@@ -1,19 +1,18 @@
 """handlaser plot: the figures of a report as pictures."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .answer import Answer, print_wrapped
-from .exit_codes import UNDETERMINED
 from .options import Given, Model
 from .progress_line import Working
+from .stopping import UNDETERMINED
 
 if TYPE_CHECKING:
     from ..files.calibration_file import CalibrationFile
-    from ..files.report.options import ReportOptions
-    from ..files.rig_toml import Rig
     from ..results.calibration import Calibration
 
 SourceArgument = Annotated[
@@ -39,35 +38,23 @@ def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> No
 
     Exit codes: 0 good; 2 bad input; 3 no calibration: what can be drawn all the same is drawn.
     """
-    with Working():
-        answer = _drawn(file, out, given.read(), model)
-    answer.give(json=False)
-
-
-def _drawn(path: Path, folder: Path, rig: "Rig", model: Model) -> Answer:
-    from ..files.report.pictures import write_pictures
-    from ..text import printable
-
-    found, options = _calibration(path, rig, model)
-    files = write_pictures(folder, found, options)
-    lines = [f"wrote {printable(str(file))}" for file in files]
-    failure = None if found.status == "converged" else (UNDETERMINED, found.message)
-    warnings = [f"WARNING: {one.message}" for one in found.warnings]
-    return Answer("", lambda: print_wrapped(lines), warnings, failure)
-
-
-def _calibration(
-    path: Path, rig: "Rig", model: Model
-) -> "tuple[Calibration | CalibrationFile, ReportOptions]":
-    """Return the calibration of a file, or the one that stands in it."""
+    from ..files.calibration_reading import read_calibration
     from ..files.report.options import ReportOptions
-
-    if path.suffix.lower() == ".json":
-        from ..files.calibration_reading import read_calibration
-
-        return read_calibration(path), ReportOptions(rig)
+    from ..files.report.pictures import write_pictures
     from ..files.rig_reading import read_with
     from ..pipeline import calibrate
+    from ..text import printable
 
-    report, rig = read_with(rig, path)
-    return calibrate(report.recording, rig.noise, model.options(rig)), ReportOptions(rig)
+    found: Calibration | CalibrationFile
+    with Working():
+        rig = given.read()
+        if file.suffix.lower() == ".json":
+            found = read_calibration(file)
+        else:
+            report, rig = read_with(rig, file)
+            found = calibrate(report.recording, rig.noise, model.options(rig))
+        files = write_pictures(out, found, ReportOptions(rig))
+    show = partial(print_wrapped, [f"wrote {printable(str(path))}" for path in files])
+    failure = None if found.status == "converged" else (UNDETERMINED, found.message)
+    warnings = [f"WARNING: {one.message}" for one in found.warnings]
+    Answer("", show, warnings, failure).give(json=False)

@@ -1,8 +1,9 @@
-"""Ctrl-C ends the command with one line and exit code 130, whenever it comes.
+"""How the command ends: its exit codes, of which 0 is good, and Ctrl-C.
 
-It raises KeyboardInterrupt as ever, so that a solver hands over what it has and a file that is not
-whole is taken away. In the midst of an import it ends the process at once instead: nothing is to be
-tidied there, and the import of a compiled library turns the exception into any other.
+Ctrl-C ends it with one line and exit code 130, whenever it comes. It raises KeyboardInterrupt as ever,
+so that a solver hands over what it has and a file that is not whole is taken away. In the midst of an
+import it ends the process at once instead: nothing is to be tidied there, and the import of a compiled
+library turns the exception into any other.
 """
 
 import atexit
@@ -11,8 +12,14 @@ import signal
 import threading
 from types import FrameType
 
-from .exit_codes import INTERRUPTED
-
+BAD_INPUT = 2
+"""Input, options or files that were refused: the code of shells for a wrong usage."""
+UNDETERMINED = 3
+"""No calibration: the recording does not determine what was asked, or no solver converged."""
+NOT_USABLE = 4
+"""A calibration that is not to be used."""
+INTERRUPTED = 130
+"""Stopped by Ctrl-C: 128 and the number of the signal, as in a shell."""
 WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
 """Clears the line of a terminal."""

@@ -71,7 +71,7 @@ def study(
 def _show(summary: "DataFrame", warnings: "DataFrame") -> None:
     from ..results.description.rendering import text_table
     from ..results.description.tables import Column, Table, significant, text
-    from .width import columns
+    from .answer import columns
 
     titles = tuple(
         Column(name, number=name not in ("scene", "treatment")) for name in summary.columns

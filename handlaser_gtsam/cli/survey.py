@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..quantities import IN_MM
 from .answer import Answer, print_wrapped
-from .exit_codes import NOT_USABLE, UNDETERMINED
+from .stopping import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
-    from ..data.recording import Recording
     from ..data.survey import Survey
     from ..files.rig_toml import Rig
     from ..results.limits import LimitCheck
@@ -21,8 +20,10 @@ if TYPE_CHECKING:
     from .calibrate import Output
 
 
-def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
+def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: bool) -> None:
     """Refuse what is stated and does not count with sensors of many rays, other targets or relations.
+
+    Unless the options are `plain`, how beams before planes are calibrated is stated, too.
 
     Raises
     ------
@@ -33,15 +34,14 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
         "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
         "rms_mm in [limits]": rig.limits.rms is not None,
     }
-    found = [*stated, *(name for name, given in fields.items() if given)]
+    how = [] if plain else ["options of how beams before planes are calibrated"]
+    found = [*stated, *how, *(name for name, given in fields.items() if given)]
     if found:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
         raise InputError(words, "it with beams before planes only", path)
 
 
-def survey_answer(
-    path: Path, rig: "Rig", recording: "Recording | None", output: "Output"
-) -> Answer:
+def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") -> Answer:
     """Calibrate a survey, write the result where it is asked for, and return what is said.
 
     Parameters
@@ -49,8 +49,7 @@ def survey_answer(
     path : Path
         Of the stations.
     rig : Rig
-    recording : Recording, optional
-        What was read from there, if the rig file names no sensors of many rays and no relations.
+    survey : Survey
     output : Output
 
     Raises
@@ -64,7 +63,6 @@ def survey_answer(
 
     tables = () if rig.survey is None else rig.survey.files
     require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
-    survey = _read(path, rig, recording)
     result = calibrate(survey, rig.noise)
     text, checks = survey_text(result), survey_limits(result, rig.limits)
     written = [file for file in (output.out, output.report) if file is not None]
@@ -81,10 +79,8 @@ def survey_answer(
     return Answer(text, show, warnings, _failure(result, checks))
 
 
-def survey_validation(
-    path: Path, rig: "Rig", recording: "Recording | None", splits: int, seed: int
-) -> Answer:
-    """Validate a survey, and return what is said; arguments as of `survey_answer`.
+def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
+    """Validate a survey, and return what is said.
 
     Raises
     ------
@@ -96,7 +92,6 @@ def survey_validation(
     from ..results.significance import SINGLE_LEVEL
     from ..validation.survey import validate_survey
 
-    survey = _read(path, rig, recording)
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
     failure = _failure(result.calibration, [])
     against = [one.name for one in result.contradicted]
@@ -127,19 +122,13 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
                 )
 
 
-def _read(path: Path, rig: "Rig", recording: "Recording | None") -> "Survey":
-    from ..files.survey_reading import read_survey, survey_of
-
-    return read_survey(path, rig) if recording is None else survey_of(recording, rig)
-
-
 def _show(
     result: "SurveyCalibration", checks: "Sequence[LimitCheck]", written: Sequence[Path]
 ) -> None:
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
     from ..text import printable
-    from .width import text_width
+    from .answer import text_width
 
     width = text_width()
     lines = text_lines([result.verdict], width)

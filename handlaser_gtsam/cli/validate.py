@@ -1,6 +1,6 @@
 """handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,48 +8,32 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, print_wrapped
-from .exit_codes import NOT_USABLE
 from .options import Given, JsonOption, Model, RecordingArgument
 from .progress_line import Working
+from .stopping import NOT_USABLE
 
 if TYPE_CHECKING:
-    from ..data.noise import Noise
     from ..data.recording import Recording
     from ..estimation.options import CalibrationOptions
     from ..files.rig_toml import Rig
-    from ..results.mounts import Mounts
 
 
-@dataclass(frozen=True, slots=True)
-class Against:
-    """What is tested instead of planes that are held out."""
-
+def validate(
+    recording: RecordingArgument,
+    given: Given,
+    model: Model,
     calibration: Annotated[
         Path | None,
         typer.Option(
             help="Test this old calibration, JSON, on RECORDING: does it still hold? Of the other "
             "options only noise, sensor and exact poses count then."
         ),
-    ] = None
+    ] = None,
     hold_out: Annotated[
         Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
-    ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class Splits:
-    """How stations are held out."""
-
-    splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5
-    seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0
-
-
-def validate(
-    recording: RecordingArgument,
-    against: Against,
-    given: Given,
-    model: Model,
-    splits: Splits,
+    ] = None,
+    splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0,
     json_: JsonOption = False,
 ) -> None:
     """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
@@ -59,48 +43,33 @@ def validate(
     it (1 in 100 good recordings exits so), a systematic error larger than what the result states; with
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
     """
+    from ..data.survey import Survey
+    from ..errors import InputError
+    from ..files.rig_reading import read_any_kind
+    from .survey import refuse_of_beams, survey_validation
+
     with Working():
-        answer = _answered(recording, against, given.read(), model, splits)
+        rig = given.read()
+        if calibration is not None and hold_out is not None:
+            raise InputError("--calibration and --hold-out", "one of the two")
+        read = read_any_kind(rig, recording)
+        if isinstance(read, Survey):
+            against = calibration is not None or hold_out is not None
+            stated = ["--calibration or --hold-out"] if against else []
+            refuse_of_beams(rig, stated, recording, plain=model == Model())
+            answer = survey_validation(read, rig, splits, seed)
+        else:
+            report, rig = read
+            options = model.options(rig)
+            if calibration is None and hold_out is None:
+                answer = _validated(report.recording, rig, options, splits, seed)
+            else:
+                answer = _tested(report.recording, rig, options, calibration, hold_out)
     answer.give(json=json_)
 
 
-def _answered(path: Path, against: Against, rig: "Rig", model: Model, splits: Splits) -> Answer:
-    from ..data.survey import beyond_planes
-    from ..errors import InputError
-    from ..files.rig_reading import read_stated, read_with
-
-    if against.calibration is not None and against.hold_out is not None:
-        raise InputError("--calibration and --hold-out", "one of the two")
-    if rig.survey is not None:
-        return _of_survey(path, rig, None, against, model, splits)
-    if against == Against():
-        report, rig = read_stated(rig, path)
-        if beyond_planes(report.recording.plane_names):
-            return _of_survey(path, rig, report.recording, against, model, splits)
-        return _validated(report.recording, rig, model.options(rig), splits)
-    report, rig = read_with(rig, path)
-    return _tested(report.recording, rig, model.options(rig), against)
-
-
-def _of_survey(
-    path: Path,
-    rig: "Rig",
-    recording: "Recording | None",
-    against: Against,
-    model: Model,
-    splits: Splits,
-) -> Answer:
-    from .survey import refuse_of_beams, survey_validation
-
-    stated = [] if against == Against() else ["--calibration or --hold-out"]
-    if model != Model():
-        stated.append("options of how beams before planes are calibrated")
-    refuse_of_beams(rig, stated, path)
-    return survey_validation(path, rig, recording, splits.splits, splits.seed)
-
-
 def _validated(
-    recording: "Recording", rig: "Rig", options: "CalibrationOptions", splits: Splits
+    recording: "Recording", rig: "Rig", options: "CalibrationOptions", splits: int, seed: int
 ) -> Answer:
     """Validate by leaving planes and stations out."""
     import numpy as np
@@ -108,11 +77,11 @@ def _validated(
     from ..files.validation_json import validation_text
     from ..validation.leave_out import validate as run
     from ..validation.verdict import verdict_of_validation
+    from .answer import text_width
     from .validation_tables import validation_lines
-    from .width import text_width
 
-    rng = np.random.default_rng(splits.seed)
-    result = run(recording, rig.noise, options, splits=splits.splits, rng=rng)
+    rng = np.random.default_rng(seed)
+    result = run(recording, rig.noise, options, splits=splits, rng=rng)
     judged = verdict_of_validation(result, rig.limits)
     lines = validation_lines(result, judged, text_width())
     failure = None if judged.usable else (NOT_USABLE, judged.sentence)
@@ -120,13 +89,20 @@ def _validated(
 
 
 def _tested(
-    recording: "Recording", rig: "Rig", options: "CalibrationOptions", against: Against
+    recording: "Recording",
+    rig: "Rig",
+    options: "CalibrationOptions",
+    old: Path | None,
+    other: Path | None,
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
+    from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
     from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
     from ..model.sensor import within
+    from ..pipeline import calibrate
+    from ..results.mounts import Mounts
     from ..results.significance import SINGLE_LEVEL
     from ..validation.hold_out import hold_out
     from .validation_tables import hold_out_lines
@@ -136,11 +112,15 @@ def _tested(
         noise = replace(
             noise, pose_translation_sigma=0.0, pose_rotation_sigma=0.0, pose_covariance=None
         )
-    if against.calibration is not None:
-        mounts = read_mounts(against.calibration)
+    if old is not None:
+        mounts = read_mounts(old)
     else:
-        mounts, noise = _mounts(recording, rig, options, noise)
-        recording = read_with(rig, against.hold_out or Path())[0].recording
+        calibration = calibrate(recording, rig.noise, options)
+        if calibration.status != "converged":
+            raise SolverError(calibration.message)
+        mounts = Mounts.of(calibration)
+        noise = calibration.noise(noise) if calibration.noise_estimate else noise
+        recording = read_with(rig, other or Path())[0].recording
     found = hold_out(mounts, within(recording, rig.sensor), noise)
     failure = None
     if found.p_value < SINGLE_LEVEL:
@@ -153,23 +133,3 @@ def _tested(
     warnings = [f"WARNING: {warning}" for warning in recording.warnings]
     show = partial(print_wrapped, hold_out_lines(found))
     return Answer(hold_out_text(found), show, warnings, failure)
-
-
-def _mounts(
-    recording: "Recording", rig: "Rig", options: "CalibrationOptions", noise: "Noise"
-) -> tuple["Mounts", "Noise"]:
-    """Return the beams that a recording gives, and `noise` with what it says of that.
-
-    Raises
-    ------
-    SolverError
-        It gives no calibration.
-    """
-    from ..errors import SolverError
-    from ..pipeline import calibrate
-    from ..results.mounts import Mounts
-
-    found = calibrate(recording, rig.noise, options)
-    if found.status != "converged":
-        raise SolverError(found.message)
-    return Mounts.of(found), found.noise(noise) if found.noise_estimate else noise

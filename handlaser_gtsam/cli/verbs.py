@@ -6,12 +6,11 @@ from importlib import import_module
 from typing import Any, cast
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
+from .answer import NO_SCREEN
 from .options import expanded
-from .sections import Verb
-from .width import NO_SCREEN
 
 NAME = "handlaser"
 VERBS = (
@@ -29,6 +28,32 @@ VERBS = (
 """Each is a module beside this one and the function in it."""
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
 """Of the click that typer uses, which newer versions bring along."""
+
+
+class Verb(TyperCommand):
+    """A verb whose help lists its options under the panels that they name."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments, the options without a panel, then panel by panel."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for one in self.get_params(ctx):
+            row = one.get_help_record(ctx)
+            if row is not None:
+                usual = "Arguments" if one.param_type_name == "argument" else "Options"
+                title = getattr(one, "rich_help_panel", None) or usual
+                sections.setdefault(title, []).append(row)
+        for title, rows in sections.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        from .examples import EXAMPLES
+
+        lines = "\n".join(EXAMPLES.get(self.name or "", ()))
+        self.epilog = f"\b\nExamples:\n{lines}" if lines else ""  # is not to be wrapped
+        super().format_epilog(ctx, formatter)
 
 
 def function_of(verb: str) -> Callable[..., None]:

@@ -21,7 +21,7 @@ from .calibration_file import (
     Vector,
     Version,
 )
-from .checked_text import FileRecord, json_value, read_checked, square_matrix
+from .checked_text import FileRecord, in_file, json_value, read_checked, square_matrix
 from .writing import path_of
 
 EXPECTED = "a calibration of handlaser, JSON"
@@ -73,10 +73,8 @@ def read_mounts(path: Path | str) -> Mounts:
         No such file, no calibration that converged, or numbers that cannot be.
     """
     path, file = path_of(path), read_checked(path, _MountsFile, json_value, EXPECTED)
-    try:
+    with in_file(path):
         return mounts_of(file)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path) from error
 
 
 def mounts_of(file: CalibrationFile | _MountsFile) -> Mounts:

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self, TypeVar, get_args
+from typing import Any, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -14,14 +14,33 @@ from ..arrays import FloatArray
 from ..checks import as_called
 from ..data.recording import first_repeated
 from ..errors import ArgumentError, InputError
+from ..quantities import DEG, MM
 from ..text import shown
 from .writing import path_of
+
+UNITS = {"mm": MM, "deg": DEG, "percent": 0.01}
+"""Units that names of fields end with."""
 
 
 class FileRecord(BaseModel):
     """Fields of a file: no others, of no other type, and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    def in_si(self) -> dict[str, Any]:
+        """Return the fields that are given, in SI units, by their names without the unit.
+
+        rms_mm = 0.1 is rms = 1e-4, and numbers in an array with a unit become those of an array.
+        """
+        found: dict[str, Any] = {}
+        for name, value in self:
+            quantity, _, unit = name.rpartition("_")
+            if value is not None and unit in UNITS:
+                value = np.array(value) if isinstance(value, list | tuple) else value
+                found[quantity] = value * UNITS[unit]
+            elif value is not None:
+                found[name] = value
+        return found
 
     @classmethod
     def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
@@ -179,6 +198,17 @@ def in_table(name: str, record: BaseModel) -> Iterator[None]:
     except ArgumentError as error:
         fields = {field: f"{name}.{field}" for field in type(record).model_fields}
         raise as_called(error, fields) from error
+
+
+@contextmanager
+def in_file(path: Path) -> Iterator[None]:
+    """Let a fault of what a file holds name the file, where it names none."""
+    try:
+        yield
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise InputError(error.found, error.expected, path, error.line, error.column) from error
 
 
 def square_matrix(rows: Sequence[Sequence[float]], size: int, field: str) -> FloatArray:

@@ -66,7 +66,7 @@ def range_numbers(
 
 
 def code_warnings(
-    columns: Sequence[pl.Series], beams: Sequence[Sequence[str]], coded: BoolArray
+    table: Table, whose: Mapping[str, Sequence[str]], coded: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning for every code, as it is written, with its beams and its count.
 
@@ -74,20 +74,20 @@ def code_warnings(
 
     Parameters
     ----------
-    columns : C series of M cells
-    beams : C sequences
-        Of the beam of each cell: M names, or one that holds for the column.
+    table : Table
+    whose : {column: names}
+        The beams of each of C columns: of every cell, or one that holds for the column.
     coded : (M, C)
     """
     found: dict[str, list[str]] = {}
-    for i, names in enumerate(beams):
+    for i, (column, names) in enumerate(whose.items()):
         for row in np.flatnonzero(coded[:, i]).tolist():
-            whose = names[row if len(names) > 1 else 0]
-            found.setdefault(str(columns[i][row]), []).append(whose)
+            beam = names[row if len(names) > 1 else 0]
+            found.setdefault(str(table.frame[column][row]), []).append(beam)
     outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
     warnings = [
-        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(whose)), len(whose))
-        for cell, whose in found.items()
+        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(every)), len(every))
+        for cell, every in found.items()
         if cell not in outside
     ]
     if outside:

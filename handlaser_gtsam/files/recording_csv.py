@@ -16,16 +16,16 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording, first_repeated
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH
-from ..text import A_NAME, name_fault, some
+from ..text import A_NAME, name_fault
 from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
-from .table import column_numbers, read_table
+from .table import column_numbers, labels, read_table
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
@@ -68,8 +68,8 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     rotation, position, planes, stations = stations_of(table)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
-    cells = [table.frame[name] for name in columns]
-    warnings = (*table.warnings, *code_warnings(cells, [[beam] for beam in beams], coded))
+    whose = {PREFIX + beam: [beam] for beam in beams}
+    warnings = (*table.warnings, *code_warnings(table, whose, coded))
     _refuse_unread(table, ranges, planes, beams)
     return Recording(
         rotation,
@@ -116,10 +116,10 @@ def stations_of(
     ------
     InputError
     """
-    planes = labels_of(table, "plane")
+    planes = labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
-        stations = labels_of(table, "station")
+        stations = labels(table, "station")
         _refuse_repeated(table, stations)
     position, rotation = _positions(table), _rotations(table)
     return rotation, position, planes, stations
@@ -128,11 +128,7 @@ def stations_of(
 def _check_header(table: _Table) -> list[str]:
     """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
-    for name in ("plane", *POSE):
-        if name not in columns:
-            near = next((c for c in columns if c.lower() == name), None)
-            found = f"column {near!r}" if near else f"no column {name!r} among {_short(columns)}"
-            raise table.fault(found, f"{name!r}", name)
+    table.require("plane", *POSE)
     for column in columns:
         start, number = re.fullmatch(r"(.*?)_?(\d*)", column).groups()  # type: ignore[union-attr]
         likeness = SequenceMatcher(None, start.lower(), "range").ratio()
@@ -146,24 +142,9 @@ def _check_header(table: _Table) -> list[str]:
         if fault:
             raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
-        found = f"no column of ranges among {_short(columns)}"
+        found = f"no column of ranges among {table.names}"
         raise table.fault(found, "range_NAME for every beam, in metres", "range_NAME")
     return beams
-
-
-def labels_of(table: _Table, name: str) -> tuple[str, ...]:
-    """Return the labels in a column; refuse empty cells and what cannot be a name.
-
-    Raises
-    ------
-    InputError
-    """
-    column = table.frame[name]
-    table.refuse(column.is_null().to_numpy(), name, f"the label of the {name}")
-    faults = [name_fault(label) for label in column]
-    wrong = np.array([bool(fault) for fault in faults])
-    table.refuse(wrong, name, A_NAME, faults[int(wrong.argmax())].rstrip(","))
-    return tuple(column.to_list())
 
 
 def _used(column: str) -> bool:
@@ -197,9 +178,7 @@ def _positions(table: _Table) -> FloatArray:
 
 def _rotations(table: _Table) -> FloatArray:
     quaternion = np.column_stack([column_numbers(table, name) for name in POSE[3:]])
-    with np.errstate(over="ignore"):  # an infinite length is refused like any other
-        length = np.linalg.norm(quaternion, axis=1)
-    wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
+    length, wrong = off_unit(quaternion)
     off = length[wrong.argmax()]
     table.refuse(
         wrong,
@@ -208,6 +187,13 @@ def _rotations(table: _Table) -> FloatArray:
         f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
     )
     return Rotation.from_quat(quaternion).as_matrix()
+
+
+def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the length (M,) of quaternions (M, 4), and which are none."""
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other
+        length = np.linalg.norm(q, axis=1)
+    return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
 
 
 def _refuse_repeated(table: _Table, stations: tuple[str, ...]) -> None:
@@ -230,7 +216,3 @@ def _refuse_unread(
     unread = np.array([plane not in read for plane in planes])
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
-
-
-def _short(names: list[str]) -> str:
-    return some([name[:40] for name in names], 12)

@@ -13,8 +13,7 @@
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
 """
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -31,7 +30,6 @@ from ..planning.goal import Goal
 from ..planning.plate import Placement, Plate
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
-from ..quantities import DEG, MM
 from ..results.limits import Limits
 from .checked_text import FileRecord, in_table
 from .recording_csv import QUATERNION_TOLERANCE
@@ -45,16 +43,16 @@ class WorkspaceTable(FileRecord):
 
     box_mm: Annotated[list[Vector], Field(min_length=2, max_length=2)]
     home_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
-    largest_turn_deg: float = 30.0
+    largest_turn_deg: float | None = None
     largest_step_mm: float | None = None
 
-    def to_si(self) -> Workspace:
+    def to_si(self, robot: Robot | None) -> Workspace:
         """Return the workspace."""
-        low, high = np.array(self.box_mm) * MM
-        step = math.inf if self.largest_step_mm is None else self.largest_step_mm * MM
-        home = _rotation("workspace.home_quaternion", self.home_quaternion)
+        given = self.in_si()
+        low, high = given.pop("box")
+        home = _rotation("workspace.home_quaternion", given.pop("home_quaternion"))
         with in_table("workspace", self):
-            return Workspace(low, high, home, self.largest_turn_deg * DEG, step)
+            return Workspace(low, high, home, **given, robot=robot)
 
 
 class RobotTable(FileRecord):
@@ -65,25 +63,20 @@ class RobotTable(FileRecord):
     base_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     base_quaternion: list[float] = Field(default=[0.0, 0.0, 0.0, 1.0])
     start_joints: list[float] = Field(default=[])
-    clearance_mm: float = 5.0
-    plate_across_mm: float = 300.0
-    plate_thickness_mm: float = 10.0
+    clearance_mm: float | None = None
+    plate_across_mm: float | None = None
+    plate_thickness_mm: float | None = None
     table_mm: float | None = None
 
     def to_si(self, folder: Path) -> Robot:
         """Return the robot; its URDF is looked for from a folder."""
+        given = self.in_si()
+        given["urdf"] = str(folder / self.urdf)
+        given["base_R"] = _rotation("robot.base_quaternion", given.pop("base_quaternion"))
+        given["base_t"] = given.pop("base")
+        given["start"] = np.array(given.pop("start_joints"), dtype=np.float64)
         with in_table("robot", self):
-            return Robot(
-                str(folder / self.urdf),
-                self.frame,
-                _rotation("robot.base_quaternion", self.base_quaternion),
-                np.array(self.base_mm) * MM,
-                np.array(self.start_joints, dtype=np.float64),
-                self.clearance_mm * MM,
-                self.plate_across_mm * MM,
-                self.plate_thickness_mm * MM,
-                None if self.table_mm is None else self.table_mm * MM,
-            )
+            return Robot(**given)
 
 
 class BlindTable(FileRecord):
@@ -93,33 +86,30 @@ class BlindTable(FileRecord):
     direction: Rows
     plate_point_mm: Vector
     plate_normal: Vector
-    location_within_mm: float = 5.0
-    cone_deg: float = 10.0
-    plate_within_mm: float = 2.0
-    plate_tilt_deg: float = 2.0
+    location_within_mm: float | None = None
+    cone_deg: float | None = None
+    plate_within_mm: float | None = None
+    plate_tilt_deg: float | None = None
 
     def to_si(self) -> Bounds:
         """Return the bounds."""
         if len(self.location_mm) != len(self.direction):
             rows = f"{len(self.location_mm)} rows and blind.direction of {len(self.direction)}"
             raise InputError(f"blind.location_mm of {rows}", "one of each for every beam")
+        given, plate = {}, {}
+        for name, value in self.in_si().items():
+            if name.startswith("plate_"):
+                plate[name.removeprefix("plate_")] = value
+            else:
+                given[name] = value
+        locations, directions = given.pop("location"), np.array(given.pop("direction"))
+        plate["normal"] = np.array(plate["normal"])
         with in_table("blind", self):
             try:
-                plate = Plate(
-                    np.array(self.plate_point_mm) * MM,
-                    np.array(self.plate_normal),
-                    self.plate_within_mm * MM,
-                    self.plate_tilt_deg * DEG,
-                )
+                before = Plate(**plate)
             except ArgumentError as error:
                 raise error.called(f"plate_{error.argument}") from error
-            return Bounds(
-                np.array(self.location_mm) * MM,
-                np.array(self.direction),
-                plate,
-                self.location_within_mm * MM,
-                self.cone_deg * DEG,
-            )
+            return Bounds(locations, directions, before, **given)
 
 
 class GoalTable(FileRecord):
@@ -132,28 +122,13 @@ class GoalTable(FileRecord):
     working_distance_mm: float | None = None
     tells: Annotated[tuple[str, ...], Strict(False)] = ()
 
-    def to_si(self) -> Goal:
-        """Return the goal."""
-        lengths = (self.location_sigma_mm, self.spot_mm, self.working_distance_mm)
-        location, spot, distance = (None if x is None else x * MM for x in lengths)
-        angle = self.direction_sigma_deg
-        direction = None if angle is None else angle * DEG
-        with in_table("goal", self):
-            return Goal(self.criterion, location, direction, spot, distance, self.tells)
-
 
 class PlacementTable(FileRecord):
     """How the plate can be moved."""
 
-    largest_tilt_deg: float = 25.0
-    within_mm: float = 2.0
-    tilt_deg: float = 2.0
-
-    def to_si(self) -> Placement:
-        """Return one placement."""
-        tilt = self.tilt_deg * DEG
-        with in_table("placement", self):
-            return Placement(1, self.largest_tilt_deg * DEG, self.within_mm * MM, tilt)
+    largest_tilt_deg: float | None = None
+    within_mm: float | None = None
+    tilt_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,22 +172,20 @@ class PlanTables(FileRecord):
         InputError
             A value that cannot be, or errors to tell of which no size is known.
         """
-        goal = self.goal.to_si()
+        with in_table("goal", self.goal):
+            goal = Goal(**self.goal.in_si())
         goal.plausible(sensor, 1.0)
         bounds = None if self.blind is None else self.blind.to_si()
-        return Plans(self._workspace(folder), bounds, goal.within(limits), self.placement.to_si())
-
-    def _workspace(self, folder: Path) -> Workspace | None:
-        """Return the workspace, with the robot."""
         robot = None if self.robot is None else self.robot.to_si(folder)
-        if self.workspace is None:
-            if robot is not None:
-                raise InputError(
-                    "a table [robot] without [workspace]",
-                    "both: [workspace] says where the hand may go",
-                )
-            return None
-        return replace(self.workspace.to_si(), robot=robot)
+        if robot is not None and self.workspace is None:
+            raise InputError(
+                "a table [robot] without [workspace]",
+                "both: [workspace] says where the hand may go",
+            )
+        workspace = None if self.workspace is None else self.workspace.to_si(robot)
+        with in_table("placement", self.placement):
+            placement = Placement(**self.placement.in_si())
+        return Plans(workspace, bounds, goal.within(limits), placement)
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

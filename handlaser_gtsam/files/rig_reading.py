@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from ..data.survey import beyond_planes
+from ..data.survey import Survey, beyond_planes
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..text import shown
@@ -14,7 +14,9 @@ from .rig_log import as_fields
 from .rig_toml import Rig
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
-ONLY_CALIBRATE = "beams before planes; `handlaser calibrate` and `export` take others, too"
+BEAMS_BEFORE_PLANES = (
+    "beams before planes; `handlaser calibrate`, `validate` and `export` take others"
+)
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 
@@ -26,27 +28,38 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     Raises
     ------
     InputError
-        Also where the rig file has sensors of many rays or relations, or where a target is no plane:
-        only `calibrate` takes these, and asks `read_stated`.
+        Also where the rig file has sensors of many rays or relations, or where a target is no plane.
     """
     if rig.survey is not None:
-        raise InputError(
-            "sensors of many rays, or relations, in the rig file", ONLY_CALIBRATE, path
-        )
-    report, rig = read_stated(rig, path)
+        found = "sensors of many rays, or relations, in the rig file"
+        raise InputError(found, BEAMS_BEFORE_PLANES, path)
+    report, rig = _read_stated(rig, path)
     other = beyond_planes(report.recording.plane_names)
     if other:
-        raise InputError(f"the target {shown(other)}, which is no plane", ONLY_CALIBRATE, path)
+        raise InputError(f"the target {shown(other)}, which is no plane", BEAMS_BEFORE_PLANES, path)
     return report, rig
 
 
-def read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
-    """Do as `read_with`, for targets of any kind.
+def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
+    """Do as `read_with`; with sensors of many rays, relations or other targets, return a survey.
 
     Raises
     ------
     InputError
     """
+    if rig.survey is not None:
+        from .survey_reading import read_survey
+
+        return read_survey(path, rig)
+    report, rig = _read_stated(rig, path)
+    if not beyond_planes(report.recording.plane_names):
+        return report, rig
+    from .survey_reading import survey_of
+
+    return survey_of(report.recording, rig)
+
+
+def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     try:
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     except InputError as error:

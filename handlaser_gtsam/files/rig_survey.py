@@ -23,7 +23,7 @@ from ..arrays import FloatArray
 from ..data.survey import Known, Shots
 from ..errors import InputError
 from ..quantities import DEG, MM
-from .checked_text import FileRecord
+from .checked_text import FileRecord, in_file
 from .points_table import Echo, read_points
 
 Words = Annotated[tuple[str, ...], Strict(False)]
@@ -123,7 +123,7 @@ def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots
     if (table.zones is None) == (table.kind == "array"):
         found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
         raise InputError(found, "the file of zones of an array, and of nothing else")
-    try:
+    with in_file(path):
         if table.kind == "profiler":
             x, z = (numbers * length).T
             return Shots.profiler(table.name, station, x, z, **noise)
@@ -135,8 +135,6 @@ def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots
         directions = _directions(folder / str(table.zones), numbers[:, 0])
         reading = numbers[:, 1] * length
         return Shots.array(table.name, station, directions, reading, table.convention, **noise)
-    except InputError as error:
-        raise InputError(error.found, error.expected, error.path or path) from error
 
 
 def _directions(path: Path, zone: FloatArray) -> FloatArray:

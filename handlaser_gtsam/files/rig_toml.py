@@ -23,7 +23,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast, overload
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 from pydantic import Strict, create_model
 
@@ -31,9 +31,9 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import Plausible
 from ..model.sensor import Sensor
-from ..quantities import DEG, IN_DEG, IN_MM, MM
+from ..quantities import IN_DEG, IN_MM
 from ..results.limits import Limits
-from .checked_text import FileRecord, in_table, read_checked, read_text, square_matrix
+from .checked_text import FileRecord, in_file, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
 from .writing import path_of, write_text
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from ..planning.goal import Goal
     from ..planning.plate import Placement
     from ..planning.workspace import Workspace
-    from ..validation.simulate import Errors
     from .rig_planning import Plans
     from .rig_survey import SurveyTables
 
@@ -82,15 +81,6 @@ class _Plausible(FileRecord):
     lag_percent: float | None = None
     turn_scale_percent: float | None = None
     translation_scale_percent: float | None = None
-
-    def to_si(self) -> Plausible:
-        """Return the sizes in metres, and as parts."""
-        sizes = {}
-        for name, value in dict(self).items():
-            field, _, unit = name.rpartition("_")
-            sizes[field] = scaled(value, {"mm": 1e-3, "percent": 0.01}[unit])
-        with in_table("plausible", self):
-            return Plausible(**sizes)
 
 
 class _Limits(FileRecord):
@@ -227,10 +217,8 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
     rig = read_checked(path, _Rig, toml_value, RIG_FILE)
-    try:
+    with in_file(path):
         return rig, _to_si(rig, path.parent)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path) from error
 
 
 def toml_value(text: str) -> dict[str, Any]:
@@ -239,27 +227,17 @@ def toml_value(text: str) -> dict[str, Any]:
 
 
 def _to_si(rig: _Rig, folder: Path) -> Rig:
-    span, incidence = rig.sensor.range_mm, rig.sensor.max_incidence_deg
-    if span is None:
-        span = (0.0, math.inf)
+    given = rig.sensor.in_si()
+    span = given.pop("range", (0.0, math.inf))
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
-    linearity = rig.sensor.linearity_percent
     with in_table("limits", rig.limits):
-        limits = Limits(
-            scaled(rig.limits.rms_mm, MM),
-            scaled(rig.limits.location_sigma_mm, MM),
-            scaled(rig.limits.direction_sigma_deg, DEG),
-        )
+        limits = Limits(**rig.limits.in_si())
+    with in_table("plausible", rig.plausible):
+        plausible = Plausible(**rig.plausible.in_si())
     with in_table("sensor", rig.sensor):
-        sensor = Sensor(
-            span[0] * MM,
-            span[1] * MM,
-            math.radians(90.0 if incidence is None else incidence),
-            Sensor().linearity if linearity is None else 0.01 * linearity,
-            rig.sensor.kind,
-            rig.plausible.to_si(),
-        )
+        least, most = map(float, span)
+        sensor = Sensor(least, most, plausible=plausible, **given)
     return Rig(
         noise_of(rig.noise),
         sensor,
@@ -272,34 +250,12 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
     """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
-    given, S = Noise(), table.pose_covariance
+    given = table.in_si()
+    if table.pose_covariance is not None:
+        S = square_matrix(table.pose_covariance, 6, f"{name}.pose_covariance")
+        given["pose_covariance"] = S
     with in_table(name, table):
-        return Noise(
-            scaled(table.range_sigma_mm, MM),
-            scaled(table.pose_translation_sigma_mm, MM),
-            scaled(table.pose_rotation_sigma_deg, DEG),
-            scaled(table.incidence_sigma_mm, MM, given.incidence_sigma),
-            None if S is None else square_matrix(S, 6, f"{name}.pose_covariance"),
-            scaled(table.pose_translation_prior_mm, MM, given.pose_translation_prior),
-            scaled(table.pose_rotation_prior_deg, DEG, given.pose_rotation_prior),
-        )
-
-
-def errors_instead(
-    usual: "Errors",
-    range_sigma_mm: float | None,
-    pose_translation_sigma_mm: float | None,
-    pose_rotation_sigma_deg: float | None,
-    pose_axes: str | None,
-) -> "Errors":
-    """Return the usual errors of a scene with those that are given instead."""
-    return replace(
-        usual,
-        range_sigma=scaled(range_sigma_mm, MM, usual.range_sigma),
-        pose_translation_sigma=scaled(pose_translation_sigma_mm, MM, usual.pose_translation_sigma),
-        pose_rotation_sigma=scaled(pose_rotation_sigma_deg, DEG, usual.pose_rotation_sigma),
-        pose_axes=usual.pose_axes if pose_axes is None else tuple(map("xyz".index, pose_axes)),
-    )
+        return Noise(**given)
 
 
 def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
@@ -353,12 +309,3 @@ def with_log_table(path: Path | str, log: LogFormat) -> str:
             path,
         )
     return text
-
-
-@overload
-def scaled(value: float | None, unit: float, otherwise: float) -> float: ...
-@overload
-def scaled(value: float | None, unit: float, otherwise: None = None) -> float | None: ...
-def scaled(value: float | None, unit: float, otherwise: float | None = None) -> float | None:
-    """Return a value in SI units, or what stands for one that is not given."""
-    return otherwise if value is None else value * unit

@@ -46,9 +46,7 @@ def read_stations(path: Path | str) -> StationList:
         The first fault of the file: its line and column, what was found, what was expected.
     """
     table = read_table(path_of(path), ("plane", *POSE))
-    for name in ("plane", *POSE):
-        if name not in table.frame.columns:
-            raise table.fault(f"no column {name!r}", f"{name!r}", name)
+    table.require("plane", *POSE)
     last = table.frame.columns[-1]
     if last in POSE or last.startswith(JOINT):
         table.refuse_cut()

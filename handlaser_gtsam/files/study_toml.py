@@ -22,6 +22,7 @@
 A function runs with the rights of who starts the study: declare those that you trust.
 """
 
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -37,12 +38,14 @@ from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors
 from ..validation.study import Case, Draw, Solve, Study
 from ..validation.treatments import calibrate_each, reduce_together
-from .checked_text import FileRecord, in_table, read_checked
-from .rig_toml import NoiseTable, errors_instead, noise_of, toml_value
+from .checked_text import FileRecord, in_file, in_table, read_checked
+from .rig_toml import NoiseTable, noise_of, toml_value
 from .writing import path_of
 
 
-class _Scene(FileRecord):
+class SceneTable(FileRecord):
+    """A scene of this package, and what is read in it; errors are those of the scene if not given."""
+
     scene: Literal["paper", "unplanned", "arm"]
     beams: int = 4
     planes: int = 4
@@ -58,19 +61,23 @@ class _Scene(FileRecord):
     redraw: bool = True
 
     def errors(self) -> Errors:
-        return errors_instead(
-            ERRORS[self.scene],
-            self.range_sigma_mm,
-            self.pose_translation_sigma_mm,
-            self.pose_rotation_sigma_deg,
-            self.pose_axes,
-        )
+        """Return the errors of readings and poses."""
+        names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
+        given = {name: value for name, value in self.in_si().items() if name in names}
+        if self.pose_axes is not None:
+            given["pose_axes"] = tuple(map("xyz".index, self.pose_axes))
+        return replace(ERRORS[self.scene], **given)
+
+    def layout(self) -> Layout:
+        """Return how many beams, planes and stations there are, and the range errors."""
+        return Layout(self.beams, self.planes, self.stations, self.k1, self.k2_per_m)
 
     def draw(self) -> Draw:
+        """Return what draws a recording of the scene."""
         return partial(
             draw_scene,
             scene=self.scene,
-            layout=Layout(self.beams, self.planes, self.stations, self.k1, self.k2_per_m),
+            layout=self.layout(),
             errors=self.errors(),
             range_error_sigmas=(self.k1_sigma, self.k2_sigma_per_m),
             redraw=self.redraw,
@@ -98,14 +105,14 @@ class _Treatment(FileRecord):
     loss: LossName = "gaussian"
     poses: Poses = "auto"
 
-    def solver(self, name: str, scene: _Scene | _Function) -> Solve:
+    def solver(self, name: str, scene: SceneTable | _Function) -> Solve:
         """Return what solves recordings of a scene by the treatment of this name."""
         noise, sensor = None, Sensor()
-        if isinstance(scene, _Scene):
+        if isinstance(scene, SceneTable):
             sensor = SENSORS[scene.scene]
         if isinstance(self.noise, NoiseTable):
             noise = noise_of(self.noise, f"treatments.{name}.noise")
-        elif self.noise == "scene" and isinstance(scene, _Scene):
+        elif self.noise == "scene" and isinstance(scene, SceneTable):
             noise = scene.errors().stated()
         elif self.noise == "scene":
             found = f'treatments.{name}.noise = "scene" for the scene of a function'
@@ -133,7 +140,7 @@ class _Study(FileRecord):
     scenes: dict[
         str,
         Annotated[
-            Annotated[_Scene, Tag("a scene")] | Annotated[_Function, Tag("a function")],
+            Annotated[SceneTable, Tag("a scene")] | Annotated[_Function, Tag("a function")],
             Discriminator(_kind),
         ],
     ]
@@ -151,7 +158,7 @@ def read_study(path: Path | str) -> Study:
     path = path_of(path)
     declared = read_checked(path, _Study, toml_value, "a study, TOML")
     cases = []
-    try:
+    with in_file(path):
         for name, scene in declared.scenes.items():
             with in_table(f"scenes.{name}", scene):
                 draw = scene.draw()
@@ -162,5 +169,3 @@ def read_study(path: Path | str) -> Study:
         if not cases:
             raise InputError("no scenes or no treatments", "[scenes.NAME] and [treatments.NAME]")
         return Study(cases, declared.runs, declared.seed)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path) from error

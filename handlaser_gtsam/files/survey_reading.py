@@ -64,9 +64,7 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tup
     if rig.log.stated or path.suffix.lower() != ".csv":
         return _of_log(path, rig.log), None, ()
     table = read_table(path, ("plane", *POSE))
-    for name in ("plane", *POSE):
-        if name not in table.frame.columns:
-            raise table.fault(f"no column {name!r}", f"{name!r}", name)
+    table.require("plane", *POSE)
     R, t, labels, names = stations_of(table)
     stations = StationList(R, t, labels, names)
     columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
@@ -78,17 +76,16 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tup
 
 def _of_log(path: Path, given: LogFormat) -> StationList:
     """Return the stations of a log of poses that has labels, or one target for all."""
-    from .logs.format_checks import convention_of
-    from .logs.motion import Means, Raw
+    from .logs.columns import columns_of
+    from .logs.motion import Way
     from .logs.poses import hand_poses
     from .logs.rows import rows_of
     from .logs.tables import read_log_table
 
-    rows = rows_of(read_log_table(path, given), given, Sensor(), readings=False)
+    table = read_log_table(path, given)
+    rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
     assert rows.poses is not None
-    each = Means.of_groups(np.arange(len(rows.poses)))
-    raw = Raw(rows.poses, convention_of(given), given.inverted, each)
-    R, t = hand_poses(*raw.poses(), raw.convention, given.tool, given.base)
+    R, t = hand_poses(rows.poses, Way.of_groups(np.arange(len(rows.poses))), given)
     labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
     if not all(labels):
         expected = "a column plane, --plane-column NAME, or one label for all by --plane"

@@ -17,7 +17,7 @@ import polars as pl
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import CalibrationWarning, InputError
-from ..text import LONGEST_NAME, count, name_fault, shown
+from ..text import A_NAME, LONGEST_NAME, count, name_fault, shown, some
 from .checked_text import read_text
 
 SEPARATORS = ",;\t"
@@ -34,6 +34,8 @@ QUOTED = {
 COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
 NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
+PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
+"""Names of ASCII, which most are, need no closer look."""
 STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 """The first line by which a spreadsheet states the separator."""
 MOST_LOOKED_AT = 1000
@@ -79,9 +81,27 @@ class Table:
             found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
-    def fault(self, found: str, expected: str, column: str) -> InputError:
-        """Return the error for a fault of the header."""
-        return InputError(found, expected, self.path, self.header_line, column)
+    def fault(self, found: str, expected: str, column: str | None = None) -> InputError:
+        """Return the error for a fault of the header, if the file has one."""
+        return InputError(found, expected, self.path, self.header_line or None, column)
+
+    @property
+    def names(self) -> str:
+        """The first names of the header, in words."""
+        return some([name[:40] for name in self.frame.columns], 12)
+
+    def require(self, *names: str) -> None:
+        """Refuse a header without one of these names.
+
+        Raises
+        ------
+        InputError
+        """
+        for name in names:
+            if name not in self.frame.columns:
+                near = next((one for one in self.frame.columns if one.lower() == name), None)
+                found = f"column {near!r}" if near else f"no column {name!r} among {self.names}"
+                raise self.fault(found, f"{name!r}", name)
 
     def refuse_cut(self) -> None:
         """Refuse a last line without a line end, unless its last cell shows that it is whole.
@@ -230,6 +250,28 @@ def column_numbers(
         expected += "; write decimals with a point"
     table.refuse(wrong, name, expected)
     return values
+
+
+def labels(table: Table, column: str) -> tuple[str, ...]:
+    """Return the labels in a column, numbers as text.
+
+    Raises
+    ------
+    InputError
+        An empty cell, or what cannot be a name.
+    """
+    cells = table.frame[column]
+    table.refuse(cells.is_null().to_numpy(), column, "a label")
+    if cells.dtype.is_float() and (cells == cells.round()).all():  # 3.0 of a workbook is 3
+        whole = cells.cast(pl.Int64, strict=False)
+        cells = cells if whole.is_null().any() else whole
+    text = cells.cast(pl.String)
+    strange = text.filter(~text.str.contains(PLAIN))
+    faults = {name: name_fault(name) for name in strange.unique().to_list()}
+    rows = text.is_in([name for name, fault in faults.items() if fault]).to_numpy()
+    if rows.any():
+        table.refuse(rows, column, A_NAME, faults[text[int(rows.argmax())]].rstrip(","))
+    return tuple(text.to_list())
 
 
 def table_text(path: Path) -> str:

@@ -1,6 +1,6 @@
 """Stations and readings become a recording."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +10,13 @@ from ...data.recording import Recording
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
 from ...text import count
-from .averaging import Averaged, averaged
+from .averaging import averaged
 from .format import LogFormat
-from .format_checks import convention_of
-from .held import held_poses
 from .joining import Stations
-from .lag import Lag
-from .motion import Raw
 from .planes import intervals, planes_of
 from .poses import hand_poses
 from .report import LogReport
-from .suspicion import refuse_wrong_convention
+from .suspicion import held_poses, refuse_wrong_convention
 
 
 def assembled(
@@ -41,67 +37,78 @@ def assembled(
     """
     poses, readings, path = log.poses, log.readings, log.poses.table.path
     assert poses.poses is not None
-    mean = averaged(readings.ranges, log.station, len(log.names), given.average, range_sigma)
-    if given.range_sigma_from_scatter and mean.scatter is None:
+    mean, samples, scatters, repeated = averaged(
+        readings.ranges, log.station, len(log.names), given.average, range_sigma
+    )
+    scatter = None if np.isnan(scatters[0]) else float(scatters[0])
+    if given.range_sigma_from_scatter and scatter is None:
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
         raise InputError(found, "repeated readings, or the sigma itself", path)
     planes, chosen, warnings = _planes(log, given)
-    if readings.codes is not None:
-        counted = (log.station >= 0) & chosen[log.station]
-        warnings = (*readings.codes.warnings(counted), *warnings)
+    counted = (log.station >= 0) & chosen[log.station]
+    warnings = (*readings.code_warnings(counted), *warnings)
     if log.times is not None:  # stations in time: a stand may be without a reading
-        unread = chosen & np.isnan(mean.ranges).all(axis=1)
+        unread = chosen & np.isnan(mean).all(axis=1)
         chosen = chosen & ~unread
         if not chosen.any():
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    raw = Raw(poses.poses, convention_of(given), given.inverted, log.way)
-    R, t = hand_poses(*raw.poses(), raw.convention, given.tool, given.base)
+    R, t = hand_poses(poses.poses, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
         R[rows],
         t[rows],
-        mean.ranges[rows],
+        mean[rows],
         tuple(planes[i] for i in rows.tolist()),
         readings.beams,
         tuple(log.names[i] for i in rows.tolist()),
         tuple(dict.fromkeys(name for one in both for name in one.ignored)),
-        None if mean.samples is None else mean.samples[rows],
+        None if samples is None else samples[rows],
         (*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(
-        recording, raw, rows, given.range_units, path, as_stated=given.as_stated
-    )
+    needed, way = log.way.narrowed(rows)
+    doubts += refuse_wrong_convention(recording, poses.poses[needed], way, given, path)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
-    texts = (_counts(recording), poses.words, log.words)
+    parts = (
+        (len(recording.station_names), "station"),
+        (len(recording.beam_names), "beam"),
+        (len(recording.plane_names), "plane"),
+        (int((~np.isnan(recording.ranges)).sum()), "reading"),
+    )
+    lines = [", ".join(count(number, what) for number, what in parts), poses.words, log.words]
+    if log.lag[1]:
+        sigma = f"{1e3 * log.lag[1]:.2g} ms"
+        lines.append(f"readings are stamped {_late(log.lag[0])} than poses, estimated to {sigma}")
+    elif log.lag[0]:
+        lines.append(f"readings are taken to be stamped {_late(log.lag[0])} than poses")
+    if repeated:
+        words = f"{repeated} repeated readings became their {given.average}s"
+        if scatter is not None:
+            words += f"; one reading scatters by {1e3 * scatter:.3g} mm"
+            words += (
+                ", which is taken as range sigma where none is given"
+                if given.range_sigma_from_scatter
+                else " (--range-sigma-from-scatter takes this as range sigma)"
+            )
+        lines.append(words)
     return LogReport(
         recording,
-        mean.scatter,
+        scatter,
         {
             beam: float(value)
-            for beam, value in zip(readings.beams, mean.scatter_of, strict=True)
+            for beam, value in zip(readings.beams, scatters[1:], strict=True)
             if not np.isnan(value)
         },
-        log.lag.value,
-        log.lag.sigma or None,
-        (*filter(None, texts), *_lag_lines(log.lag), *_average_lines(mean, given)),
+        log.lag[0],
+        log.lag[1] or None,
+        tuple(filter(None, lines)),
         tuple(path for path in given.files if path is not None),
     )
-
-
-def _counts(recording: Recording) -> str:
-    counts = {
-        "station": len(recording.station_names),
-        "beam": len(recording.beam_names),
-        "plane": len(recording.plane_names),
-        "reading": int((~np.isnan(recording.ranges)).sum()),
-    }
-    return ", ".join(count(number, what) for what, number in counts.items())
 
 
 def _planes(
@@ -138,25 +145,7 @@ def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
 
 
-def _lag_lines(lag: Lag) -> Iterator[str]:
-    later = "later" if lag.value >= 0.0 else "earlier"
-    much = f"{1e3 * abs(lag.value):.4g} ms" if abs(lag.value) < 1.0 else f"{abs(lag.value):.4f} s"
-    if lag.sigma:
-        sigma = f"{1e3 * lag.sigma:.2g} ms"
-        yield f"readings are stamped {much} {later} than poses, estimated to {sigma}"
-    elif lag.value:
-        yield f"readings are taken to be stamped {much} {later} than poses"
-
-
-def _average_lines(mean: Averaged, given: LogFormat) -> Iterator[str]:
-    if not mean.repeated:
-        return
-    text = f"{mean.repeated} repeated readings became their {given.average}s"
-    if mean.scatter is not None:
-        text += f"; one reading scatters by {1e3 * mean.scatter:.3g} mm"
-        text += (
-            ", which is taken as range sigma where none is given"
-            if given.range_sigma_from_scatter
-            else " (--range-sigma-from-scatter takes this as range sigma)"
-        )
-    yield text
+def _late(lag: float) -> str:
+    """Return how much later or earlier readings are stamped, in words."""
+    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
+    return f"{much} {'later' if lag >= 0.0 else 'earlier'}"

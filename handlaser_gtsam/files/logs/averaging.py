@@ -11,7 +11,6 @@ reading in a station moves neither.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,35 +20,21 @@ from ...quantities import MEDIAN_TO_SIGMA
 from .format import Average
 
 
-@dataclass(frozen=True, slots=True)
-class Averaged:
-    """Means or medians.
-
-    Attributes
-    ----------
-    ranges : (S, B)
-        [m]; NaN where there is no reading.
-    samples : (S, B) or None
-        How many independent readings each is worth; None where nothing is averaged.
-    scatter : float or None
-        Standard deviation of one reading [m].
-    scatter_of : (B,)
-        Of each beam; NaN where none repeats.
-    repeated : int
-        Readings that were averaged.
-    """
-
-    ranges: FloatArray
-    samples: FloatArray | None
-    scatter: float | None
-    scatter_of: FloatArray
-    repeated: int
-
-
 def averaged(
     d: FloatArray, station: IntArray, stations: int, how: Average, sigma: float | None = None
-) -> Averaged:
+) -> tuple[FloatArray, FloatArray | None, FloatArray, int]:
     """Average the readings of each of S stations and B beams.
+
+    Returns
+    -------
+    ranges : (S, B)
+        Means or medians [m]; NaN where there is no reading.
+    samples : (S, B) or None
+        How many independent readings each is worth; None where nothing is averaged.
+    scatter : (1 + B,)
+        Standard deviation of one reading [m], of all beams and of each; NaN where none repeats.
+    repeated : int
+        Readings that were averaged.
 
     Parameters
     ----------
@@ -64,58 +49,42 @@ def averaged(
         to all readings of a station, and is not averaged away.
     """
     shape = stations, d.shape[1]
-    ranges, none = np.full(shape, np.nan), np.full(shape[1], np.nan)
+    ranges, scatter = np.full(shape, np.nan), np.full(1 + shape[1], np.nan)
     row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
     key, value = station[row] * shape[1] + beam, d[row, beam]
     if not len(key) or np.bincount(key).max() == 1:
         ranges.ravel()[key] = value
-        return Averaged(ranges, None, None, none, 0)
+        return ranges, None, scatter, 0
     order = np.lexsort((value, key))
     key, value = key[order], value[order]
     start = np.flatnonzero(np.diff(key, prepend=-1))
     count = np.diff(np.append(start, len(key)))
-    middle = _middles(value, start, count, how)
+    if how == "median":
+        middle = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
+    else:  # about the first one, so that the mean of equal readings is that reading
+        total = np.add.reduceat(value - np.repeat(value[start], count), start)
+        middle = value[start] + total / count
     ranges.ravel()[key[start]] = middle
     group = np.repeat(np.arange(len(start)), count)
     off = value - middle[group]
     held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
     several = (count > 1) & ~held
     beam = key[start] % shape[1]  # of each group
-    each = [_scatter(off, count, group, several & (beam == b), how) for b in range(shape[1])]
-    scatter = _scatter(off, count, group, several, how)
+    for column, chosen in enumerate((several, *(several & (beam == b) for b in range(shape[1])))):
+        rows = chosen[group]
+        if rows.any() and how == "mean":
+            squares = float((off[rows] ** 2).sum())
+            scatter[column] = math.sqrt(squares / float((count[chosen] - 1).sum()))
+        elif rows.any():
+            n = count[group[rows]]
+            deviation = float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))
+            scatter[column] = MEDIAN_TO_SIGMA * deviation
     number = count[several].astype(np.float64)
     if how == "median":  # of two readings it is their mean
         number = np.where(number >= 3.0, np.maximum(2.0 * number / math.pi, 1.0), number)
     samples = np.ones(shape)
-    samples.ravel()[key[start[several]]] = (
-        number if math.isnan(scatter) else worth_of_mean(number, scatter**2, sigma)
-    )
-    return Averaged(
-        ranges,
-        samples if (samples != 1.0).any() else None,
-        None if math.isnan(scatter) else scatter,
-        np.array(each),
-        int(count[count > 1].sum()),
-    )
-
-
-def _middles(value: FloatArray, start: IntArray, count: IntArray, how: Average) -> FloatArray:
-    """Return the mean or the median of each group of sorted values."""
-    if how == "median":
-        return np.asarray(0.5 * (value[start + (count - 1) // 2] + value[start + count // 2]))
-    first = value[start]  # subtracted, so that the mean of equal readings is that reading
-    total = np.add.reduceat(value - np.repeat(first, count), start)
-    return np.asarray(first + total / count)
-
-
-def _scatter(
-    off: FloatArray, count: IntArray, group: IntArray, chosen: np.ndarray, how: Average
-) -> float:
-    """Return the standard deviation of one reading in the groups that are chosen; NaN without any."""
-    rows = chosen[group]
-    if not rows.any():
-        return math.nan
-    n = count[group[rows]]
-    if how == "mean":
-        return math.sqrt(float((off[rows] ** 2).sum()) / float((count[chosen] - 1).sum()))
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))
+    if several.any():
+        worth = worth_of_mean(number, float(scatter[0]) ** 2, sigma)
+        samples.ravel()[key[start[several]]] = worth
+    unlike = (samples != 1.0).any()
+    return ranges, samples if unlike else None, scatter, int(count[count > 1].sum())

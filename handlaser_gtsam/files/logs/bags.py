@@ -26,7 +26,7 @@ from ...quantities import LARGEST_LENGTH
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
 from .format import LogFormat
-from .frames import Frames, Stamped
+from .frames import Frames, stamp, stamped_rows
 from .packed import limit_chunks, refuse_bag_bomb
 from .rows import LogRows
 
@@ -120,7 +120,7 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
         beams = _beams(topics, given, path)
         poses = _pose_topics(topics, given, path)
         frames = Frames(*given.frames) if given.frames else None
-        stamped = Stamped()
+        stamped = array("d")
         wanted = list(dict.fromkeys([*poses, *(beam.topic for beam in beams)]))
         wanted.sort(key=lambda topic: not topic.endswith(STATIC))
         for message, topic, received in _messages(reader, wanted, topics, path):
@@ -129,9 +129,8 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 of_topic = [beam for beam in beams if beam.topic == topic]
                 _read(message, of_topic, when, received, given)
             elif frames is None:
-                stamped.add(
-                    _time(message, when, received), message.pose.position, message.pose.orientation
-                )
+                time, pose = _time(message, when, received), message.pose
+                stamp(stamped, time, pose.position, pose.orientation)
             else:
                 static = topic.endswith(STATIC)
                 for transform in message.transforms:
@@ -143,9 +142,9 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 "at least one, or the other topics by --range-columns",
                 path,
             )
-    if frames is None and not len(stamped.numbers):
+    if frames is None and not len(stamped):
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand", path)
-    x = stamped.rows() if frames is None else frames.rows()
+    x = stamped_rows(stamped) if frames is None else frames.rows()
     way = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
     words = f"poses from {way}; times count from {x[0, 0]:.3f} s"
     unused = tuple(name for name in topics if name not in wanted and not name_fault(name))

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ...errors import InputError
 from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
@@ -121,21 +120,26 @@ def _check_once(table: Table, found: Columns) -> None:
     for name, what in things:
         if name and name in used:
             found_so = f"one column as {used[name]} and as {what}"
-            raise InputError(found_so, "a column of its own for each", table.path, None, name)
+            raise table.fault(found_so, "a column of its own for each", name)
         used[name] = what
 
 
 def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     convention, names = convention_of(given), table.frame.columns
     if given.pose_columns:
-        found = [part for one in given.pose_columns for part in _expanded(table, one)]
+        found: list[str] = []
+        for (
+            name
+        ) in given.pose_columns:  # a column, or the columns name[0], name[1], ... of an array
+            parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
+            if name in names or not parts:
+                _require(table, name, "pose_columns")
+                parts = [name]
+            found += parts
         if len(found) not in convention.numbers:
             counts = " or ".join(map(str, convention.numbers))
-            raise InputError(
-                f"{len(found)} pose columns",
-                f"{counts}, for poses of {convention.words}",
-                table.path,
-            )
+            expected = f"{counts}, for poses of {convention.words}"
+            raise table.fault(f"{len(found)} pose columns", expected)
         return tuple(found)
     position = () if convention.is_matrix else _first_found(table, POSITIONS)
     rotation = _first_found(table, convention.columns)
@@ -146,11 +150,9 @@ def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     usual = some(convention.columns[0], 8) if convention.columns else "no usual names"
     looked = "position x, y, z" if rotation else usual
     hint = f"; these are columns as of --pose-format {'|'.join(others)}" if others else ""
-    raise InputError(
-        f"no columns of poses of {what} ({looked}) among {_short(names)}{hint}",
+    raise table.fault(
+        f"no columns of poses of {what} ({looked}) among {table.names}{hint}",
         "those, or their names by --pose-columns, or the right --pose-format",
-        table.path,
-        table.header_line or None,
     )
 
 
@@ -166,19 +168,17 @@ def formats_in(names: Sequence[str]) -> list[str]:
 
 def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the columns of the first spelling that is there as a whole."""
+    names = table.frame.columns
     for spelling in spellings:
-        found = [[one for one in table.frame.columns if plain(one) == name] for name in spelling]
-        if not all(found):
+        found = {name: [one for one in names if plain(one) == name] for name in spelling}
+        if not all(found.values()):
             continue
-        for name, columns in zip(spelling, found, strict=True):
+        for name, columns in found.items():
             if len(columns) > 1:
-                raise InputError(
-                    f"several columns that may be {name}: {_short(columns)}",
-                    "one of them, by --pose-columns",
-                    table.path,
-                    table.header_line or None,
-                )
-        return tuple(columns[0] for columns in found)
+                listed = ", ".join(columns)
+                expected = "one of them, by --pose-columns"
+                raise table.fault(f"several columns that may be {name}: {listed}", expected)
+        return tuple(columns[0] for columns in found.values())
     return ()
 
 
@@ -188,27 +188,12 @@ def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     return exact or [name for name in names if plain(name) in wanted]
 
 
-def _expanded(table: Table, name: str) -> list[str]:
-    """Return a column, or the columns name[0], name[1], ... of an array."""
-    names = table.frame.columns
-    if name in names:
-        return [name]
-    parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
-    if parts:
-        return parts
-    _require(table, name, "pose_columns")
-    return []
-
-
 def _require(table: Table, name: str, field: str) -> None:
     """Refuse a column that is not there; the field says who wants it."""
     if name not in table.frame.columns:
-        option = f"--{field.replace('_', '-')}"
-        raise InputError(
-            f"no column {shown(name)} among {_short(table.frame.columns)}",
-            f"the name of a column as the header has it, for {option}",
-            table.path,
-            table.header_line or None,
+        raise table.fault(
+            f"no column {shown(name)} among {table.names}",
+            f"the name of a column as the header has it, for --{field.replace('_', '-')}",
         )
 
 
@@ -232,15 +217,12 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
         _require(table, column, "range_columns")
         fault = name_fault(beam).rstrip(",") or (f"beam {beam!r} twice" if beam in found else "")
         if fault:
-            expected = f"one column a beam: {A_NAME}"
-            raise InputError(fault, expected, table.path, table.header_line or None, column)
+            raise table.fault(fault, f"one column a beam: {A_NAME}", column)
         found[beam] = column
     if not found:
-        raise InputError(
-            f"no column of ranges among {_short(table.frame.columns)}",
+        raise table.fault(
+            f"no column of ranges among {table.names}",
             "range_NAME for every beam, or --range-columns, or --beam-column and --range-column",
-            table.path,
-            table.header_line or None,
         )
     return found
 
@@ -269,14 +251,8 @@ def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
         stated = unit_of(name)
         if stated and stated != unit and not given.as_stated:
             remedy = f"{option} {stated}" if stated in units else f"values in {' or '.join(units)}"
-            raise InputError(
+            raise table.fault(
                 f"the unit {stated} in the name of the column, which is read as {unit}",
                 f"{remedy}; or --as-stated if the name is wrong",
-                table.path,
-                table.header_line or None,
                 name,
             )
-
-
-def _short(names: Sequence[str]) -> str:
-    return some([name[:40] for name in names], 12)

@@ -1,7 +1,6 @@
 """Chains of frames as tf publishes them: the pose of one frame in another, in time."""
 
 from array import array
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,45 +10,39 @@ from ...arrays import FloatArray
 from ...errors import InputError
 from ...quantities import LARGEST_LENGTH
 from ...text import shown, some
-from .motion import AT_ONCE, Between
+from ..recording_csv import off_unit
+from .motion import AT_ONCE, interpolated, neighbours
 
 NUMBERS = 8
 """Numbers of a stamped pose: time, position, quaternion."""
 
 
-@dataclass(slots=True, eq=False)
-class Stamped:
-    """Poses as they come: 64 bytes each."""
+def stamp(numbers: "array[float]", time: float, p: Any, q: Any) -> None:
+    """Add a position and a quaternion, with fields x, y, z (and w), at a time [s]: 64 bytes."""
+    numbers.extend((time, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
-    numbers: "array[float]" = field(default_factory=lambda: array("d"))
 
-    def add(self, time: float, p: Any, q: Any) -> None:
-        """Add a position and a quaternion, with fields x, y, z (and w), at a time [s]."""
-        self.numbers.extend((time, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+def stamped_rows(numbers: "array[float]") -> FloatArray:
+    """Return stamped poses (M, 8) in the order of time, each time once, with unit quaternions.
 
-    def rows(self) -> FloatArray:
-        """Return the poses (M, 8) in the order of time, each time once, with unit quaternions.
-
-        Raises
-        ------
-        InputError
-            A quaternion that is none, or a position that is not finite.
-        """
-        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, NUMBERS)
-        step = np.diff(x[:, 0])
-        if (step <= 0.0).any():
-            order = np.argsort(x[:, 0], kind="stable")
-            x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
-        with np.errstate(over="ignore"):  # an infinite length is refused like any other
-            length = np.linalg.norm(x[:, 4:], axis=1)
-        far = ~(np.abs(x[:, 1:4]) <= LARGEST_LENGTH).all(axis=1)
-        if far.any():
-            found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
-            raise InputError(found, f"metres, at most {LARGEST_LENGTH:.0f}")
-        if not (np.abs(length - 1.0) <= 1e-3).all():  # nan, too
-            worst = float(length[~(np.abs(length - 1.0) <= 1e-3)][0])
-            raise InputError(f"a pose with a quaternion of length {worst:.6g}", "length 1")
-        return x
+    Raises
+    ------
+    InputError
+        A quaternion that is none, or a position that is not finite.
+    """
+    x = np.frombuffer(numbers, dtype=np.float64).reshape(-1, NUMBERS)
+    if (np.diff(x[:, 0]) <= 0.0).any():
+        order = np.argsort(x[:, 0], kind="stable")
+        x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
+    far = ~(np.abs(x[:, 1:4]) <= LARGEST_LENGTH).all(axis=1)
+    if far.any():
+        found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
+        raise InputError(found, f"metres, at most {LARGEST_LENGTH:.0f}")
+    length, wrong = off_unit(x[:, 4:])
+    if wrong.any():
+        found = f"a pose with a quaternion of length {length[wrong.argmax()]:.6g}"
+        raise InputError(found, "length 1")
+    return x
 
 
 class Frames:
@@ -59,7 +52,7 @@ class Frames:
         self.world, self.hand = world.lstrip("/"), hand.lstrip("/")
         self.parent: dict[str, str] = {}
         self.static: set[str] = set()
-        self.poses: dict[str, Stamped] = {}
+        self.poses: dict[str, array[float]] = {}
         self.way: tuple[list[str], list[str]] | None = None
 
     def add(self, time: float, transform: Any, *, static: bool) -> None:
@@ -81,10 +74,10 @@ class Frames:
             )
         if static:
             self.static.add(child)
-            self.poses[child] = Stamped()
+            self.poses[child] = array("d")
         both = transform.transform
         new = child not in self.poses
-        self.poses.setdefault(child, Stamped()).add(time, both.translation, both.rotation)
+        stamp(self.poses.setdefault(child, array("d")), time, both.translation, both.rotation)
         if self.way is None and (new or static):
             self._find_way()
 
@@ -118,7 +111,7 @@ class Frames:
                 f"no chain of tf frames from {shown(self.world)} to {shown(self.hand)}",
                 f"two of {known}",
             )
-        rows = {name: poses.rows() for name, poses in self.poses.items()}
+        rows = {name: stamped_rows(poses) for name, poses in self.poses.items()}
         moving = {name: len(x) for name, x in rows.items() if name not in self.static}
         if not moving:
             raise InputError(
@@ -141,23 +134,19 @@ class Frames:
     def _hand_in_world(
         self, rows: dict[str, FloatArray], time: FloatArray
     ) -> tuple[Rotation, FloatArray]:
+        """Return the hand in the world at some times."""
         assert self.way is not None
-        R, t = _chain([self._at(rows[name], name, time) for name in self.way[0]], len(time))
-        S, s = _chain([self._at(rows[name], name, time) for name in self.way[1]], len(time))
-        back = S.inv()
-        return back * R, back.apply(t - s)
-
-    def _at(self, x: FloatArray, name: str, time: FloatArray) -> tuple[Rotation, FloatArray]:
-        """Return the pose of a frame in its parent at some times."""
-        if name in self.static:
-            last = np.repeat(x[-1:], len(time), axis=0)
-            return Rotation.from_quat(last[:, 4:]), last[:, 1:4]
-        return Between.at(x[:, 0], time).of_quaternions(x[:, 4:], x[:, 1:4])
-
-
-def _chain(poses: list[tuple[Rotation, FloatArray]], count: int) -> tuple[Rotation, FloatArray]:
-    """Return the pose of the first frame in the parent of the last one."""
-    R, t = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))), np.zeros((count, 3))
-    for S, s in poses:
-        R, t = S * R, s + S.apply(t)
-    return R, t
+        chains = []
+        for names in self.way:  # from hand and world up to the frame that both have above them
+            R, t = Rotation.identity(len(time)), np.zeros((len(time), 3))
+            for name in names:
+                x = rows[name]
+                if name in self.static:
+                    last = np.repeat(x[-1:], len(time), axis=0)
+                    S, s = Rotation.from_quat(last[:, 4:]), last[:, 1:4]
+                else:
+                    S, s = interpolated(x[:, 4:], x[:, 1:4], *neighbours(x[:, 0], time))
+                R, t = S * R, s + S.apply(t)
+            chains.append((R, t))
+        (R, t), (S, s) = chains
+        return S.inv() * R, S.inv().apply(t - s)

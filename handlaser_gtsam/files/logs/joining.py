@@ -1,22 +1,27 @@
-"""Poses and readings put together: of one table, or of two tables by station."""
+"""Poses and readings put together: of one table, or of two, by station or by time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
-from ...model.conventions import poses_of
+from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from .format import LogFormat
 from .format_checks import convention_of
-from .lag import Lag
-from .motion import Means, Way
+from .lag import estimated_lag
+from .motion import Way, bracketed, nearest
+from .planes import intervals, planes_in_time, planes_of
 from .rows import LogRows
+from .stands import Track, find_stands
 
 SAME_STATION_M, SAME_STATION_RAD = 1e-3, np.radians(0.1)
 """Rows of one station may be so far apart: a robot that stands still is not."""
+UNIT_OFF = 0.15
+"""Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +32,7 @@ class Stations:
     ----------
     poses, readings : LogRows
         One and the same of a table that has both.
-    way : Means or Between
+    way : Way
         How stations get their poses from the rows of poses.
     names : S labels
     planes : S labels, or None
@@ -38,20 +43,21 @@ class Stations:
     warnings : tuple of CalibrationWarning
     words : str
         How it was done, for a person.
-    lag : Lag
-        How much later readings are stamped than poses.
+    lag : (float, float)
+        How much later readings are stamped than poses, and its standard deviation, zero where it is
+        stated [s].
     """
 
     poses: LogRows
     readings: LogRows
     way: Way
-    names: list[str]
-    planes: list[str] | None
+    names: Sequence[str]
+    planes: Sequence[str] | None
     times: FloatArray | None
     station: IntArray
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
-    lag: Lag = field(default_factory=Lag)
+    lag: tuple[float, float] = (0.0, 0.0)
 
 
 def one_table(rows: LogRows, given: LogFormat) -> Stations:
@@ -65,59 +71,61 @@ def one_table(rows: LogRows, given: LogFormat) -> Stations:
     if rows.columns.range and rows.stations is None:
         expected = "a column station, or its name by --station-column"
         raise InputError("a long table without stations", expected, rows.table.path)
-    names, group = groups(rows.names)
-    way = Means.of_groups(group)
-    if len(names) == len(group):
-        return Stations(rows, rows, way, names, rows.planes, rows.times, group)
-    first = way.row[way.start]
-    _require_same_pose(rows, way, given)
-    return Stations(
-        rows,
-        rows,
-        way,
-        names,
-        _planes_at(rows, group, first),
-        None if rows.times is None else rows.times[first],
-        group,
-        words=f"{len(group)} rows of {len(names)} stations",
-    )
-
-
-def groups(stations: Sequence[str]) -> tuple[list[str], IntArray]:
-    """Return the labels, in their order, and the number of each row's."""
-    number = {name: i for i, name in enumerate(dict.fromkeys(stations))}
-    return list(number), np.array([number[name] for name in stations], dtype=np.intp)
-
-
-def _require_same_pose(rows: LogRows, way: Means, given: LogFormat) -> None:
-    assert rows.poses is not None
-    angle, distance = way.spread(*poses_of(rows.poses, convention_of(given)))
-    wrong = np.zeros(len(angle), dtype=bool)
-    wrong[way.row] = (angle > SAME_STATION_RAD) | (distance > SAME_STATION_M)
-    if wrong.any():
-        row = int(wrong.argmax())
-        off = distance[way.row == row][0]
-        turned = np.degrees(angle[way.row == row][0])
-        rows.table.refuse(
-            wrong,
-            rows.columns.station,
-            "one pose a station, or a label of its own",
-            f"station {rows.names[row]!r} again at a pose {1e3 * off:.3g} mm and {turned:.3g} deg away",
-        )
-
-
-def _planes_at(rows: LogRows, group: IntArray, first: IntArray) -> list[str] | None:
-    """Return the plane of each station; refuse a station before two planes."""
-    if rows.planes is None:
-        return None
-    planes = [rows.planes[row] for row in first.tolist()]
-    wrong = np.array([a != planes[g] for a, g in zip(rows.planes, group.tolist(), strict=True)])
-    if wrong.any():
+    names, group = _groups(rows.names)
+    way = Way.of_groups(group)
+    first, words = way.row[way.start], ""
+    if len(names) < len(group):
+        every, expected = np.arange(len(group)), "one pose a station, or a label of its own"
+        whose = [f"station {name!r}" for name in rows.names]
+        _refuse_other_pose(rows, given, every, first[group], rows.columns.station, whose, expected)
+        words = f"{len(group)} rows of {len(names)} stations"
+    planes = _labels_at((rows, first))
+    if planes is not None and rows.planes is not None:
+        pairs = zip(rows.planes, group.tolist(), strict=True)
+        wrong = np.array([plane != planes[station] for plane, station in pairs])
         row = int(wrong.argmax())
         both = f"{planes[group[row]]!r} and {rows.planes[row]!r}"
         found = f"station {rows.names[row]!r} before planes {both}"
         rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found)
-    return planes
+    times = None if rows.times is None else rows.times[first]
+    return Stations(rows, rows, way, names, planes, times, group, words=words)
+
+
+def _groups(labels: Sequence[str]) -> tuple[list[str], IntArray]:
+    """Return the labels, in their order, and the number of each row's."""
+    number = {name: i for i, name in enumerate(dict.fromkeys(labels))}
+    return list(number), np.array([number[name] for name in labels], dtype=np.intp)
+
+
+def _labels_at(*tables: tuple[LogRows, IntArray]) -> list[str] | None:
+    """Return the planes of stations from the first table that has any, at a row of it for each."""
+    for rows, at in tables:
+        if rows.planes is not None:
+            return [rows.planes[i] for i in at.tolist()]
+    return None
+
+
+def _refuse_other_pose(
+    poses: LogRows,
+    given: LogFormat,
+    rows: IntArray,
+    like: IntArray,
+    column: str,
+    whose: Sequence[str],
+    expected: str,
+) -> None:
+    """Refuse rows (K,) whose poses are not those of others (K,); `whose` poses they are, in words."""
+    assert poses.poses is not None
+    R, t = poses_of(poses.poses, convention_of(given))
+    between = Rotation.from_matrix(np.swapaxes(R[like], 1, 2) @ R[rows])
+    angle = np.atleast_1d(between.magnitude())
+    distance = np.linalg.norm(t[rows] - t[like], axis=1)
+    far = (angle > SAME_STATION_RAD) | (distance > SAME_STATION_M)
+    wrong = np.zeros(len(t), dtype=bool)
+    wrong[rows[far]] = True
+    first = int(far.argmax())
+    off = f"{1e3 * distance[first]:.3g} mm and {np.degrees(angle[first]):.3g} deg away"
+    poses.table.refuse(wrong, column, expected, f"{whose[first]} again at a pose {off}")
 
 
 def by_station(poses: LogRows, readings: LogRows) -> Stations:
@@ -128,63 +136,253 @@ def by_station(poses: LogRows, readings: LogRows) -> Stations:
     InputError
         A label twice among the poses, or none in common.
     """
-    assert poses.stations is not None
-    assert readings.stations is not None
-    twice = first_repeated(poses.stations)
+    names = poses.names
+    twice = first_repeated(names)
     if twice is not None:
-        wrong = np.arange(len(poses.stations)) == twice
-        found = f"station {poses.stations[twice]!r} again"
-        poses.table.refuse(
-            wrong, poses.columns.station, "every station once among the poses", found
-        )
-    number = {name: i for i, name in enumerate(poses.stations)}
-    station = np.array([number.get(name, -1) for name in readings.stations], dtype=np.intp)
+        wrong, found = np.arange(len(names)) == twice, f"station {names[twice]!r} again"
+        column, expected = poses.columns.station, "every station once among the poses"
+        poses.table.refuse(wrong, column, expected, found)
+    number = {name: i for i, name in enumerate(names)}
+    station = np.array([number.get(name, -1) for name in readings.names], dtype=np.intp)
     if (station < 0).all():
         raise InputError(
-            f"no station of {poses.table.path.name} (the first: {poses.stations[0]!r}) among the "
-            f"readings (the first: {readings.stations[0]!r})",
+            f"no station of {poses.table.path.name} (the first: {names[0]!r}) among the readings "
+            f"(the first: {readings.names[0]!r})",
             "the same labels in both files; see --station-column and --readings-station-column",
             readings.table.path,
         )
-    every = np.arange(len(poses.stations), dtype=np.intp)
+    planes = poses.planes
+    if planes is None and readings.planes is not None:
+        found_of: dict[int, str] = {}
+        for index, plane in zip(station.tolist(), readings.planes, strict=True):
+            if found_of.setdefault(index, plane) != plane and index >= 0:
+                raise InputError(
+                    f"a station before planes {found_of[index]!r} and {plane!r}",
+                    "one plane a station",
+                    readings.table.path,
+                )
+        missing = sum(index not in found_of for index in range(len(names)))
+        if missing:
+            raise InputError(
+                f"{missing} stations without a reading, and so without a plane",
+                "the planes in the table of poses, or --plane",
+                readings.table.path,
+            )
+        planes = [found_of[index] for index in range(len(names))]
     return Stations(
         poses,
         readings,
-        Means.of_groups(every),
-        poses.stations,
-        poses.planes if poses.planes is not None else _planes_of_readings(readings, station, every),
+        Way.of_groups(np.arange(len(names), dtype=np.intp)),
+        names,
+        planes,
         poses.times,
         station,
-        unmatched(int((station < 0).sum()), len(station), "have a station without a pose"),
-        f"{len(every)} poses and {len(station)} rows of readings, joined by station",
+        _unmatched(station, "have a station without a pose"),
+        f"{len(names)} poses and {len(station)} rows of readings, joined by station",
     )
 
 
-def _planes_of_readings(readings: LogRows, station: IntArray, every: IntArray) -> list[str] | None:
-    """Return the plane of each station from the table of readings, where it has one for each."""
-    if readings.planes is None:
-        return None
-    found: dict[int, str] = {}
-    for number, plane in zip(station.tolist(), readings.planes, strict=True):
-        if found.setdefault(number, plane) != plane and number >= 0:
-            raise InputError(
-                f"a station before planes {found[number]!r} and {plane!r}",
-                "one plane a station",
-                readings.table.path,
-            )
-    missing = [i for i in every.tolist() if i not in found]
-    if missing:
-        raise InputError(
-            f"{len(missing)} stations without a reading, and so without a plane",
-            "the planes in the table of poses, or --plane",
-            readings.table.path,
-        )
-    return [found[i] for i in every.tolist()]
-
-
-def unmatched(count: int, total: int, what: str) -> tuple[CalibrationWarning, ...]:
-    """Return a warning of rows of readings that do not count, if there are any."""
+def _unmatched(station: IntArray, what: str) -> tuple[CalibrationWarning, ...]:
+    """Return a warning of rows of readings without a station, if there are any."""
+    count, total = int((station < 0).sum()), len(station)
     if not count:
         return ()
     words = f"{count} of {total} rows of readings {what}, and do not count"
     return (CalibrationWarning("unmatched-rows", words, {"rows": count, "total": total}),)
+
+
+def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
+    """Return stations of poses and readings in time.
+
+    Both may stand in one table, whose readings then belong to the poses of earlier rows if they lag.
+
+    The rows of the shorter table are the stations. To each row of readings belongs the nearest pose, or
+    one between two; to a row of poses all readings within the tolerance.
+
+    Raises
+    ------
+    InputError
+    """
+    lag = _lag_of(poses, readings, given) if given.estimate_lag else (given.lag_s, 0.0)
+    wanted = readings.clock - lag[0]  # times (M,) on the clock of the poses
+    if given.stands:
+        return replace(_standing(poses, readings, given, wanted), lag=lag)
+    if given.tolerance_s is None:
+        raise InputError(
+            "poses and readings joined by time without a tolerance",
+            "--tolerance-s: how far pose and reading may be apart; or --stands",
+        )
+    again = np.flatnonzero(np.diff(poses.clock) == 0.0) + 1
+    if again.size:
+        whose = [f"the time {time:.10g} s" for time in poses.clock[again]]
+        expected = "one pose at a time: finer stamps, or --stands"
+        column = poses.columns.time
+        _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
+    if given.interpolate or len(poses.clock) >= len(wanted):
+        return replace(_at_readings(poses, readings, wanted, given), lag=lag)
+    return replace(_around(poses, readings, wanted, given.tolerance_s), lag=lag)
+
+
+def _at_readings(
+    poses: LogRows, readings: LogRows, wanted: FloatArray, given: LogFormat
+) -> Stations:
+    """Return the rows of readings that have a pose, as stations; `wanted` are times of poses (N,)."""
+    tolerance = given.tolerance_s or 0.0
+    row, off = nearest(poses.clock, wanted)
+    if given.interpolate:
+        near, words = bracketed(poses.clock, wanted, tolerance), "a pose between its neighbours"
+        needed = "poses before and after it within the tolerance"
+    else:
+        near, words, needed = off <= tolerance, "the nearest pose", "a pose within the tolerance"
+    _require_any(near, poses, readings, wanted, needed)
+    kept = np.flatnonzero(near)
+    names = [readings.names[i] for i in kept.tolist()]
+    twice = first_repeated(names)
+    if twice is not None:
+        raise InputError(
+            f"station {names[twice]!r} twice among the readings",
+            "every label once where each row of readings is a station",
+            readings.table.path,
+        )
+    station = np.full(len(near), -1, dtype=np.intp)
+    station[kept] = np.arange(len(kept))
+    each = Way(row[near], np.arange(len(kept), dtype=np.intp))
+    return Stations(
+        poses,
+        readings,
+        Way.between(poses.clock, wanted[near]) if given.interpolate else each,
+        names,
+        _labels_at((readings, kept), (poses, row[kept])),
+        wanted[kept],
+        station,
+        _unmatched(station, "have no pose within the tolerance"),
+        f"{len(kept)} rows of readings, each with {words}",
+    )
+
+
+def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
+    """Return the rows of poses as stations, with all readings around them."""
+    row, off = nearest(poses.clock, wanted)
+    near = off <= tolerance
+    _require_any(near, poses, readings, wanted)
+    station = np.where(near, row, -1).astype(np.intp)
+    every = np.arange(len(poses.clock), dtype=np.intp)
+    return Stations(
+        poses,
+        readings,
+        Way.of_groups(every),
+        poses.names,
+        _labels_at((poses, every), (readings, nearest(wanted, poses.clock)[0])),
+        poses.clock,
+        station,
+        words=f"{len(every)} poses, each with the readings within {tolerance:g} s: "
+        f"{int(near.sum())} of {len(near)} rows",
+    )
+
+
+def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
+    """Return the moments at which the hand stands as stations."""
+    stands = find_stands(_track_of(poses, given), given)
+    station = np.searchsorted(stands.begin, wanted, side="right") - 1
+    inside = (station >= 0) & (wanted <= stands.end[np.maximum(station, 0)])
+    _require_any(inside, poses, readings, wanted, "a stop of the hand around it", "or --lag-s")
+    times = 0.5 * (stands.begin + stands.end)
+    middle = (stands.first + stands.last) // 2  # labels that are set on arrival are right there
+    return Stations(
+        poses,
+        readings,
+        stands.way,
+        [str(i + 1) for i in range(len(times))],
+        _labels_at((poses, middle), (readings, nearest(wanted, times)[0])),
+        times,
+        np.where(inside, station, -1).astype(np.intp),
+        words=f"{stands.words}; {int(inside.sum())} of {len(inside)} rows of readings are in them",
+    )
+
+
+def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float, float]:
+    """Return how much later readings are stamped than poses, from their motion, and its sigma [s].
+
+    Raises
+    ------
+    InputError
+        The planes are not known in time, or the motion does not tell.
+    """
+    track, begin = _track_of(poses, given), float(poses.clock[0])
+    stated, time, pose_times = intervals(given), readings.clock, poses.clock
+    by_row = stated and not given.stands and not stated[0].is_time
+    of_poses = len(pose_times) < len(time) if by_row else readings.planes is None
+    rows = poses if of_poses else readings
+    if by_row:
+        known = planes_of(stated, rows.names, None, begin)
+    else:
+        known = _groups(rows.planes or [""] * len(rows.names))[1]
+
+    def plane_of(moments: FloatArray) -> IntArray:
+        if stated and not by_row:
+            return planes_in_time(track, moments, given, begin)
+        return known[nearest(pose_times, moments)[0]] if of_poses else known
+
+    return estimated_lag(track, time, readings.ranges, plane_of, given.lag_s)
+
+
+def _track_of(poses: LogRows, given: LogFormat) -> Track:
+    """Return the poses of rows in time."""
+    assert poses.poses is not None
+    if convention_of(given).meaning == FORMATS["ros"].meaning:
+        return Track(poses.clock, poses.poses[:, :3], poses.poses[:, 3:])
+    R, t = poses_of(poses.poses, convention_of(given))
+    return Track(poses.clock, t, Rotation.from_matrix(R).as_quat())
+
+
+def _require_any(
+    near: BoolArray,
+    poses: LogRows,
+    readings: LogRows,
+    wanted: FloatArray,
+    what: str = "a pose within the tolerance",
+    remedy: str = "a larger --tolerance-s, or --lag-s",
+) -> None:
+    """Refuse tables of which no reading has what it needs."""
+    if near.any():
+        return
+    off = nearest(poses.clock, wanted)[1].min()
+    raise InputError(
+        f"no reading with {what}: the nearest pose is {off:.3g} s away (poses from "
+        f"{poses.clock[0]:.10g} to {poses.clock[-1]:.10g} s, readings from "
+        f"{readings.clock.min():.10g} to {readings.clock.max():.10g} s)",
+        f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
+        readings.table.path,
+    )
+
+
+def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> None:
+    """Refuse times of which one table has seconds and the other, say, milliseconds.
+
+    Two tables of one recording last about as long: a quotient near a power of a thousand is a unit.
+
+    Raises
+    ------
+    InputError
+        The spans differ so, and the unit of the second table is not stated by itself.
+    """
+    spans = float(np.ptp(poses.clock)), float(np.ptp(readings.clock))
+    if min(spans) <= 0.0 or given.readings_time_units is not None or given.as_stated:
+        return
+    power = np.log10(spans[1] / spans[0]) / 3.0
+    if round(power) == 0 or abs(power - round(power)) > UNIT_OFF:
+        return
+    units = list(TIME_UNITS)
+    finer = units.index(given.time_units) + abs(round(power))
+    if finer >= len(units):
+        return
+    own, other = given.time_units, units[finer]
+    stated = f"--readings-time-units {other}"
+    if power < 0:
+        stated = f"--time-units {other} --readings-time-units {own}"
+    raise InputError(
+        f"poses over {spans[0]:.4g} s and readings over {spans[1]:.4g} s, as if one table had times in "
+        f"{own} and the other in {other}",
+        f"{stated}; or --readings-time-units {own} if both are right",
+        readings.table.path,
+    )

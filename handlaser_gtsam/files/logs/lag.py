@@ -19,7 +19,7 @@ variance s^2, the variance of tau is 2 s^2 / S''(tau).
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,9 +30,10 @@ from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
 from ...model.search import LevenbergOptions
+from ...quantities import ROUNDING
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
-from .motion import Between
+from .motion import interpolated, neighbours
 from .offsets import candidate_offsets, despiked
 from .stands import Track
 
@@ -48,10 +49,9 @@ BENT = 3.0
 """The curvature of a parabola, in its standard deviations, that shows a minimum."""
 UNEXPLAINED = 0.1
 """A larger part of the variance of readings than this says that they do not follow the motion."""
-UNLIKE = 3.0
-"""A calibration that leaves more than this factor of the squares of the linear equation is wrong."""
 AS_GOOD = 4.0
-"""Another offset whose mean square is less than this factor of the least fits as well."""
+"""What leaves less than this factor of the mean square of another fits as well: another offset as the
+best one, and a calibration as the linear equation."""
 MOVES_M, MOVES_RAD = 1e-3, 2e-3
 """Readings count where the hand moves or turns by more than this within `REACH` before or after."""
 LONGEST_MOVE = 15.0
@@ -64,29 +64,8 @@ OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 """Of each calibration: a step of a thousandth of a standard deviation moves no minimum."""
 LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
-NO_MOTION = 1e-9
-"""A column shorter than this is of a hand that does not turn, or does not move."""
 MOST_READINGS = 1500
 """Readings of one plane and beam that are looked at, evenly spread."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lag:
-    """A lag [s].
-
-    Attributes
-    ----------
-    value : float
-        How much later readings are stamped than poses of the same moment.
-    sigma : float
-        Its standard deviation; zero where it is stated.
-    varies : float
-        By how much it varies in the recording.
-    """
-
-    value: float = 0.0
-    sigma: float = 0.0
-    varies: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +117,8 @@ def estimated_lag(
     d: FloatArray,
     plane_of: Callable[[FloatArray], IntArray],
     near: float = 0.0,
-) -> Lag:
-    """Return the lag of readings.
+) -> tuple[float, float]:
+    """Return how much later readings are stamped than poses of the same moment, and its sigma [s].
 
     Parameters
     ----------
@@ -168,36 +147,34 @@ def estimated_lag(
             errors.append(error)
     if not found:
         raise errors[0]
-    best, others = _chosen(found, near)
+    # The likeliest; of those as good, the nearest to a stated lag. Where none is stated, and the
+    # clocks are not one, those as good far from it are asked, too.
+    best, others = max(found, key=lambda one: one.gain), []
+    alike = [one for one in found if one.as_good_as(best)]
+    if near:
+        best = min(alike, key=lambda one: abs(one.lag - near))
+    elif abs(best.lag) > REACH:
+        others = [one for one in alike if abs(one.lag - best.lag) > REACH]
     lag = _calibrated(track, best)
     if lag is None:
         raise InputError(
             "a motion that does not tell the lag of the readings",
             "a log with stops, turns and changes of speed before a plane; or state --lag-s",
         )
-    if not lag.varies <= WORST_SIGMA:
+    value, sigma, varies = lag
+    if not varies <= WORST_SIGMA:
         raise InputError(
-            f"a lag that varies by some {1e3 * lag.varies:.0f} ms in the recording",
+            f"a lag that varies by some {1e3 * varies:.0f} ms in the recording",
             "clocks that run alike and are not set meanwhile; or parts of the log by themselves",
         )
-    alike = [best.lag, *(one.lag for one in others if _calibrated(track, one) is not None)]
-    if len(alike) > 1:
-        more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
+    fits = [one.lag for one in others if _calibrated(track, one) is not None]
+    if fits:
+        more = f" and {len(fits) - 1} more" if len(fits) > 1 else ""
         raise InputError(
-            f"readings that fit the motion at lags of {alike[0]:.6g} s and {alike[1]:.6g} s{more}",
+            f"readings that fit the motion at lags of {best.lag:.6g} s and {fits[0]:.6g} s{more}",
             "a motion that does not repeat; or a rough --lag-s, near which the lag is then looked for",
         )
-    return replace(lag, sigma=float(np.hypot(lag.sigma, lag.varies)))
-
-
-def _chosen(found: list[_Candidate], near: float) -> tuple[_Candidate, list[_Candidate]]:
-    """Return the likeliest candidate, and those as good far from it where nothing says which it is."""
-    best = max(found, key=lambda one: one.gain)
-    alike = [one for one in found if one.as_good_as(best)]
-    if near:
-        return min(alike, key=lambda one: abs(one.lag - near)), []
-    one_clock = abs(best.lag) <= REACH
-    return best, [] if one_clock else [one for one in alike if abs(one.lag - best.lag) > REACH]
+    return value, float(np.hypot(sigma, varies))
 
 
 def _coarse(
@@ -245,25 +222,25 @@ def _coarse(
     return _Candidate(lag, squares, variation, count, covered, parts)
 
 
-def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> Lag | None:
-    """Return where a parabola through seven sums of squares has its minimum.
+def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> tuple[float, float] | None:
+    """Return where a parabola through seven sums of squares has its minimum, and its sigma.
 
     None where no minimum stands out from how rough the sums are; `count` are the degrees of freedom.
     """
     middle, squares = lags[3], float(sums.min())
-    if not np.isfinite(sums).all():
-        return None
     (bend, slope, _), spread = np.polyfit(lags - middle, sums, 2, cov=True)
     if bend <= BENT * np.sqrt(spread[0, 0]):
         return None
     shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
     fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
     sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, INTERPOLATED]))
-    return Lag(float(middle) + shift, sigma)
+    return float(middle) + shift, sigma
 
 
-def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
+def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, float] | None:
     """Return the lag near a candidate at which a calibration of beams and planes fits best.
+
+    With its standard deviation, and by how much it varies in the recording.
 
     None where none is found that fits about as well as the linear equation, or where none tells it.
     """
@@ -289,38 +266,30 @@ def _calibrated(track: Track, candidate: _Candidate) -> Lag | None:
             near = float(lags[best])
             continue
         found = _lowest(lags, cost, count)
-        near = float(lags[best]) if found is None else found.value
+        near = float(lags[best]) if found is None else found[0]
         if step == FINE and abs(near - lags[3]) < FINE:
             break
         step = max(step / 4.0, FINE)
-    if found is None or step > FINE or found.sigma > WORST_SIGMA:
+    if found is None or step > FINE or found[1] > WORST_SIGMA:
         return None
     at, later, sooner = (
-        _readings(track, parts, found.value + shift).seen_from(origins)
-        for shift in (0.0, FINE, -FINE)
+        _readings(track, parts, found[0] + shift).seen_from(origins) for shift in (0.0, FINE, -FINE)
     )
     solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
-    if not 2.0 * solved.cost[0] <= UNLIKE * candidate.squares:
+    if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
     e, after, before = (
         residuals_or_infinite(solved.parameters[0], rows) for rows in (at, later, sooner)
     )
     time = np.concatenate([part.time for part in parts])[at.station]
-    return replace(found, varies=_variation(time, e, (after - before) / (2.0 * FINE)))
-
-
-def _variation(time: FloatArray, e: FloatArray, rate: FloatArray) -> float:
-    """Return by how much the lag varies from piece to piece of a recording, beside noise [s].
-
-    With residuals e (N,) and their rates by the lag, a piece is off by -rate'e / rate'rate.
-    """
-    edges = np.linspace(time.min(), time.max(), PIECES + 1)
-    piece = np.searchsorted(edges[1:-1], time)
+    rate = (after - before) / (2.0 * FINE)
+    # Beside noise, a piece of the recording is off by -rate'e / rate'rate.
+    piece = np.searchsorted(np.linspace(time.min(), time.max(), PIECES + 1)[1:-1], time)
     told = np.bincount(piece, rate**2, PIECES)
-    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, NO_MOTION)
+    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, ROUNDING)
     noise = PIECES * float(e @ e) / len(e)
     excess = (float(told @ off**2) - noise) / float(told.sum())
-    return float(np.sqrt(max(excess, 0.0)))
+    return *found, float(np.sqrt(max(excess, 0.0)))
 
 
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
@@ -408,7 +377,7 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
         turned, moved = R - R.mean(axis=0), position - position.mean(axis=0)
         for d in (part.d - part.d.mean(axis=0)).T:
             X = np.hstack((d[:, None] * turned, turned, moved, np.ones((len(d), 1)), d[:, None]))
-            X /= np.maximum(np.linalg.norm(X, axis=0), NO_MOTION)
+            X /= np.maximum(np.linalg.norm(X, axis=0), ROUNDING)  # of a hand that does not turn
             # Products of columns lose half of the digits, and take a hundredth of the time.
             G = X.T @ X
             known = np.linalg.pinv(G[:-1, :-1], rcond=1e-12, hermitian=True)
@@ -417,10 +386,11 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
     return total
 
 
-def _poses(track: Track, part: _Part, lag: float) -> tuple[Rotation, FloatArray]:
+def _poses(track: Track, readings: _Part, lag: float) -> tuple[Rotation, FloatArray]:
     """Return rotations and positions (N, 3) at the times of readings less the lag."""
-    wanted = part.time - lag
+    wanted = readings.time - lag
     first = int(np.searchsorted(track.time, wanted[0] - 1.0))
     last = int(np.searchsorted(track.time, wanted[-1] + 1.0))
-    way = Between.at(track.time[first:last], wanted)
-    return way.of_quaternions(track.quaternion[first:last], track.position[first:last])
+    part = slice(first, last)
+    way = neighbours(track.time[part], wanted)
+    return interpolated(track.quaternion[part], track.position[part], *way)

@@ -20,6 +20,9 @@ MOST_TIMES = 100
 """How many times its bytes a file may unpack to beside `ALWAYS`; logs reach ten to twenty."""
 A_PART = 1 << 22
 """Bytes that are unpacked at once."""
+MCAP = b"\x89MCAP0\r\n"
+MCAP_MESSAGE, MCAP_CHUNK = 5, 6
+"""Kinds of records (https://mcap.dev/spec)."""
 
 
 @dataclass(slots=True)
@@ -37,11 +40,6 @@ class Allowance:
     packed: int = 0
     unpacked: int = 0
 
-    @property
-    def left(self) -> int:
-        """How many bytes may be unpacked still."""
-        return ALWAYS + MOST_TIMES * self.packed - self.unpacked
-
     def take(self, packed: int, unpacked: int) -> None:
         """Count a part of the file.
 
@@ -52,7 +50,7 @@ class Allowance:
         """
         self.packed += packed
         self.unpacked += unpacked
-        if self.left < 0:
+        if self.unpacked > ALWAYS + MOST_TIMES * self.packed:
             found = f"{self.packed} packed bytes that unpack to {self.unpacked} or more"
             expected = (
                 f"at most {MOST_TIMES} times as many, as logs do; write the log again unpacked"
@@ -105,14 +103,6 @@ def zstd_bound(data: bytes | mmap.mmap) -> int:
     return most
 
 
-def lz4_stated(data: bytes) -> int:
-    """Return the size that the header of an LZ4 frame states, which is allocated; zero if it does not.
-
-    The content itself can be no more than 255 times its packed size.
-    """
-    return int.from_bytes(data[6:14], "little") if len(data) > 14 and data[4] & 0x08 else 0
-
-
 def refuse_bag_bomb(path: Path) -> None:
     """Refuse a ROS 2 or MCAP bag whose chunks, messages or files unpack to too much.
 
@@ -162,17 +152,14 @@ def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: b
             compression = file.read(int.from_bytes(file.read(4), "little") & 0xFF)
             packed = int.from_bytes(file.read(8), "little")
             content = file.read(min(packed, length))
-            bound = {b"zstd": zstd_bound, b"lz4": lz4_stated}.get(compression, len)(content)
+            bound = zstd_bound(content) if compression == b"zstd" else len(content)
+            if compression == b"lz4" and len(content) > 14 and content[4] & 0x08:
+                bound = int.from_bytes(content[6:14], "little")  # is stated, and so allocated
             allowance.take(len(content), max(stated, bound))
         elif kind == MCAP_MESSAGE and messages:
             content = file.read(length)[22:]
             allowance.take(len(content), zstd_bound(content))
         file.seek(begin + length)
-
-
-MCAP = b"\x89MCAP0\r\n"
-MCAP_MESSAGE, MCAP_CHUNK = 5, 6
-"""Kinds of records (https://mcap.dev/spec)."""
 
 
 def limit_chunks(reader: Any, path: Path) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError
 from ...text import A_NAME, name_fault, shown
-from ..table import read_table
-from .cells import labels
+from ..table import labels, read_table
 from .format import LogFormat
 from .stands import Track, find_stands
 
@@ -80,9 +79,7 @@ def _interval(plane: str, first: str, last: str) -> Interval:
 def _of_file(path: Path) -> list[Interval]:
     """Return the intervals of a CSV file: `plane`, `from`, `to`."""
     table = read_table(path, ("plane", "from", "to"))
-    for name in ("plane", "from", "to"):
-        if name not in table.frame.columns:
-            raise InputError(f"no column {name!r}", "plane,from,to", path, table.header_line, name)
+    table.require("plane", "from", "to")
     columns = [labels(table, name) for name in ("plane", "from", "to")]
     return [_interval(*row) for row in zip(*columns, strict=True)]
 

@@ -1,4 +1,4 @@
-"""Signs that the numbers of poses mean something else, and the poses of the tool and the base."""
+"""Poses of the hand from the numbers of a log, and signs that these mean something else."""
 
 import math
 from collections.abc import Iterator
@@ -9,9 +9,12 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
 from ...model.conventions import FORMATS, LENGTHS, Convention, called, inverted, matrices, poses_of
-from ..recording_csv import QUATERNION_TOLERANCE
+from ..recording_csv import QUATERNION_TOLERANCE, off_unit
+from .format import LogFormat
+from .format_checks import convention_of
+from .motion import Way
 
-MATRIX_TOLERANCE = 1e-3
+MATRIX_TOLERANCE = QUATERNION_TOLERANCE
 """And so may every entry of R'R; the nearest rotation is taken."""
 FARTHEST = 30.0
 """A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
@@ -47,72 +50,58 @@ def faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     """Yield what cannot be, or can hardly be, of the numbers x (M, k) under a convention."""
     if convention.is_matrix:
         yield from _matrix_faults(x, convention)
-    elif convention.rotation in ("xyzw", "wxyz"):
-        yield from _quaternion_faults(x[:, 3:])
-    else:
-        yield from _angle_faults(x[:, 3:], convention)
+    elif not convention.has_angles:
+        length, wrong = off_unit(x[:, 3:])
+        yield Fault(
+            wrong,
+            slice(3, 7),
+            f"a quaternion of length {length[wrong.argmax()]:.6g}",
+            f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?",
+        )
+    elif convention.angles == "rad":
+        a = x[:, 3:]
+        vector = convention.rotation == "rotvec"
+        size = np.linalg.norm(a, axis=1) if vector else np.abs(a).max(axis=1)
+        yield Fault(
+            size > TURN,
+            slice(3, 6),
+            f"angles of {size.max():.4g} read as radians",
+            f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}",
+            doubt=True,
+        )
     yield from _position_faults(x, convention)
 
 
-def _quaternion_faults(q: FloatArray) -> Iterator[Fault]:
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(q, axis=1)
-    wrong = ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
-    off = length[wrong.argmax()]
-    yield Fault(
-        wrong,
-        slice(3, 7),
-        f"a quaternion of length {off:.6g}",
-        f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?",
-    )
-
-
 def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
-    T = matrices(x, convention)
+    T, every = matrices(x, convention), slice(0, x.shape[1])
     other = "matrix" if convention.rotation == "matrix-columns" else "matrix-columns"
+    instead = f"{ROWS[other]}: {called(replace(convention, rotation=other))}"
     transposed = (T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1)
     row = T[transposed.argmax(), 3]
     yield Fault(
         transposed,
-        slice(0, x.shape[1]),
+        every,
         f"a matrix whose last row is {np.array2string(row, precision=6, separator=', ')}",
-        f"0, 0, 0, 1 ({ROWS[convention.rotation]}); is it {ROWS[other]}: "
-        f"{called(replace(convention, rotation=other))}?",
+        f"0, 0, 0, 1 ({ROWS[convention.rotation]}); is it {instead}?",
     )
     R = np.clip(T[:, :3, :3], -2.0, 2.0)
     off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    turned = np.linalg.det(R) < 0.0
     yield Fault(
-        turned & (off <= MATRIX_TOLERANCE),
-        slice(0, x.shape[1]),
+        (np.linalg.det(R) < 0.0) & (off <= MATRIX_TOLERANCE),
+        every,
         "a matrix with the determinant -1, of a left-handed frame",
         "a rotation, of right-handed frames",
     )
     wrong = ~(off <= MATRIX_TOLERANCE)
     yield Fault(
         wrong,
-        slice(0, x.shape[1]),
+        every,
         f"a matrix that is no rotation (R'R differs from the identity by {off[wrong.argmax()]:.2g})",
-        f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {ROWS[other]}: "
-        f"{called(replace(convention, rotation=other))}",
+        f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {instead}",
     )
 
 
 ROWS = {"matrix": "row by row", "matrix-columns": "column by column"}
-
-
-def _angle_faults(a: FloatArray, convention: Convention) -> Iterator[Fault]:
-    if convention.angles != "rad":
-        return
-    size = np.linalg.norm(a, axis=1) if convention.rotation == "rotvec" else np.abs(a).max(axis=1)
-    wrong = size > TURN
-    yield Fault(
-        wrong,
-        slice(3, 6),
-        f"angles of {size.max():.4g} read as radians",
-        f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}",
-        doubt=True,
-    )
 
 
 def _position_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
@@ -155,54 +144,44 @@ def _others(other: Convention) -> str:
     return words + (f", or --pose-format {'|'.join(alike)} if it is one of those" if alike else "")
 
 
-def hand_poses(
-    R: FloatArray,
-    t: FloatArray,
-    convention: Convention,
-    tool: tuple[float, ...],
-    base: tuple[float, ...],
-) -> tuple[FloatArray, FloatArray]:
-    """Return poses of the flange in the robot's frame from poses of a tool in a base.
+def hand_poses(numbers: FloatArray, way: Way, given: LogFormat) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (S, 3, 3) and positions (S, 3) [m] of the hand at stations.
+
+    Where a tool or a base was active, the log has poses of that tool in that base:
 
         robot_T_flange = robot_T_base  base_T_tool  inverse(flange_T_tool)
 
     Parameters
     ----------
-    R, t : (M, 3, 3), (M, 3)
-    convention : Convention
-        Of the numbers `tool` and `base`; empty where none was active, or the tool is the hand.
+    numbers : (M, k)
+        The pose of every row as it is written.
+    way : Way
+    given : LogFormat
 
     Raises
     ------
     InputError
-        Numbers that are no pose.
+        The numbers of a tool or a base are no pose.
     """
-    if tool:
-        S, s = inverted(*single_pose("tool", tool, convention))
-        R, t = R @ S[0], t + R @ s[0]
-    if base:
-        B, b = single_pose("base", base, convention)
-        R, t = B[0] @ R, t @ B[0].T + b[0]
+    convention = convention_of(given)
+    R, t = way.poses(numbers, convention, inverse=given.inverted)
+    for name, stated in (("tool", given.tool), ("base", given.base)):
+        if not stated:
+            continue
+        if len(stated) not in convention.numbers:
+            expected = " or ".join(map(str, convention.numbers))
+            raise InputError(
+                f"--{name} of {len(stated)} numbers",
+                f"{expected}, as a pose of the log: {convention.words}",
+            )
+        x = np.array([stated], dtype=np.float64)
+        for fault in faults(x, convention):
+            if fault.wrong.any():
+                raise InputError(f"{name}: {fault.found}", fault.expected)
+        S, s = poses_of(x, convention)
+        if name == "tool":
+            S, s = inverted(S, s)
+            R, t = R @ S[0], t + R @ s[0]
+        else:
+            R, t = S[0] @ R, t @ S[0].T + s[0]
     return R, t
-
-
-def single_pose(
-    name: str, numbers: tuple[float, ...], convention: Convention
-) -> tuple[FloatArray, FloatArray]:
-    """Return a pose (1, 3, 3), (1, 3) that a user states.
-
-    Raises
-    ------
-    InputError
-    """
-    if len(numbers) not in convention.numbers:
-        expected = " or ".join(map(str, convention.numbers))
-        raise InputError(
-            f"--{name} of {len(numbers)} numbers",
-            f"{expected}, as a pose of the log: {convention.words}",
-        )
-    x = np.array([numbers], dtype=np.float64)
-    for fault in faults(x, convention):
-        if fault.wrong.any():
-            raise InputError(f"{name}: {fault.found}", fault.expected)
-    return poses_of(x, convention)

@@ -9,6 +9,7 @@ from ...data.recording import Recording
 from ...errors import InputError
 from ...model.sensor import Sensor
 from ...text import shown
+from ..checked_text import in_file
 from ..recording_csv import POSE
 from ..table import read_table
 from ..writing import path_of
@@ -16,8 +17,7 @@ from .assembling import assembled
 from .bags import METADATA, is_bag, read_bag
 from .columns import columns_of, formats_in
 from .format import LogFormat
-from .joining import Stations, by_station, one_table
-from .joining_time import by_time, refuse_other_units
+from .joining import Stations, by_station, by_time, one_table, refuse_other_units
 from .report import LogReport
 from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
@@ -82,13 +82,9 @@ def describe_log(
     require_kind("sensor", sensor, Sensor)
     if not path.exists():
         raise InputError("no such file", "a log", path)
-    try:
+    with in_file(path):
         stations = _of_bag(path, given) if is_bag(path) else _of_tables(path, given, sensor)
         return assembled(stations, given, sensor, range_sigma)
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise InputError(error.found, error.expected, path) from error
 
 
 def is_log(path: Path, given: LogFormat) -> bool:
@@ -145,13 +141,13 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
     _refuse_stated(given, OF_BAGS, "a table", path)
     books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
     _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
-    poses = rows_of(read_log_table(path, given), given, sensor, readings=given.readings is None)
+    table = read_log_table(path, given)
+    columns = columns_of(table, given, readings=given.readings is None)
     if given.readings is None:
-        in_time = given.stands or given.interpolate or given.lag_s or given.estimate_lag
-        if not in_time:
-            return one_table(poses, given)
-        rows = poses.in_time()
-        return by_time(rows, rows, given)
+        in_time = bool(given.stands or given.interpolate or given.lag_s or given.estimate_lag)
+        rows = rows_of(table, columns, given, sensor, in_time=in_time)
+        return by_time(rows, rows, given) if in_time else one_table(rows, given)
+    # The second file has no poses: what is stated of these says nothing of its header.
     second = replace(
         given,
         header=() if given.pose_format == "tum" else given.header,
@@ -159,15 +155,17 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
         rotation="",
         time_units=given.readings_time_units or given.time_units,
     )
-    table = read_log_table(given.readings, second)
+    other = read_log_table(given.readings, second)
     timed = replace(given, time_units=second.time_units)
-    readings = rows_of(table, timed, sensor, poses=False)
-    if given.plane_column and not (poses.columns.plane or readings.columns.plane):
+    others = columns_of(other, timed, poses=False)
+    if given.plane_column and not (columns.plane or others.plane):
         expected = "the name of a column of either, as its header has it"
         raise InputError(f"no column {shown(given.plane_column)} in both files", expected, path)
-    if poses.stations is not None and readings.stations is not None and not given.stands:
+    in_time = bool(given.stands or not (columns.station and others.station))
+    poses = rows_of(table, columns, given, sensor, in_time=in_time)
+    readings = rows_of(other, others, timed, sensor, in_time=in_time)
+    if not in_time:
         return by_station(poses, readings)
-    poses, readings = poses.in_time(), readings.in_time()
     refuse_other_units(poses, readings, given)
     return by_time(poses, readings, given)
 

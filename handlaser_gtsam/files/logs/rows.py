@@ -1,4 +1,4 @@
-"""The rows of one table: poses, readings, and what else stands beside them."""
+"""The rows of one table: poses, readings, times, and what else stands beside them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,44 +6,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import polars as pl
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray
 from ...errors import CalibrationWarning, InputError
-from ...model.conventions import LENGTHS
+from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor import Sensor
+from ...quantities import LARGEST_LENGTH
 from ...text import some
 from ..range_cells import code_warnings, range_numbers
-from ..table import Table
-from .cells import labels, pose_numbers, refuse_thousands, times
-from .columns import Columns, columns_of
+from ..table import NUMBER, Table, column_numbers, labels
+from .columns import Columns
 from .format import LogFormat
 from .format_checks import convention_of
+from .poses import faults
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Codes:
-    """Cells of ranges that say that there is no reading.
-
-    Attributes
-    ----------
-    cells : C series of M cells
-    beams : C sequences
-        Of the beam of each cell: M names, or one that holds for the column.
-    where : (M, C)
-        Which of the cells do.
-    """
-
-    cells: Sequence[pl.Series]
-    beams: Sequence[Sequence[str]]
-    where: BoolArray
-
-    def part(self, rows: IntArray) -> "Codes":
-        """Return the codes in some rows."""
-        beams = [[of[i] for i in rows.tolist()] if len(of) > 1 else of for of in self.beams]
-        return Codes([one[rows] for one in self.cells], beams, self.where[rows])
-
-    def warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
-        """Return a warning for each code among the rows that are `counted` (M,)."""
-        return code_warnings(self.cells, self.beams, self.where & counted[:, None])
+GERMAN = ("%d.%m.%Y %H:%M:%S%.f", "%d.%m.%YT%H:%M:%S%.f", "%d.%m.%Y %H:%M")
+"""Dates with points begin with the day everywhere."""
+MOST_BEAMS = 200
+"""More labels of beams in a long table are another column."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +41,8 @@ class LogRows:
     planes, stations : M labels, or None
     times : (M,) or None
         [s]
-    codes : Codes, or None
+    coded : (M, C) or None
+        Which cells of the C columns of ranges say that there is no reading.
     columns : Columns
     ignored : names
         Of columns or topics that are not used.
@@ -75,17 +55,17 @@ class LogRows:
     beams: tuple[str, ...]
     ranges: FloatArray
     poses: FloatArray | None = None
-    planes: list[str] | None = None
-    stations: list[str] | None = None
+    planes: Sequence[str] | None = None
+    stations: Sequence[str] | None = None
     times: FloatArray | None = None
-    codes: Codes | None = None
+    coded: BoolArray | None = None
     columns: Columns = field(default_factory=Columns)
     ignored: tuple[str, ...] = ()
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> Sequence[str]:
         """The label of each row, or its number from the first row of the file."""
         if self.stations is not None:
             return self.stations
@@ -97,105 +77,92 @@ class LogRows:
         assert self.times is not None
         return self.times
 
-    def in_time(self) -> "LogRows":
-        """Return the rows in the order of their times, with a warning where they are not.
-
-        Raises
-        ------
-        InputError
-            There are none.
-        """
-        if self.times is None:
-            expected = "a column time, or its name by --time-column"
-            raise InputError("no column of times", expected, self.table.path)
-        back = np.flatnonzero(np.diff(self.times) < 0.0) + 1
-        if not back.size:
-            return self
-        words = (
-            f"{self.table.path.name}: {back.size} of {len(self.times)} rows are stamped earlier than "
-            f"the row before (the first: line {self.table.lines[back[0]]}), and all were sorted by "
-            "time; if the clock was set back, poses and readings are mixed up"
-        )
-        warning = CalibrationWarning("times-back", words, {"rows": int(back.size)})
-        found = self.part(np.argsort(self.times, kind="stable").astype(np.intp))
-        return replace(found, warnings=(*self.warnings, warning))
-
-    def part(self, rows: IntArray) -> "LogRows":
-        """Return some rows."""
-        return replace(
-            self,
-            table=replace(self.table, frame=self.table.frame[rows], lines=self.table.lines[rows]),
-            poses=None if self.poses is None else self.poses[rows],
-            ranges=self.ranges[rows],
-            planes=None if self.planes is None else [self.planes[i] for i in rows.tolist()],
-            stations=None if self.stations is None else [self.stations[i] for i in rows.tolist()],
-            times=None if self.times is None else self.times[rows],
-            codes=None if self.codes is None else self.codes.part(rows),
-        )
+    def code_warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
+        """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
+        if self.coded is None:
+            return ()
+        whose: dict[str, Sequence[str]] = {
+            name: [beam] for beam, name in self.columns.beams.items()
+        }
+        if self.columns.range:
+            whose = {self.columns.range: labels(self.table, self.columns.beam)}
+        return code_warnings(self.table, whose, self.coded & counted[:, None])
 
 
 def rows_of(
-    table: Table, given: LogFormat, sensor: Sensor, *, poses: bool = True, readings: bool = True
+    table: Table, columns: Columns, given: LogFormat, sensor: Sensor, *, in_time: bool = False
 ) -> LogRows:
     """Return the rows of a table that has poses, readings, or both.
+
+    Parameters
+    ----------
+    table, columns, given, sensor
+    in_time : bool
+        In the order of their times, with a warning where they stand in another one.
 
     Raises
     ------
     InputError
+        A cell that cannot be what its column holds, or no times where they are wanted.
     """
-    columns = columns_of(table, given, poses=poses, readings=readings)
+    warnings = table.warnings
+    clock = _times(table, columns.time, given) if columns.time else None
+    if in_time:
+        if clock is None:
+            expected = "a column time, or its name by --time-column"
+            raise InputError("no column of times", expected, table.path)
+        back = np.flatnonzero(np.diff(clock) < 0.0) + 1
+        if back.size:
+            words = (
+                f"{table.path.name}: {back.size} of {len(clock)} rows are stamped earlier than the row "
+                f"before (the first: line {table.lines[back[0]]}), and all were sorted by time; if the "
+                "clock was set back, poses and readings are mixed up"
+            )
+            warnings += (CalibrationWarning("times-back", words, {"rows": int(back.size)}),)
+            order = np.argsort(clock, kind="stable")
+            table = replace(table, frame=table.frame[order], lines=table.lines[order])
+            clock = clock[order]
+    lengths = [columns.range] if columns.range else list(columns.beams.values())
     if given.decimal is None:
-        lengths = [columns.range] if columns.range else list(columns.beams.values())
-        refuse_thousands(table, [*columns.pose, *lengths])
+        _refuse_thousands(table, [*columns.pose, *lengths])
     numbers: FloatArray | None = None
-    doubts: tuple[CalibrationWarning, ...] = ()
-    if poses:
-        numbers, doubts = pose_numbers(table, columns.pose, given)
+    how = ""
+    if columns.pose:
+        numbers, doubts = _pose_numbers(table, columns.pose, given)
+        warnings += doubts
+        how = (
+            f"poses of {given.pose_format or given.rotation or 'ros'}: {convention_of(given).words}"
+        )
+        how += ", inverted" if given.inverted else ""
+        how += "; the hand is the flange, for the tool is taken off" if given.tool else ""
+        how += "; the world is the robot's frame, for the base is added" if given.base else ""
     beams: tuple[str, ...] = ()
-    ranges = np.full((len(table.frame), 0), np.nan)
-    codes: Codes | None = None
-    if readings:
-        beams, ranges, codes = _readings(table, columns, given, sensor)
+    d, coded = np.full((len(table.frame), 0), np.nan), None
+    if lengths:
+        d, coded = range_numbers(table, lengths, sensor, LENGTHS[given.range_units])
+        beams = tuple(columns.beams)
+    if columns.range:
+        beams, d = _wide(table, columns, d)
     stated = given.plane or given.plane_ranges or given.plane_file is not None
     return LogRows(
         table,
         beams,
-        ranges,
+        d,
         numbers,
         planes=labels(table, columns.plane) if columns.plane and not stated else None,
         stations=labels(table, columns.station) if columns.station else None,
-        times=times(table, columns.time, given) if columns.time else None,
-        codes=codes,
+        times=clock,
+        coded=coded,
         columns=columns,
         ignored=tuple(name for name in table.frame.columns if name not in columns.used),
-        warnings=(*table.warnings, *doubts),
-        words=_pose_words(given) if poses else "",
+        warnings=warnings,
+        words=how,
     )
 
 
-def _pose_words(given: LogFormat) -> str:
-    text = f"poses of {given.pose_format or given.rotation or 'ros'}: {convention_of(given).words}"
-    text += ", inverted" if given.inverted else ""
-    if given.tool:
-        text += "; the hand is the flange, for the tool is taken off"
-    if given.base:
-        text += "; the world is the robot's frame, for the base is added"
-    return text
-
-
-def _readings(
-    table: Table, columns: Columns, given: LogFormat, sensor: Sensor
-) -> tuple[tuple[str, ...], FloatArray, Codes]:
-    """Return beams, ranges (M, B) [m], and which cells are codes for no reading."""
-    unit = LENGTHS[given.range_units]
-    if not columns.range:
-        names = list(columns.beams.values())
-        d, coded = range_numbers(table, names, sensor, unit)
-        beams = tuple(columns.beams)
-        cells = [table.frame[name] for name in names]
-        return beams, d, Codes(cells, [[beam] for beam in beams], coded)
+def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the beams of a long table, and its readings (M, 1) in a column of their beam (M, B)."""
     whose = labels(table, columns.beam)
-    d, coded = range_numbers(table, [columns.range], sensor, unit)
     beams = tuple(dict.fromkeys(whose))
     if len(beams) > MOST_BEAMS:
         raise InputError(
@@ -208,8 +175,67 @@ def _readings(
     number = {beam: i for i, beam in enumerate(beams)}
     wide = np.full((len(whose), len(beams)), np.nan)
     wide[np.arange(len(whose)), [number[beam] for beam in whose]] = d[:, 0]
-    return beams, wide, Codes([table.frame[columns.range]], [whose], coded)
+    return beams, wide
 
 
-MOST_BEAMS = 200
-"""More labels of beams in a long table are another column."""
+def _pose_numbers(
+    table: Table, columns: tuple[str, ...], given: LogFormat
+) -> tuple[FloatArray, tuple[CalibrationWarning, ...]]:
+    """Return the numbers (M, k) of poses, and what was doubtful of them but stated.
+
+    Raises
+    ------
+    InputError
+        A cell that is no number, or numbers that can hardly be under the convention.
+    """
+    x = np.column_stack([column_numbers(table, name) for name in columns])
+    for i, name in enumerate(columns):
+        table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST_LENGTH, name, "a number of a pose")
+    found = []
+    for fault in faults(x, convention_of(given)):
+        if not fault.wrong.any():
+            continue
+        if not (fault.doubt and given.as_stated):
+            names = columns[fault.numbers]
+            where = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+            insist = "; or --as-stated if it is right" if fault.doubt else ""
+            table.refuse(fault.wrong, where, fault.expected + insist, fault.found)
+        words = f"{fault.found}, as stated; expected {fault.expected}"
+        found.append(CalibrationWarning("pose-convention", words))
+    return x, tuple(found)
+
+
+def _refuse_thousands(table: Table, columns: Sequence[str]) -> None:
+    """Refuse columns in which points may stand between thousands: 1.404 beside 970.
+
+    Of 1.404 alone the point is decimal, for such a column has as many decimals everywhere.
+    """
+    for name in columns:
+        cells = table.frame[name]
+        if cells.dtype != pl.String:
+            continue
+        pointed = cells.str.contains(".", literal=True).fill_null(value=False)
+        grouped = cells.str.contains(r"^[+-]?[1-9]\d{0,2}\.\d{3}$").fill_null(value=False)
+        below = cells.str.contains(r"^[+-]?\d{3}$").fill_null(value=False)
+        if pointed.any() and below.any() and (pointed == grouped).all():
+            expected = (
+                "decimals, or points between thousands? state --decimal point, or --decimal comma"
+            )
+            table.refuse(grouped.to_numpy(), name, expected)
+
+
+def _times(table: Table, column: str, given: LogFormat) -> FloatArray:
+    """Return times (M,) [s]; text in the form of ISO 8601 is read, too."""
+    cells = table.frame[column]
+    first = cells.drop_nulls().head(1)
+    # To try all rows as dates takes long.
+    if cells.dtype == pl.String and len(first) and not NUMBER.fullmatch(first[0]):
+        points = cells.str.replace(r",(\d+)", ".$1")  # fractions of seconds behind a comma
+        for form in (None, *GERMAN):
+            try:
+                dates = points.str.to_datetime(form, time_unit="ns", time_zone="UTC")
+            except pl.exceptions.PolarsError:
+                continue
+            if not dates.is_null().any():
+                return np.asarray(dates.to_physical().to_numpy() * 1e-9)
+    return np.asarray(TIME_UNITS[given.time_units] * column_numbers(table, column))

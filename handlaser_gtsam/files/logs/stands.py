@@ -16,7 +16,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
 from .format import LogFormat
-from .motion import AT_ONCE, Means
+from .motion import AT_ONCE, Way
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
@@ -62,47 +62,23 @@ class Stands:
         Rows, both included.
     begin, end : (S,)
         Their times [s].
-    trimmed, dropped : int
-        Runs of still rows that were cut to where they do not creep, and that were dropped because
-        less than half of the shortest stand is left of them.
+    words : str
+        How many there are, and what became of other runs.
     """
 
     first: IntArray
     last: IntArray
     begin: FloatArray
     end: FloatArray
-    trimmed: int = 0
-    dropped: int = 0
+    words: str
 
     @property
-    def words(self) -> str:
-        """How many there are, and what became of the other runs."""
-        text = f"{len(self.first)} moments at which the hand stands"
-        if self.trimmed:
-            text += (
-                f", {self.trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
-            )
-        if self.dropped:
-            text += f"; {self.dropped} more left out because they are too short (--stand-s)"
-        return text
-
-    @property
-    def middle(self) -> IntArray:
-        """The row amid each stand (S,): labels that are set on arrival are right there."""
-        return np.asarray((self.first + self.last) // 2)
-
-    @property
-    def means(self) -> Means:
+    def way(self) -> Way:
         """The mean pose of each stand."""
         count = self.last - self.first + 1
-        start = np.concatenate(([0], np.cumsum(count)[:-1])).astype(np.intp)
+        start = np.cumsum(count) - count
         row = np.repeat(self.first - start, count) + np.arange(count.sum())
-        return Means(row.astype(np.intp), start)
-
-    @property
-    def times(self) -> FloatArray:
-        """The middle of each stand (S,) [s]."""
-        return np.asarray(0.5 * (self.begin + self.end))
+        return Way(row.astype(np.intp), start)
 
     def stand_of(self, time: FloatArray) -> IntArray:
         """Return the stand (N,) in which each time lies, -1 for none."""
@@ -134,7 +110,9 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
     apart = np.flatnonzero(track.time[first[1:]] - track.time[last[:-1]] >= half)
     first, last = np.append(first[:1], first[apart + 1]), np.append(last[apart], last[-1:])
     least = given.stand_s - 2.0 * half - 1e-9
-    kept, trimmed, dropped = [], 0, 0
+    kept: list[tuple[int, int]] = []
+    # Runs that are cut to where they do not creep, and those of which too little is left.
+    trimmed = dropped = 0
     for run in zip(first.tolist(), last.tolist(), strict=True):
         a, b = _trimmed(track, means, run, half)
         if track.time[b] - track.time[a] < least:
@@ -150,7 +128,12 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
             "stations; or other limits (--stand-mm, --stand-deg, --stand-s), or --interpolate",
         )
     begin, end = np.array(kept, dtype=np.intp).T
-    return Stands(begin, end, track.time[begin], track.time[end], trimmed, dropped)
+    words = f"{len(begin)} moments at which the hand stands"
+    if trimmed:
+        words += f", {trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
+    if dropped:
+        words += f"; {dropped} more left out because they are too short (--stand-s)"
+    return Stands(begin, end, track.time[begin], track.time[end], words)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,22 +1,25 @@
-"""Would the readings fit if the poses meant something else? Asked where they do not fit as stated.
+"""Signs that the poses of a log are not those at which its readings were taken.
 
-A small part of the log is solved at a glance as it is stated, and, where that leaves residuals above a
-hundredth of the spread of the readings, under every other convention with as many numbers a pose, with
-inverted poses, and with the other unit of ranges. The rms residual is compared, and where that shows
-nothing the residual below which 70 % of the readings are, so that outliers do not hide a better
-convention. A convention is named where it fits much better, and well.
+Poses may not have been updated: stations repeat a pose although the readings have changed.
+
+Or the poses mean something else. A small part of the log is solved at a glance as it is stated, and,
+where that leaves residuals above a hundredth of the spread of the readings, under every other
+convention with as many numbers a pose, with inverted poses, and with the other unit of ranges. The rms
+residual is compared, and where that shows nothing the residual below which 70 % of the readings are, so
+that outliers do not hide a better convention. One is named where it fits much better, and well.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from ...arrays import IntArray
+from ...arrays import FloatArray
 from ...data.ordering import sorted_readings
-from ...data.recording import Recording
+from ...data.recording import Recording, typical_range
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.conventions import (
@@ -37,9 +40,13 @@ from ...starts import Effort, find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow
 from ...starts.robust import least_scale
-from .motion import Raw
+from .format import LogFormat
+from .format_checks import convention_of
+from .motion import Way
 from .poses import faults
 
+MOVED = 0.02
+"""Readings at one pose that differ by more than this part of the typical range are from several."""
 FITS = 1e-4
 """A mean squared residual below this part of the variance of the readings needs no other convention."""
 BETTER, BETTER_ROBUST = 4.0, 6.25
@@ -62,47 +69,82 @@ REFINEMENTS = 30
 """Steps that refine a start; ten more with range errors."""
 
 
+def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
+    """Refuse a log of a single pose, and warn of poses that repeat while readings change.
+
+    Raises
+    ------
+    InputError
+        Every station has the same pose, and readings differ.
+    """
+    count = len(recording.plane_labels)
+    x = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(count, 9)))
+    rows = np.ascontiguousarray(x).view(np.dtype((np.void, x.itemsize * x.shape[1]))).ravel()
+    _, first, group, size = np.unique(
+        rows, return_index=True, return_inverse=True, return_counts=True
+    )
+    repeats = size[group] > 1
+    if not repeats.any():
+        return ()
+    off = np.abs(recording.ranges - recording.ranges[first[group]])
+    known = recording.ranges[~np.isnan(recording.ranges)]
+    moved = repeats & (np.nan_to_num(off) > MOVED * typical_range(known)).any(axis=1)
+    if not moved.any():
+        return ()
+    same = int(moved.sum())
+    name = recording.station_names[int(moved.argmax())]
+    if len(first) == 1:
+        raise InputError(
+            f"one pose at all {count} stations, with readings that differ",
+            "the pose of each station; are the right columns stated (--pose-columns)?",
+        )
+    words = (
+        f"{same} of {count} stations repeat the pose of another although their readings differ by "
+        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or that "
+        "are stamped late"
+    )
+    return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)
+
+
 def refuse_wrong_convention(
-    recording: Recording,
-    raw: Raw,
-    chosen: IntArray,
-    range_units: str,
-    path: Path,
-    *,
-    as_stated: bool,
+    recording: Recording, numbers: FloatArray, way: Way, given: LogFormat, path: Path
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
     Parameters
     ----------
-    recording, range_units, path
-    raw : Raw
-        Its poses; tool and base are constant, and do not matter.
-    chosen : (S,)
-        Which of the stations of `raw` each station of the recording is.
-    as_stated : bool
-        Warn in any case.
+    recording, given, path
+        The tool and the base are constant, and do not matter.
+    numbers : (M, k)
+        Poses as the log has them.
+    way : Way
+        How the stations of the recording get theirs from these.
 
     Raises
     ------
     InputError
+        It fits so, and is not to be read `as_stated` in any case.
     """
-    part, rows = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
-    if len(rows) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
+    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
-    raw = raw.narrowed(chosen[rows])
-    R, t = raw.poses()  # of the hand as the log has it, whatever the tool and the base
-    part = replace(part, world_R_hand=R, world_t_hand=t, warnings=())
-    found = _better(part, raw, range_units)
+    rows, way = way.narrowed(stations)
+    numbers, convention = numbers[rows], convention_of(given)
+
+    def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
+        R, t = way.poses(numbers, other, inverse=inverse)
+        return replace(recording, world_R_hand=R, world_t_hand=t)
+
+    part = replace(under(convention, given.inverted, part), warnings=())
+    found = _better(part, list(_alternatives(numbers, under, given)))
     if found is None:
         return ()
     ratio, words = found
     times = float(min(np.sqrt(ratio), 1e6))
-    stated = (
-        f"{raw.convention.words}{', inverted' if raw.inverted else ''}, ranges in {range_units}"
-    )
+    stated = f"{convention.words}{', inverted' if given.inverted else ''}, ranges in "
+    stated += given.range_units
     message = f"the readings fit {times:.3g} times better if {words}"
-    if ratio >= MUCH_BETTER and not as_stated:
+    if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
         raise InputError(found_so, "that, or --as-stated if it is right", path)
     return (
@@ -110,7 +152,7 @@ def refuse_wrong_convention(
     )
 
 
-def _better(part: Recording, raw: Raw, range_units: str) -> tuple[float, str] | None:
+def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
     """Return by what squared factor another convention fits better, and which; None where none does."""
     for measure, least in ((_at_a_glance, BETTER), (_robustly, BETTER_ROBUST)):
         try:
@@ -120,9 +162,7 @@ def _better(part: Recording, raw: Raw, range_units: str) -> tuple[float, str] | 
         if now <= FITS:  # as it is; or, by the second measure, but for outliers
             return None
         near = partial(measure, reach=FAR_BEAM)
-        best, words = min(
-            misfits(part, _alternatives(raw, range_units), near), default=(np.inf, "")
-        )
+        best, words = min(misfits(part, others, near), default=(np.inf, ""))
         if best <= min(now / least, WELL):
             return now / best, words
     return None
@@ -157,32 +197,31 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     return float(best**2) / max(readings.spread() ** 2, 1e-300)
 
 
-def _alternatives(raw: Raw, range_units: str) -> Iterator[Rereading]:
+def _alternatives(
+    numbers: FloatArray,
+    under: Callable[[Convention, bool, Recording], Recording],
+    given: LogFormat,
+) -> Iterator[Rereading]:
     """Yield other meanings of the same numbers, with the options that state them."""
-
-    def poses(other: Raw, recording: Recording) -> Recording:
-        R, t = other.poses()
-        return replace(recording, world_R_hand=R, world_t_hand=t)
-
+    convention = convention_of(given)
     words = f"the poses are {INVERTED}: --inverted"
-    if raw.inverted:
+    if given.inverted:
         words = "the poses are not inverted: without --inverted"
-    yield Rereading(words, partial(poses, replace(raw, inverted=not raw.inverted)), "glance")
-    other = "m" if range_units == "mm" else "mm"
-    factor = LENGTHS[other] / LENGTHS[range_units]
+    yield Rereading(words, partial(under, convention, not given.inverted), "glance")
+    unit = "m" if given.range_units == "mm" else "mm"
+    factor = LENGTHS[unit] / LENGTHS[given.range_units]
     yield Rereading(
-        f"the ranges are {other}: --range-units {other}",
+        f"the ranges are {unit}: --range-units {unit}",
         lambda recording: replace(recording, ranges=factor * recording.ranges),
         "glance",
     )
-    seen = {raw.convention.meaning}
+    seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
-        for units in LENGTHS:
-            for angles in ANGLES:
-                one = Convention(rotation, units, angles)
-                if one.meaning in seen or raw.numbers.shape[1] not in one.numbers:
-                    continue
-                seen.add(one.meaning)
-                if not any(fault.wrong.any() for fault in faults(raw.numbers, one)):
-                    words = f"the poses are {one.words}: {called(one)}"
-                    yield Rereading(words, partial(poses, replace(raw, convention=one)), "glance")
+        for units, angles in product(LENGTHS, ANGLES):
+            one = Convention(rotation, units, angles)
+            if one.meaning in seen or numbers.shape[1] not in one.numbers:
+                continue
+            seen.add(one.meaning)
+            if not any(fault.wrong.any() for fault in faults(numbers, one)):
+                words = f"the poses are {one.words}: {called(one)}"
+                yield Rereading(words, partial(under, one, given.inverted), "glance")

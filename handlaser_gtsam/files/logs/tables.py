@@ -18,7 +18,7 @@ import polars as pl
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
 from ...text import LONGEST_NAME, name_fault, shown
-from ..checked_text import json_value
+from ..checked_text import in_file, json_value
 from ..table import (
     COMMA,
     NUMBER,
@@ -203,7 +203,7 @@ def _foreign(path: Path, given: LogFormat) -> Table:
     """Return a table of another kind."""
     suffix = path.suffix.lower()
     try:
-        with _silent():
+        with _silent(), in_file(path):
             if suffix in WORKBOOKS:
                 return _workbook(path, given)
             if suffix in PARQUET:
@@ -212,11 +212,8 @@ def _foreign(path: Path, given: LogFormat) -> Table:
             if not text.strip():
                 raise InputError("an empty file", "an object a line", path)
             _refuse_bad_line(text, path)
-            frame = pl.read_ndjson(text.encode(), infer_schema_length=None)
-            return _of_values(frame, path)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path, error.line, error.column) from error
-    except (KeyboardInterrupt, SystemExit, MemoryError):
+            return _of_values(pl.read_ndjson(text.encode(), infer_schema_length=None), path)
+    except (InputError, KeyboardInterrupt, SystemExit, MemoryError):
         raise
     except BaseException as error:  # panics of Polars and its readers are no Exception
         what = str(error).strip().splitlines() or [type(error).__name__]
@@ -234,10 +231,10 @@ def _parquet(path: Path) -> pl.DataFrame:
 
 
 def _workbook(path: Path, given: LogFormat) -> Table:
-    sheet = read_sheet(path, given)
-    table = _of_values(sheet.rows, path)
-    lines, header = table.lines + sheet.header_line, sheet.header_line
-    table = replace(table, header_line=header, lines=lines, warnings=sheet.warnings)
+    rows, header, warnings = read_sheet(path, given)
+    table = _of_values(rows, path)
+    lines = table.lines + header
+    table = replace(table, header_line=header, lines=lines, warnings=warnings)
     return _with_points(table, given, numbers_have_points=True)
 
 

@@ -8,9 +8,8 @@ the sheet first, which is streamed.
 import re
 import xml.etree.ElementTree as ET
 import zipfile
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import IO
 
 import polars as pl
 
@@ -19,78 +18,17 @@ from ...errors import CalibrationWarning, InputError
 from ...text import count, shown, some
 from ..table import titles_above, titles_warning
 from .format import LogFormat
-from .packed import A_PART, refuse_zip_bomb
+from .packed import refuse_zip_bomb
 
 EMPTY_CELLS = 2_000_000
 """Empty cells that a sheet may have between others, at some 70 bytes each in memory."""
-CELL = re.compile(rb'<(?:\w+:)?c\b[^>]*?\br="([A-Z]{1,3})(\d{1,7})"[^>/]*>')
-"""A cell that is not empty."""
-ERROR = re.compile(
-    rb'<(?:\w+:)?c\b(?=[^>]*\bt="e")[^>]*?\br="([A-Z]+\d+)"[^>]*>.*?<(?:\w+:)?v>([^<]*)<', re.S
-)
-UNCALCULATED = re.compile(
-    rb'<(?:\w+:)?c\b(?![^>]*\bt="str")[^>]*?\br="([A-Z]+\d+)"[^>]*>\s*'
-    rb"<(?:\w+:)?f\b(?:[^>]*/>|[^>]*>[^<]*</(?:\w+:)?f>)\s*"
-    rb"(?:<(?:\w+:)?v\s*/>|<(?:\w+:)?v>\s*</(?:\w+:)?v>)?\s*</(?:\w+:)?c>"
-)
-"""A formula without a value; a text may be empty."""
-BEGIN = re.compile(rb"<((?:\w+:)?)(row|c)\b([^>]*)")
-PLACE = re.compile(rb'\br="([A-Z]*)(\d+)"')
-WITHOUT_PLACE = re.compile(rb'<(?:\w+:)?c\b(?![^>]*\br=")')
-"""A cell that stands where it stands: after the one before, as some programs write all of them."""
+PLACE = re.compile(r"([A-Z]{1,3})(\d{1,7})")
 
 
-@dataclass(slots=True)
-class _Scan:
-    """What the XML of a sheet says: cells, the rectangle around them, and cells without a value."""
-
-    cells: int = 0
-    columns: set[bytes] = field(default_factory=set)
-    first: int = 1 << 30
-    last: int = 0
-    row: int = 0
-    column: int = 0
-    failed: dict[str, list[str]] = field(default_factory=dict)
-
-    def add(self, part: bytes) -> None:
-        """Look through whole rows."""
-        if WITHOUT_PLACE.search(part):
-            self.row = max(self.row, self.last)
-            part = BEGIN.sub(self._placed, part)
-        found = CELL.findall(part)
-        rows = {int(row) for _, row in found}
-        self.cells += len(found)
-        self.columns |= {column for column, _ in found}
-        self.first, self.last = min((self.first, *rows)), max((self.last, *rows))
-        for place, error in ERROR.findall(part):
-            self.failed.setdefault(error.decode("ascii", "replace"), []).append(place.decode())
-        for (place,) in (one.groups() for one in UNCALCULATED.finditer(part)):
-            self.failed.setdefault("formula without a value", []).append(place.decode())
-
-    def _placed(self, tag: re.Match[bytes]) -> bytes:
-        """Return the beginning of a row or a cell, of a cell with its place."""
-        prefix, kind, rest = tag.groups()
-        place = PLACE.search(rest)
-        if kind == b"row":
-            self.row, self.column = int(place[2]) if place else self.row + 1, 0
-            return tag[0]
-        self.column = _number(place[1]) if place else self.column + 1
-        if place:
-            return tag[0]
-        return b'<%sc r="%s%d"%s' % (prefix, _letters(self.column), self.row, rest)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
-    """The rows of a sheet below its header, the line of that, and what was passed over."""
-
-    rows: pl.DataFrame
-    header_line: int
-    warnings: tuple[CalibrationWarning, ...]
-
-
-def read_sheet(path: Path, given: LogFormat) -> Sheet:
-    """Read a sheet.
+def read_sheet(
+    path: Path, given: LogFormat
+) -> tuple[pl.DataFrame, int, tuple[CalibrationWarning, ...]]:
+    """Return the rows of a sheet below its header, the line of that, and what was passed over.
 
     Raises
     ------
@@ -109,17 +47,15 @@ def read_sheet(path: Path, given: LogFormat) -> Sheet:
     refuse_zip_bomb(path)
     with zipfile.ZipFile(path) as archive:
         sheets = _sheets(archive)
+        listed = ", ".join(map(shown, sheets))
         if given.sheet and given.sheet not in sheets:
-            expected = f"one of {', '.join(map(shown, sheets))}"
-            raise InputError(f"no sheet {shown(given.sheet)}", expected, path)
+            raise InputError(f"no sheet {shown(given.sheet)}", f"one of {listed}", path)
         if not given.sheet and len(sheets) > 1:
-            listed = ", ".join(map(shown, sheets))
             raise InputError(f"{len(sheets)} sheets, {listed}", "one of them: state --sheet", path)
         name = given.sheet or next(iter(sheets))
         with archive.open(sheets[name]) as file:
-            scan = _scanned(cast(BinaryIO, file))
-    _refuse_stray(scan, path)
-    book, warnings = fastexcel.read_excel(path), _warnings(scan, path)
+            first, warnings = _scanned(file, path)
+    book = fastexcel.read_excel(path)
     texts: pl.DataFrame = book.load_sheet(name, header_row=None, dtypes="string").to_polars()
     if not len(texts):
         raise InputError("an empty sheet", "a header and one row a station or a reading", path)
@@ -128,7 +64,7 @@ def read_sheet(path: Path, given: LogFormat) -> Sheet:
     if above:
         titles = [" ".join(filter(None, row)) for row in head[:above]]
         warnings += titles_warning(titles, path)
-    line = above + (scan.first if scan.cells else 1)
+    line = above + first
     named = [one for one in head[above] if one]
     twice = first_repeated(named)
     if twice is not None:
@@ -142,7 +78,7 @@ def read_sheet(path: Path, given: LogFormat) -> Sheet:
     found.columns = names
     # Texts have nine decimals of a number at most, and numbers take true and false for 1 and 0.
     truths = [one for one in names if texts[one].is_in(["true", "false"]).any()]
-    return Sheet(found.with_columns(texts[one] for one in truths), line, tuple(warnings))
+    return found.with_columns(texts[one] for one in truths), line, warnings
 
 
 def _sheets(archive: zipfile.ZipFile) -> dict[str, str]:
@@ -152,63 +88,88 @@ def _sheets(archive: zipfile.ZipFile) -> dict[str, str]:
     book = ET.fromstring(archive.read("xl/workbook.xml"))
     found = {}
     for one in book.iter():
-        if one.tag.rpartition("}")[2] == "sheet":
+        if _tag(one) == "sheet":
             identity = next((value for name, value in one.items() if name.endswith("}id")), None)
             part = target[identity]
             found[str(one.get("name"))] = part[1:] if part.startswith("/") else f"xl/{part}"
     return found
 
 
-def _scanned(file: BinaryIO) -> _Scan:
-    scan, rest = _Scan(), b""
-    while part := file.read(A_PART):
-        rest += part
-        end = rest.rfind(b"row>") + len(b"row>")
-        if end > len(b"row>"):
-            scan.add(rest[:end])
-            rest = rest[end:]
-    scan.add(rest)
-    return scan
+def _tag(element: ET.Element) -> str:
+    """Return the name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]
 
 
-def _refuse_stray(scan: _Scan, path: Path) -> None:
-    """Refuse a sheet most of whose cells are empty: one cell far away makes it so."""
-    if not scan.cells:
-        return
-    last = max(scan.columns, key=lambda one: (len(one), one))
-    numbers = [_number(one) for one in scan.columns]
-    width, height = max(numbers) - min(numbers) + 1, scan.last - scan.first + 1
-    if width * height > max(EMPTY_CELLS, 2 * scan.cells):
+def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning, ...]]:
+    """Return the first row of a sheet, and a warning for each kind of cell without a value.
+
+    Raises
+    ------
+    InputError
+        Most of the rectangle around its cells is empty: one cell far away makes it so.
+    """
+    rows, columns, cells = set[int](), set[int](), 0
+    failed: dict[str, list[str]] = {}
+    row = column = 0
+    for event, element in ET.iterparse(file, ("start", "end")):
+        tag = _tag(element)
+        if tag == "row" and event == "start":  # what has no place stands after the one before
+            row, column = int(element.get("r", row + 1)), 0
+        elif tag == "row":
+            element.clear()
+        elif tag == "c" and event == "end":
+            place = PLACE.fullmatch(element.get("r", ""))
+            column = _number(place[1]) if place else column + 1
+            if len(element):
+                cells += 1
+                rows.add(row)
+                columns.add(column)
+                problem = _problem(element)
+                if problem:
+                    failed.setdefault(problem, []).append(f"{_letters(column)}{row}")
+            element.clear()
+    if not cells:
+        return 1, ()
+    width, height = max(columns) - min(columns) + 1, max(rows) - min(rows) + 1
+    if width * height > max(EMPTY_CELLS, 2 * cells):
         found = (
-            f"a sheet of {width} columns and {height} rows, up to column {last.decode()} and row "
-            f"{scan.last}, in which only {scan.cells} cells hold anything"
+            f"a sheet of {width} columns and {height} rows, up to column {_letters(max(columns))} and "
+            f"row {max(rows)}, in which only {cells} cells hold anything"
         )
         raise InputError(found, "one table: delete the cells that stand far from it", path)
-
-
-def _number(column: bytes) -> int:
-    """Return the number of a column from its letters: A is 1, AA is 27."""
-    number = 0
-    for letter in column:
-        number = 26 * number + letter - ord("A") + 1
-    return number
-
-
-def _letters(number: int) -> bytes:
-    """Return the letters of a column from its number."""
-    letters = b""
-    while number:
-        number, letter = divmod(number - 1, 26)
-        letters = bytes([ord("A") + letter]) + letters
-    return letters
-
-
-def _warnings(scan: _Scan, path: Path) -> list[CalibrationWarning]:
-    found = []
-    for what, places in scan.failed.items():
+    warnings = []
+    for what, places in failed.items():
         words = (
             f"{path.name}: {count(len(places), 'cell')} of {shown(what)} ({some(places, 4)}) taken as "
             "empty; calculate the workbook again and save it, or mend them"
         )
-        found.append(CalibrationWarning("cells-without-value", words, {"cells": len(places)}))
-    return found
+        warnings.append(CalibrationWarning("cells-without-value", words, {"cells": len(places)}))
+    return min(rows), tuple(warnings)
+
+
+def _problem(cell: ET.Element) -> str:
+    """Return the error of a cell, or that its formula has no value; empty where it has one."""
+    parts = {_tag(one): one for one in cell}
+    value = (parts["v"].text or "").strip() if "v" in parts else ""
+    if cell.get("t") == "e":
+        return value
+    if "f" in parts and not value and cell.get("t") != "str":  # a text may be empty
+        return "formula without a value"
+    return ""
+
+
+def _number(column: str) -> int:
+    """Return the number of a column from its letters: A is 1, AA is 27."""
+    number = 0
+    for letter in column:
+        number = 26 * number + ord(letter) - ord("A") + 1
+    return number
+
+
+def _letters(number: int) -> str:
+    """Return the letters of a column from its number."""
+    letters = ""
+    while number:
+        number, letter = divmod(number - 1, 26)
+        letters = chr(ord("A") + letter) + letters
+    return letters
