@@ -29,7 +29,7 @@ from exported import (
 )
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.exports.frames import smallest_rotation
+from handlaser_gtsam.files.exports.beams import smallest_rotation
 
 V = directions()
 FILE = calibrated(V)

@@ -1,18 +1,31 @@
-"""Calibrated beams as templates take them: identifiers, frames, and what is to be said of each."""
+"""Calibrated beams as templates take them: identifiers, frames, and what is to be said of each.
+
+A beam has no roll: any frame turned about it is as good. One rule chooses it, `smallest_rotation`.
+"""
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from ...arrays import FloatArray
+from ...data.recording_checks import require_once
 from ...errors import InputError
 from ...model.geometry import normalized
-from ...quantities import IN_DEG, IN_MM
+from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
 from ...text import shown
-from ..survey_json import BeamRecord, SensorRecord, SurveyFile
-from .frames import Axis, quaternion, rotation_vector, smallest_rotation, yaw_pitch_roll
+from ..survey_json import SurveyFile
 from .names import comment_text, identifiers
+
+Axis = Literal["x", "y", "z"]
+Placed = tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Name, comment, location r [m], direction v, rotation of the frame, and (k1, k2) of a beam."""
+HALF_TURN = {"x": (0.0, 0.0, 1.0), "y": (1.0, 0.0, 0.0), "z": (0.0, 1.0, 0.0)}
+"""Where the beam is opposite to an axis: the axis that is turned over with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,97 +61,106 @@ class ExportedBeam:
 
 
 def exported_beams(
-    mounts: Mounts, names: tuple[str, ...], axis: Axis, reading: float
+    what: Mounts | SurveyFile, names: tuple[str, ...], axis: Axis, reading: float
 ) -> tuple[ExportedBeam, ...]:
-    """Return the named beams, or all where none is named; identifiers do not depend on the choice.
+    """Return the named beams, and sensors of a survey; or all where none is named.
 
-    The frame of each has its origin where the beam reads `reading` [m].
+    The frame of each has its origin where it reads `reading` [m] along the beam, or along the z axis of
+    a sensor. Identifiers do not depend on the choice.
 
     Raises
     ------
     InputError
-        No such beam, or names whose identifiers are the same.
+        No such beam, one named twice, or names whose identifiers are the same.
     """
-    spelt = dict(zip(mounts.names, identifiers(mounts.names), strict=True))
-    chosen = mounts.arranged(names) if names else mounts
-    found = []
-    for i, name in enumerate(chosen.names):
-        v = normalized(chosen.directions[i : i + 1])[0]
-        k1, k2 = chosen.range_errors[i].tolist()
+    require_once("beam", names)
+    placed = list(_beams(what, axis) if isinstance(what, Mounts) else _sensors(what, axis))
+    found = {}
+    spelt = identifiers([name for name, *_ in placed])
+    for identifier, (name, comment, r, v, R, k) in zip(spelt, placed, strict=True):
+        k1, k2 = k.tolist()
+        turn = Rotation.from_matrix(R)
+        found[name] = ExportedBeam(
+            name,
+            identifier,
+            comment,
+            tuple(r.tolist()),
+            tuple(v.tolist()),
+            k1,
+            k2,
+            tuple((r + reading * (1.0 + k1 + k2 * reading) * v).tolist()),
+            tuple(turn.as_quat(canonical=True).tolist()),
+            yaw_pitch_roll(R),
+            tuple(turn.as_rotvec().tolist()),
+        )
+    for name in names:
+        if name not in found:
+            raise InputError(f"beam {shown(name)}", f"one of {', '.join(found)}")
+    return tuple(found[name] for name in names or found)
+
+
+def _beams(mounts: Mounts, axis: Axis) -> Iterator[Placed]:
+    """Yield beams with their range errors and standard deviations in words.
+
+    That of the direction is the largest over its tangents.
+    """
+    directions = normalized(mounts.directions)
+    for i, name in enumerate(mounts.names):
+        sigma, at = mounts.sigma[i], slice(8 * i + 3, 8 * i + 6)
+        turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[at, at])[-1]), 0.0))
+        x, y, z = (f"{value * IN_MM:.3g}" for value in sigma[:3])
+        words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * IN_DEG:.3g} deg"]
+        k1, k2 = mounts.range_errors[i]
+        words += [f"k1 {k1:.6g} +- {sigma[6]:.2g}"] if mounts.terms[i] else []
+        words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[i] > 1 else []
+        comment, v = f"beam {comment_text(name)}: {', '.join(words)}", directions[i]
         R = smallest_rotation(axis, v)
-        origin = chosen.locations[i] + reading * (1.0 + k1 + k2 * reading) * v
-        found.append(
-            ExportedBeam(
-                name,
-                spelt[name],
-                f"beam {comment_text(name)}: {_words(chosen, i)}",
-                tuple(chosen.locations[i].tolist()),
-                tuple(v.tolist()),
-                k1,
-                k2,
-                tuple(origin.tolist()),
-                quaternion(R),
-                yaw_pitch_roll(R),
-                rotation_vector(R),
-            )
-        )
-    return tuple(found)
+        yield name, comment, mounts.locations[i], v, R, mounts.range_errors[i]
 
 
-def exported_sensors(
-    file: SurveyFile, names: tuple[str, ...], axis: Axis, reading: float
-) -> tuple[ExportedBeam, ...]:
-    """Return the frames of the named sensors and beams of a survey, or of all where none is named.
+def _sensors(file: SurveyFile, axis: Axis) -> Iterator[Placed]:
+    """Yield sensors of many rays in their own frames, and beams."""
+    for sensor in file.sensors:
+        R = np.array(sensor.rotation)
+        words = _located(sensor.kind, sensor.name, sensor.location_sigma_m)
+        yield sensor.name, words, np.array(sensor.location_m), R[:, 2], R, np.zeros(2)
+    for beam in file.beams:
+        r, v, k = map(np.array, (beam.location_m, beam.direction, beam.range_error))
+        words = _located("beam", beam.name, beam.location_sigma_m)
+        yield beam.name, words, r, v, smallest_rotation(axis, v), k
 
-    The origin of each is where it reads `reading` [m] along the z axis of a sensor, or along a beam.
 
-    Raises
-    ------
-    InputError
-        No such sensor, or names whose identifiers are the same.
+def _located(kind: str, name: str, sigma: Sequence[float | None]) -> str:
+    words = ["undetermined" if s is None else f"{s * IN_MM:.3g}" for s in sigma]
+    return f"{kind} {comment_text(name)}: location +- {' '.join(words)} mm"
+
+
+def smallest_rotation(axis: Axis, v: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) by the smallest angle that takes an axis of the hand to `v` (3,).
+
+    It is continuous in `v` everywhere but where `v` is opposite to the axis. There every half turn is
+    as small; the one about the next axis is taken: about y for x, about z for y, about x for z.
+
+    The rotation is composed of two reflections, which keeps R a = v to rounding even beside the
+    opposite, where the roll depends on the last digits of `v`.
     """
-    every: list[SensorRecord | BeamRecord] = [*file.sensors, *file.beams]
-    spelt = identifiers([one.name for one in every])
-    found = []
-    for one, identifier in zip(every, spelt, strict=True):
-        if isinstance(one, SensorRecord):
-            R, k = np.array(one.rotation), (0.0, 0.0)
-        else:
-            k = one.range_error[0], one.range_error[1]
-            R = smallest_rotation(axis, np.array(one.direction))
-        v = R[:, 2] if isinstance(one, SensorRecord) else np.array(one.direction)
-        r = np.array(one.location_m)
-        sigmas = ["undetermined" if s is None else f"{s * IN_MM:.3g}" for s in one.location_sigma_m]
-        kind = one.kind if isinstance(one, SensorRecord) else "beam"
-        found.append(
-            ExportedBeam(
-                one.name,
-                identifier,
-                f"{kind} {comment_text(one.name)}: location +- {' '.join(sigmas)} mm",
-                tuple(r.tolist()),
-                tuple(v.tolist()),
-                *k,
-                tuple((r + reading * (1.0 + k[0] + k[1] * reading) * v).tolist()),
-                quaternion(R),
-                yaw_pitch_roll(R),
-                rotation_vector(R),
-            )
-        )
-    known = {beam.name: beam for beam in found}
-    lacking = [name for name in names if name not in known]
-    if lacking:
-        raise InputError(f"a sensor {shown(lacking[0])}", f"one of {', '.join(known)}")
-    return tuple(known[name] for name in names) if names else tuple(found)
+    a = np.zeros(3)
+    a["xyz".index(axis)] = 1.0
+    between = a + v
+    length = float(np.linalg.norm(between))
+    half = np.array(HALF_TURN[axis]) if length < SINGULAR else between / length
+    first, second = (np.eye(3) - 2.0 * np.outer(normal, normal) for normal in (a, half))
+    return np.asarray(second @ first)
 
 
-def _words(mounts: Mounts, index: int) -> str:
-    """Return range errors and standard deviations, of the direction the largest over its tangents."""
-    sigma = mounts.sigma[index]
-    at = slice(8 * index + 3, 8 * index + 6)
-    turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[at, at])[-1]), 0.0))
-    x, y, z = (f"{value * IN_MM:.3g}" for value in sigma[:3])
-    words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * IN_DEG:.3g} deg"]
-    k1, k2 = mounts.range_errors[index]
-    words += [f"k1 {k1:.6g} +- {sigma[6]:.2g}"] if mounts.terms[index] else []
-    words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[index] > 1 else []
-    return ", ".join(words)
+def yaw_pitch_roll(R: FloatArray) -> tuple[float, float, float]:
+    """Return angles (A, B, C) [rad] with R = Rz(A) Ry(B) Rx(C); B is within a quarter turn.
+
+    The last angle is taken from R after the first: their rounding cancels where B is a quarter turn,
+    and only their sum or difference is determined.
+    """
+    A = math.atan2(R[1, 0], R[0, 0])
+    B = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    s, c = math.sin(A), math.cos(A)
+    C = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return A, B, C

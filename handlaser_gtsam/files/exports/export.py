@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from ... import __version__
 from ...checks import require_count, require_kind, require_names, require_number, require_word
 from ...data.station_list import StationList
 from ...errors import InputError, NotConvergedError
@@ -18,12 +19,11 @@ from ..calibration_json import calibration_text
 from ..calibration_reading import mounts_of
 from ..survey_json import SurveyFile, survey_text
 from ..writing import path_of, write_bytes
-from .beams import exported_beams, exported_sensors
+from .beams import Axis, exported_beams
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS
-from .frames import Axis
 from .into_urdf import put_into
 from .programs import poses_text, program_text
-from .rendering import ABOUT, ABOUT_SENSORS, OWN, OWN_FRAMES, ROLL, number, rendered
+from .rendering import number, rendered
 
 Exported = Calibration | CalibrationFile | SurveyCalibration | SurveyFile | StationList
 """What can be exported."""
@@ -145,17 +145,19 @@ def export_text(
     options.check(to)
     if isinstance(what, SurveyCalibration):
         what = SurveyFile.model_validate_json(survey_text(what))
-    if isinstance(what, SurveyFile):
-        if what.status != "converged":
-            raise NotConvergedError(what.status, what.message)
-        return _text(what, to, options)
-    if to not in STATIONS:
-        return _text(_mounts(what), to, options)
-    require_kind("what", what, StationList)
-    assert isinstance(what, StationList)
-    if to == "poses":
-        return poses_text(what, str(options.pose_format))
-    return program_text(what, to, options.signal, float(options.pause))
+    if to in STATIONS and not isinstance(what, SurveyFile):
+        require_kind("what", what, StationList)
+        assert isinstance(what, StationList)
+        if to == "poses":
+            return poses_text(what, str(options.pose_format))
+        return program_text(what, to, options.signal, float(options.pause))
+    if not isinstance(what, (SurveyFile, CalibrationFile)):
+        require_kind("calibration", what, Calibration)
+        assert isinstance(what, Calibration)
+        what = CalibrationFile.model_validate_json(calibration_text(what))
+    if what.status != "converged":
+        raise NotConvergedError(what.status, what.message)
+    return _text(what if isinstance(what, SurveyFile) else mounts_of(what), to, options)
 
 
 def write_export(
@@ -176,47 +178,40 @@ def write_export(
     write_bytes(path_of(path), export_text(what, to, options).encode())
 
 
-def _mounts(what: Calibration | CalibrationFile | StationList) -> Mounts:
-    if not isinstance(what, CalibrationFile):
-        require_kind("calibration", what, Calibration)
-        assert isinstance(what, Calibration)
-        what = CalibrationFile.model_validate_json(calibration_text(what))
-    if what.status != "converged":
-        raise NotConvergedError(what.status, what.message)
-    return mounts_of(what)
-
-
-def _text(beams_of: "Mounts | SurveyFile", to: str, options: ExportOptions) -> str:
+def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
     reading, tool = float(options.at_reading), options.tool or 1
-    where = (
-        f"where it reads {number(reading * IN_MM)} mm"
-        if reading
-        else "where the true range is zero"
-    )
-    values = {"parent": options.link, "axis": axis, "where": where, "tool": tool}
-    values["reading"] = number(reading * IN_MM) if reading else ""
-    if isinstance(beams_of, Mounts):
-        beams = exported_beams(beams_of, options.beams, axis, reading)
-        values |= {"about": ABOUT, "roll": ROLL, "frames": _frames(to, axis, where)}
-    else:
-        if to not in (*LINKED, *TOOLS):
-            expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames"
-            raise InputError(f"the format {to} for sensors of many rays", expected)
-        beams = exported_sensors(beams_of, options.beams, axis, reading)
-        values |= {"about": ABOUT_SENSORS, "roll": OWN, "frames": OWN_FRAMES}
+    beams_only = isinstance(what, Mounts)
+    if not beams_only and to not in (*LINKED, *TOOLS):
+        expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames"
+        raise InputError(f"the format {to} for sensors of many rays", expected)
+    beams = exported_beams(what, options.beams, axis, reading)
     if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
         found = f"tool {tool} as the first of {len(beams)}"
         raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
-    text = rendered(to, beams=beams, **values)
+    shown_reading = number(reading * IN_MM) if reading else ""
+    where = f"where it reads {shown_reading} mm" if reading else "where the true range is zero"
+    frames = (
+        "Each frame of a sensor is its own, in which its points are; x of a beam's lies along it."
+    )
+    if beams_only and to in TOOLS:
+        frames = f"{axis} of each frame lies along its beam; its origin is {where}."
+    elif beams_only:
+        frames = "x of each frame lies along its beam, from where the true range is zero."
+    text = rendered(
+        to,
+        beams=beams,
+        about=f"{'Laser beams' if beams_only else 'Sensors'} calibrated by handlaser {__version__}, "
+        "in the hand frame: the frame that the recorded poses describe.",
+        frames=frames,
+        roll="The roll about the beam is free; it is that of the smallest rotation from the hand "
+        "frame.",
+        parent=options.link,
+        axis=axis,
+        tool=tool,
+        reading=shown_reading,
+    )
     if options.into is None:
         return text
     names = [beam.identifier for beam in beams]
     return put_into(path_of(options.into), text, names, options.link)
-
-
-def _frames(to: str, axis: Axis, where: str) -> str:
-    """Say what the frames of beams are."""
-    if to in TOOLS:
-        return f"{axis} of each frame lies along its beam; its origin is {where}."
-    return "x of each frame lies along its beam, from where the true range is zero."

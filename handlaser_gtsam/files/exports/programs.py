@@ -6,7 +6,8 @@ known it moves in the joints, as the ways of a plan are checked; else along line
 the horizon, which no URDF does, so that its program always has lines.
 """
 
-from dataclasses import dataclass
+import csv
+from io import StringIO
 
 import numpy as np
 
@@ -24,30 +25,13 @@ JOINTS = 6
 """An arm of another number of joints has axes that programs count in other ways."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """A station in a program.
-
-    Attributes
-    ----------
-    words : str
-        Its name and plane, harmless in a comment.
-    pose : tuple of str
-        Its numbers in the convention of the program.
-    joints : tuple of str
-        [rad] in URScript, else [deg]; empty where the program moves along lines.
-    read : bool
-        Whether the program stops there.
-    """
-
-    words: str
-    pose: tuple[str, ...]
-    joints: tuple[str, ...]
-    read: bool
-
-
 def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:
-    """Return the program of some stations; it waits `pause` [s] before and while the signal is set."""
+    """Return the program of some stations; it waits `pause` [s] before and while the signal is set.
+
+    Each stop of a template has `words`, its name and plane, harmless in a comment; `pose`, its numbers
+    in the convention of the program; `joints` [rad] in URScript, else [deg], none where the program
+    moves along lines; and `read`, whether the program stops there.
+    """
     x = numbers_of(stations.world_R_hand, stations.world_t_hand, FORMATS[CONVENTION[to]])
     joints = stations.joints
     if to not in IN_JOINTS or joints is None or joints.shape[1] != JOINTS:
@@ -55,12 +39,12 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     names = zip(stations.station_names, stations.plane_labels, strict=True)
     write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)
     stops = [
-        Stop(
-            f"station {comment_text(name)[: 2 * REMARK // 3]}, plane {comment_text(plane)}",
-            tuple(map(write, pose)),
-            tuple(write(unit * joint) for joint in turned),
-            not name.startswith(VIA),
-        )
+        {
+            "words": f"station {comment_text(name)[: 2 * REMARK // 3]}, plane {comment_text(plane)}",
+            "pose": tuple(map(write, pose)),
+            "joints": tuple(write(unit * joint) for joint in turned),
+            "read": not name.startswith(VIA),
+        }
         for (name, plane), pose, turned in zip(names, x.tolist(), joints.tolist(), strict=True)
     ]
     return rendered(to, stops=stops, signal=signal, pause=pause)
@@ -72,14 +56,10 @@ def poses_text(stations: StationList, pose_format: str) -> str:
     x = numbers_of(stations.world_R_hand, stations.world_t_hand, convention)
     turn = (convention.columns or spelled_columns(convention.rotation))[0]
     columns = turn if convention.is_matrix else ("x", "y", "z", *turn)
-    rows = [",".join(("plane", "station", *columns))]
+    text = StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("plane", "station", *columns))
     names = zip(stations.plane_labels, stations.station_names, strict=True)
     for pair, numbers in zip(names, x.tolist(), strict=True):
-        cells = (quoted(cell) for cell in pair)
-        rows.append(",".join((*cells, *map(number, numbers))))
-    return "\n".join(rows) + "\n"
-
-
-def quoted(cell: str) -> str:
-    """Return a name as a cell of a CSV."""
-    return '"' + cell.replace('"', '""') + '"' if set(cell) & set(',"\r\n') else cell
+        rows.writerow((*pair, *map(number, numbers)))
+    return text.getvalue()

@@ -3,32 +3,13 @@
 import shlex
 import textwrap
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
-from ... import __version__
 from ...quantities import IN_DEG, IN_MM
 from .names import literal
 
-if TYPE_CHECKING:
-    from jinja2 import Environment
-
 REMARK = 30
 """Characters of a remark in a FANUC program; the name of a station has two thirds of them."""
-ABOUT = (
-    f"Laser beams calibrated by handlaser {__version__}, in the hand frame: "
-    "the frame that the recorded poses describe."
-)
-ROLL = "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
-
-ABOUT_SENSORS = (
-    f"Sensors calibrated by handlaser {__version__}, in the hand frame: "
-    "the frame that the recorded poses describe."
-)
-OWN_FRAMES = (
-    "Each frame of a sensor is its own, in which its points are; x of a beam's lies along it."
-)
-OWN = "The roll of a beam is free; it is that of the smallest rotation from the hand frame."
 
 
 def number(value: float) -> str:
@@ -44,13 +25,9 @@ def fixed(value: float, digits: int = 9) -> str:
 
 def rendered(template: str, **values: object) -> str:
     """Return the text of a template."""
-    return _environment().get_template(f"{template}.j2").render(**values)
-
-
-def _environment() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    found = Environment(
+    environment = Environment(
         loader=PackageLoader(__package__),
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -58,7 +35,7 @@ def _environment() -> "Environment":
         keep_trailing_newline=True,
         autoescape=False,
     )
-    found.filters |= {
+    environment.filters |= {
         "number": number,
         "numbers": lambda values, between: between.join(map(number, values)),
         "mm": lambda values: [fixed(value * IN_MM) for value in values],
@@ -70,7 +47,7 @@ def _environment() -> "Environment":
         "remarks": lambda text: "\n".join(f"!{line}" for line in textwrap.wrap(text, REMARK)),
         "steps": _steps,
     }
-    return found
+    return environment.get_template(f"{template}.j2").render(**values)
 
 
 def _steps(text: str) -> str:
