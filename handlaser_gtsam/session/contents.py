@@ -166,6 +166,22 @@ class Contents:
         before = self.planes[plane]
         return self._with(plane, replace(before, rejected=(*before.rejected, *more)))
 
+    def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
+        """Return the contents of which nothing is in a graph, with just these readings rejected."""
+        plane_of = {
+            station: name
+            for name, plane in self.planes.items()
+            for station in plane.recording.station_names
+        }
+        of_plane: dict[str, list[Rejected]] = {name: [] for name in self.planes}
+        for reading in rejected:
+            of_plane[plane_of[reading.station]].append(replace(reading, residual=None))
+        planes = {
+            name: PlaneContents(plane.recording, tuple(of_plane[name]))
+            for name, plane in self.planes.items()
+        }
+        return replace(self, planes=planes)
+
     def without_plane(self, name: str) -> "Contents":
         """Return the contents without a plane.
 

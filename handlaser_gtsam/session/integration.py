@@ -21,8 +21,8 @@ from ..estimation.mixture import BeamPosterior
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
+from .drift import Reference, turns
 from .fitted import FittedPlane
-from .reference import Reference, turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,29 +60,26 @@ class ScaleSums:
         empty = cls(config.learned, history.reference, members, known, {})
         return empty.changed(fitted, fitted)
 
-    def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
-        """Return the sums with a plane, in place of its earlier information."""
+    def changed(self, fitted: Mapping[str, FittedPlane], inside: Collection[str]) -> "ScaleSums":
+        """Return the sums of the planes that are `inside`, of which some have been fitted again."""
+        kept = {plane: piece for plane, piece in self.pieces.items() if plane in inside}
+        again = {plane: self._counted(refitted) for plane, refitted in fitted.items()}
+        return replace(self, pieces={**kept, **again})
+
+    def _counted(self, fitted: FittedPlane) -> Information:
+        """Return the information of a plane, counted from the reference."""
         learned, readings = self.learned, fitted.readings
         variances = learned.base.for_stations(int(readings.station.max()) + 1)
         rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
         points = [learned.mode, *learned.points]
         information, _ = rows.information([learned.scales.noise(u) for u in points])
-        # Counted from the reference: the unknowns here are turn (x - shift).
+        # The unknowns there are turn (x - shift).
         turn = turns(fitted.parameters.directions, self.reference)
         shift = self.reference.coordinates(fitted.parameters.beams)
         matrix = turn.T @ information.matrix @ turn
         vector = information.vector @ turn
         constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-        counted = Information(matrix, vector + matrix @ shift, constant)
-        return replace(self, pieces={**self.pieces, plane: counted})
-
-    def changed(self, fitted: Mapping[str, FittedPlane], inside: Collection[str]) -> "ScaleSums":
-        """Return the sums of the planes that are `inside`, of which some have been fitted again."""
-        kept = {plane: piece for plane, piece in self.pieces.items() if plane in inside}
-        sums = replace(self, pieces=kept)
-        for plane, refitted in fitted.items():
-            sums = sums.with_plane(plane, refitted)
-        return sums
+        return Information(matrix, vector + matrix @ shift, constant)
 
     def integrated(self, state: BeamState) -> BeamState:
         """Return beams at the most probable scales with all scales integrated over."""
