@@ -68,11 +68,11 @@ def history(calibration: Calibration, reading: float) -> History | None:
         first = np.zeros(len(whole.recording.plane_labels), dtype=bool)
         first[used[:count]] = True
         try:
-            part = whole.known_by(first)
+            _, known = whole.known_by(first)
         except (SolverError, InputError, GrazingBeamError):
             continue
-        if len(part.recording.beam_names) == len(calibration.beams):
-            rows[:] = _known(calibration, part.joint, reading)
+        if len(known.beam_names) == len(calibration.beams):
+            rows[:] = _known(calibration, known, reading)
     last = sigmas[-1].copy()
     stated = _known(calibration, joint, reading)
     sigmas *= np.divide(stated, last, out=np.ones_like(last), where=last > 0.0)

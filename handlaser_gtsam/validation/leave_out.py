@@ -17,7 +17,12 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
 from ..results.calibration import Calibration
+from ..results.limits import Limits, rms_checked
+from ..results.lines import NAMES_IN_LINE
 from ..results.mounts import Mounts
+from ..results.significance import chance, contradicted
+from ..results.verdict import Verdict, best_improvement, failures, verdict
+from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 
@@ -25,8 +30,6 @@ TRAINING = 0.7
 """Part of the stations of every plane that a split calibrates with."""
 USUAL_SPLITS = 5
 """Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
-MOST_SPLITS = 10_000
-"""More tell nothing new: their spread is known to a hundredth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -93,7 +96,7 @@ def validate(
     SolverError
         The whole recording gives no calibration.
     """
-    require_count("splits", splits, 0, MOST_SPLITS)
+    require_count("splits", splits, 0, 10**9)
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     with told_to(progress):
@@ -194,3 +197,33 @@ def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArr
         rows = np.flatnonzero(recording.plane_of_station == plane)
         training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
     return training
+
+
+def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:
+    """Return the verdict on a calibration that was validated by holding planes out.
+
+    Beside the verdict on the calibration itself: the rms limit holds for planes held out, too, and
+    none of them contradicts the beams found without it.
+    """
+    found = verdict(validation.calibration, limits)
+    left_out = {one.plane: one.result for one in validation.planes if one.result is not None}
+    checks = tuple(
+        check
+        for plane, result in left_out.items()
+        for check in rms_checked(f"without plane {plane}", result.rms, limits or Limits())
+    )
+    p_values = {plane: result.p_value for plane, result in left_out.items()}
+    against, last = contradicted(p_values), best_improvement(found.best)
+    found = replace(found, limits=(*found.limits, *checks), contradicted_by=against)
+    if not found.usable:
+        return found
+    if against:
+        rarest = chance(min(p_values[plane] for plane in against))
+        words = f"planes {some(against, NAMES_IN_LINE)} contradict"
+        if len(against) == 1:
+            words = f"plane {against[0]} contradicts"
+        words = f"{words} the beams found without it (by chance {rarest} recordings)"
+        return replace(found, code="contradicted", findings=(words, last))
+    if found.exceeded:
+        return replace(found, code="outside-limits", findings=(failures(found.limits), last))
+    return replace(found, confirmed_by=len(p_values))
