@@ -126,7 +126,7 @@ def some_plane_leans(
     response = np.einsum("pa,pan->pn", slope, information.local_response[:, :2])
     variance = np.einsum("pn,nm,pm->p", response, mounts, response)
     variance += np.einsum("pa,pab,pb->p", slope, information.local_inverse[:, :2, :2], slope)
-    moves = np.einsum("pa,pak->pk", slope, observed.null_space.planes[:, :2])
+    moves = np.einsum("pa,pak->pk", slope, observed.null_space[1][:, :2])
     known = np.linalg.norm(moves, axis=1) < WORTH_A_WORD
     sigma = range_sigma * np.sqrt(np.maximum(variance, 0.0))
     leans = np.abs(lean) > np.maximum(np.sin(COUNTED_TURN), SIGNIFICANT * sigma)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
@@ -21,7 +21,6 @@ from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import Linearized, linearized
-from .open_axes import open_axes
 
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
@@ -49,21 +48,13 @@ class ObservabilityOptions:
         require_number("least_information", self.least_information, 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class NullSpace:
-    """Undetermined directions, as columns, in natural units.
+NullSpace = tuple[FloatArray, FloatArray]
+"""Undetermined directions, as columns, in natural units.
 
-    Attributes
-    ----------
-    beams : (B, W, K)
-        Beam part: location (3), direction (2, in the basis of `model.tangent_basis`), range error; W is
-        5 plus the most range-error terms of a beam.
-    planes : (P, 3, K)
-        Plane part: normal (2, same basis), offset.
-    """
-
-    beams: FloatArray
-    planes: FloatArray
+The beam part (B, W, K): location (3), direction (2, in the basis of `model.tangent_basis`) and range
+error; W is 5 plus the most range-error terms of a beam. The plane part (P, 3, K): normal (2, same
+basis) and offset.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +202,7 @@ def observability(
         rank=size + 3 * planes - lost,
         unknowns=size + 3 * planes,
         condition=float(np.sqrt(reduced.most / reduced.least if lost == 0 else np.inf)),
-        null_space=NullSpace(
+        null_space=(
             beams.reshape(readings.beams, MOUNT_DIM + max(counts), lost),
             np.concatenate((follow, plane_null), axis=2),
         ),
@@ -304,3 +295,38 @@ def _least_information(
     """Return the information, for unit weights, that determines a direction, and its rounding."""
     rounding = options.least_information * largest
     return max((range_sigma / options.most_sigma) ** 2, rounding), rounding
+
+
+def open_axes(
+    values: FloatArray, axes: FloatArray, block: IntArray, floor: float, rounding: float = 0.0
+) -> BoolArray:
+    """Return which directions of an information matrix are undetermined.
+
+    What counts is how far one block of unknowns may go: along a unit vector over 400 beams that go
+    together the standard deviation is twenty times as large as for each, and the beam, or the variable,
+    counts, not how many go together.
+
+    Parameters
+    ----------
+    values : (K,)
+        Information along orthogonal unit vectors, among them all with less than `floor`.
+    axes : (n, K)
+        These vectors, as columns.
+    block : (n,)
+        The number of the beam, or variable, that each unknown belongs to.
+    floor : float
+        Information that determines a block by itself. A direction that many share needs less.
+    rounding : float
+        Information below this counts as zero.
+    """
+    weak, lost = np.flatnonzero(values < floor), values < rounding
+    # Variance of each block along each direction, as a part of the largest that it may have.
+    moved = np.zeros((int(block.max()) + 1, len(weak)))
+    np.add.at(moved, block, axes[:, weak] ** 2)
+    moved *= floor / np.maximum(values[weak], SINGULAR * floor)
+    moved[:, lost[weak]] = 0.0
+    while (over := moved.sum(axis=1) > 1.0).any():
+        most = np.unique(moved[over].argmax(axis=1))
+        lost[weak[most]] = True
+        moved[:, most] = 0.0
+    return lost

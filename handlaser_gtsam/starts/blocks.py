@@ -28,7 +28,7 @@ from ..quantities import ROUNDING, TINY
 from ..solvers.refine import refine_many
 from .directions import least_squares, sphere
 from .growing import PartialStart
-from .search import FIRST_STEPS, SAME_DIRECTION
+from .search import SAME_DIRECTION
 
 LIFTED_READINGS = 24
 """Readings that a block needs: the lifted form has 22 numbers up to one scale."""
@@ -36,6 +36,8 @@ SINGULAR_GAP = 3.0
 """The second smallest singular value must be this many times the smallest, or noise decides."""
 NORMALS = 300
 """Normals tried over the half sphere: they lie about 8 degrees apart."""
+SWEEP_STEPS = 12
+"""Refinement steps of the best normals of one block, which tell its solutions apart."""
 RIDGE = 1e-10
 """Part of the trace that is added to normal equations which a motion may leave singular."""
 
@@ -126,7 +128,7 @@ def _richest_blocks(readings: Readings) -> list[IntArray]:
 
 def _sweep_block(readings: Readings, refined: int, kept: int) -> list[Parameters]:
     """Return the best different solutions, the lowest cost first."""
-    tried = refine_many(_linear_solutions(readings, refined), readings, 0, FIRST_STEPS)
+    tried = refine_many(_linear_solutions(readings, refined), readings, 0, SWEEP_STEPS)
     best: list[Parameters] = []
     for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
         v = solution.parameters.directions[0]
