@@ -10,7 +10,7 @@ after it (the update of a Kalman filter).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,26 +25,18 @@ from ..validation.simulate import Stations, read_back
 from .belief import Belief
 
 
-@dataclass(frozen=True, slots=True)
-class Outlook:
-    """What M stations would read.
-
-    Attributes
-    ----------
-    reading, cosine : (M, B)
-        Predicted readings [m] and cosines of the incidence.
-    reading_sigma, cosine_sigma : (M, B)
-        What the spread of the belief leaves uncertain of them; noise and robot errors included.
-    """
-
-    reading: FloatArray
-    cosine: FloatArray
-    reading_sigma: FloatArray
-    cosine_sigma: FloatArray
-
-
-def outlook(belief: Belief, stations: Stations) -> Outlook:
+def outlook(
+    belief: Belief, stations: Stations
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what stations would read at the mean of the belief, and how far it may be off.
+
+    Returns
+    -------
+    readings, reading_sigmas : (M, B)
+        Predicted readings [m], and what the spread of the belief leaves uncertain of them; noise and
+        robot errors included.
+    cosines, cosine_sigmas : (M, B)
+        The same of the incidence.
 
     Raises
     ------
@@ -66,10 +58,10 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
         turn = float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
     noise = reading_sigmas(belief.mean, readings, variances)
     shape = len(stations), belief.beams
-    return Outlook(
+    return (
         readings.distance.reshape(shape),
-        model.cosines(x).reshape(shape),
         np.sqrt(_spread(belief, stations, rows) + noise.reshape(shape) ** 2),
+        model.cosines(x).reshape(shape),
         np.sqrt(_spread(belief, stations, steeper) + turn),
     )
 
