@@ -194,13 +194,11 @@ def _stepped(
     judge: Judge,
 ) -> Parameters | None:
     """Return where a step in natural units leads, or the minimum beside it where that does not fit."""
-    unit = np.zeros(beam.size)
-    unit[observed.reduced.active] = observed.reduced.beam_unit
     there = moved(
         parameters,
-        beam * unit.reshape(beam.shape),
-        plane * observed.reduced.plane_unit,
-        observed.reduced.centres,
+        beam * observed.padded(observed.beam_unit).reshape(beam.shape),
+        plane * observed.plane_unit,
+        observed.centres,
     )
     if judge.squares(there) <= judge.most_squares:
         return there

@@ -20,7 +20,7 @@ from ..model.elimination import ReducedInformation, spectrum
 from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
-from ..solvers.beam_problem import Linearized, linearized
+from ..solvers.beam_problem import linearized
 
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
@@ -58,57 +58,6 @@ basis) and offset.
 
 
 @dataclass(frozen=True, slots=True)
-class ReducedSystem:
-    """The information of the beams after planes are eliminated, for unit weights.
-
-    Attributes
-    ----------
-    information : ReducedInformation
-        In natural units, over the unknowns that there are.
-    open : (n, K)
-        Unit eigenvectors that are undetermined, as columns.
-    beam_unit : (n,), plane_unit : (3,)
-        Natural units.
-    active : (B W,) of bool
-        Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
-    centres : (P, 3)
-        Points at which the offsets of the planes are taken [m].
-    least, most : float
-        The extreme eigenvalues.
-    mean_log : float
-        The mean logarithm of the eigenvalues; meaningless where rank is short.
-    weakest : (n,)
-        The unit eigenvector of the least information.
-    """
-
-    information: ReducedInformation
-    open: FloatArray
-    beam_unit: FloatArray
-    plane_unit: FloatArray
-    active: BoolArray
-    centres: FloatArray
-    least: float
-    most: float
-    mean_log: float
-    weakest: FloatArray
-
-    def covariance(self) -> FloatArray:
-        """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
-        if not self.open.shape[1]:
-            return self.information.covariance(0.5 * self.least, self.least)
-        values, axes = np.linalg.eigh(self.information.matrix)
-        known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
-        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
-        return inverse
-
-    def padded(self, columns: FloatArray) -> FloatArray:
-        """Return columns (n, K) of the unknowns over all rows (B W, K), zero in the other rows."""
-        whole = np.zeros((len(self.active), columns.shape[1]))
-        whole[self.active] = columns
-        return whole
-
-
-@dataclass(frozen=True, slots=True)
 class Indices:
     """Observability indices of the calibration literature, without unit; larger is better."""
 
@@ -135,7 +84,23 @@ class Observability:
     readings : int
     terms : tuple of int
         Range-error terms of each beam.
-    reduced : ReducedSystem
+    information : ReducedInformation
+        Of the beams, planes eliminated, for unit weights; in natural units, over the unknowns that
+        there are.
+    open : (n, K)
+        Its unit eigenvectors that are undetermined, as columns.
+    beam_unit : (n,), plane_unit : (3,)
+        Natural units.
+    active : (B W,) of bool
+        Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
+    centres : (P, 3)
+        Points at which the offsets of the planes are taken [m].
+    least, most : float
+        The extreme eigenvalues.
+    mean_log : float
+        The mean logarithm of the eigenvalues; meaningless where rank is short.
+    weakest : (n,)
+        The unit eigenvector of the least information.
     """
 
     rank: int
@@ -145,7 +110,31 @@ class Observability:
     length: float
     readings: int
     terms: tuple[int, ...]
-    reduced: ReducedSystem
+    information: ReducedInformation
+    open: FloatArray
+    beam_unit: FloatArray
+    plane_unit: FloatArray
+    active: BoolArray
+    centres: FloatArray
+    least: float
+    most: float
+    mean_log: float
+    weakest: FloatArray
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
+        if not self.open.shape[1]:
+            return self.information.covariance(0.5 * self.least, self.least)
+        values, axes = np.linalg.eigh(self.information.matrix)
+        known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
+        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return inverse
+
+    def padded(self, values: FloatArray) -> FloatArray:
+        """Return values (n,) of the unknowns there are over all rows (B W,), zero in the others."""
+        whole = np.zeros(len(self.active))
+        whole[self.active] = values
+        return whole
 
     def indices(self) -> Indices | None:
         """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
@@ -157,8 +146,8 @@ class Observability:
         """
         if not self.full:
             return None
-        most, least = (np.sqrt(s) / self.length for s in (self.reduced.most, self.reduced.least))
-        mean = np.exp(0.5 * (self.reduced.mean_log - np.log(self.readings))) / self.length
+        most, least = (np.sqrt(s) / self.length for s in (self.most, self.least))
+        mean = np.exp(0.5 * (self.mean_log - np.log(self.readings))) / self.length
         return Indices(float(mean), float(least / most), float(least), float(least**2 / most))
 
     @property
@@ -193,38 +182,9 @@ def observability(
     """
     options = options or ObservabilityOptions()
     counts, planes = per_beam(terms, readings.beams), readings.planes
-    at = linearized(parameters, readings, max(counts), whitening)
-    reduced, plane_null = _reduced(at, readings, counts, range_sigma, options, prior)
-    size, lost = len(reduced.beam_unit), reduced.open.shape[1] + plane_null.shape[2]
-    follow = -reduced.information.local_response @ reduced.open
-    beams = reduced.padded(np.hstack((reduced.open, np.zeros((size, plane_null.shape[2])))))
-    return Observability(
-        rank=size + 3 * planes - lost,
-        unknowns=size + 3 * planes,
-        condition=float(np.sqrt(reduced.most / reduced.least if lost == 0 else np.inf)),
-        null_space=(
-            beams.reshape(readings.beams, MOUNT_DIM + max(counts), lost),
-            np.concatenate((follow, plane_null), axis=2),
-        ),
-        length=readings.typical_range(),
-        readings=len(readings),
-        terms=counts,
-        reduced=reduced,
-    )
-
-
-def _reduced(
-    at: Linearized,
-    readings: Readings,
-    counts: tuple[int, ...],
-    range_sigma: float,
-    options: ObservabilityOptions,
-    prior: RangeErrorPrior | None,
-) -> tuple[ReducedSystem, FloatArray]:
-    """Return the reduced information, and what is open of planes (P, 3, L)."""
-    most, normal = max(counts), at.normal
+    most, at = max(counts), linearized(parameters, readings, max(counts), whitening)
+    width, normal = MOUNT_DIM + most, at.normal
     unit, plane_unit = _units(readings, most, options, prior)
-    width = MOUNT_DIM + most
     active = modelled(counts)[:, :width].ravel()
     diagonal = np.diagonal(normal.matrix[0]) * unit**2
     known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
@@ -238,23 +198,34 @@ def _reduced(
     if lost.any() and len(values) < len(beam):
         values, top, mean_log, axes = spectrum(information.matrix, np.inf)
         lost = open_axes(values, axes, beam, *floors)
-    reduced = ReducedSystem(
-        information,
-        axes[:, lost],
-        unit[active],
-        plane_unit,
-        active,
-        at.centres,
-        float(values[0]),
-        top,
-        mean_log,
-        axes[:, 0],
-    )
-    # Undetermined directions of the planes, one a column.
+    # Undetermined directions, one a column: of the beams, which planes follow, then of planes alone.
     which, column = np.nonzero(information.local_values < least_of_planes)
-    null = np.zeros((readings.planes, 3, len(which)))
-    null[which, :, np.arange(len(which))] = information.local_axes[which, :, column]
-    return reduced, null
+    of_beams, short = axes[:, lost], int(lost.sum()) + len(which)
+    null_beams = np.zeros((len(active), short))
+    null_beams[active, : of_beams.shape[1]] = of_beams
+    null_planes = np.zeros((planes, 3, short))
+    null_planes[:, :, : of_beams.shape[1]] = -information.local_response @ of_beams
+    alone = np.arange(of_beams.shape[1], short)
+    null_planes[which, :, alone] = information.local_axes[which, :, column]
+    return Observability(
+        rank=len(beam) + 3 * planes - short,
+        unknowns=len(beam) + 3 * planes,
+        condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
+        null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
+        length=readings.typical_range(),
+        readings=len(readings),
+        terms=counts,
+        information=information,
+        open=of_beams,
+        beam_unit=unit[active],
+        plane_unit=plane_unit,
+        active=active,
+        centres=at.centres,
+        least=float(values[0]),
+        most=top,
+        mean_log=mean_log,
+        weakest=axes[:, 0],
+    )
 
 
 def _units(

@@ -129,10 +129,9 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     """Name the least known direction of the solution; nothing where rank is short."""
     if not observed.full:
         return ""
-    reduced = observed.reduced
-    axis = reduced.weakest[:, None]
-    beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
-    space = beams, -(reduced.information.local_response @ axis)
+    beams = observed.padded(observed.weakest)
+    planes = -(observed.information.local_response @ observed.weakest[:, None])
+    space = beams.reshape(len(parameters.locations), -1, 1), planes
     lengths = map(_lengths, _rows(space, parameters).values())
     parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
     words = undetermined(parts)

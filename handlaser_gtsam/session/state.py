@@ -1,7 +1,7 @@
 """Everything a session knows once there is a calibration, and what follows from it; never changed."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import gtsam
@@ -9,6 +9,7 @@ import numpy as np
 
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
+from ..estimation.information import Information
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
 from ..quantities import MOST_ROUNDS
@@ -18,9 +19,9 @@ from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, Moved
-from .fitted import fit_plane
-from .integration import ScaleSums
+from .drift import DriftHistory, Moved, Reference
+from .fitted import FittedPlane, fit_plane
+from .integration import integrated, scaled_information
 from .joining import factors_of, fitted_planes, join_planes
 
 REWEIGHED_MOVE = 3e-3
@@ -57,8 +58,8 @@ class SessionState:
         Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
-    sums : ScaleSums or None
-        Information of the planes for all scales; None where none are integrated over.
+    sums : mapping of str to Information
+        What each plane knows for all scales; empty where none are integrated over.
     estimate : BeamState or None
         The beams with all scales integrated over, once that has been done.
     """
@@ -74,14 +75,14 @@ class SessionState:
     history: DriftHistory
     inconsistent: frozenset[str]
     learned_with: int
-    sums: ScaleSums | None = None
+    sums: Mapping[str, Information] = field(default_factory=dict)
     estimate: BeamState | None = None
 
     def integrated(self) -> BeamState:
         """Return the beams with all scales integrated over."""
         if self.estimate is not None:
             return self.estimate
-        return self.state if self.sums is None else self.sums.integrated(self.state)
+        return integrated(self.state, self.config, self.history, self.sums)
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -165,7 +166,8 @@ class SessionState:
             history=history,
             changes=self.changes + 1,
             inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
-            sums=None if self.sums is None else self.sums.changed(joined, inside),
+            sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
+            | _sums(joined, self.history.reference),
             estimate=None,
         )
         if fresh or gone:
@@ -236,7 +238,7 @@ class SessionState:
             graph=graph,
             factors=factors,
             state=state,
-            sums=ScaleSums.of(config, beams, fitted),
+            sums=_sums(fitted, history.reference),
             estimate=None,
         )
 
@@ -310,13 +312,22 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         history,
         frozenset(inconsistent),
         len(fitted),
-        ScaleSums.of(config, beams, fitted),
+        _sums(fitted, history.reference),
     )
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
             break
     return replace(now, compared=now.state)
+
+
+def _sums(fitted: Mapping[str, FittedPlane], reference: Reference) -> dict[str, Information]:
+    """Return what planes know for all scales that are learned; nothing where none are."""
+    return {
+        plane: scaled_information(plane_fit, reference)
+        for plane, plane_fit in fitted.items()
+        if plane_fit.config.learned is not None
+    }
 
 
 def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
