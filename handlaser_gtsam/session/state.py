@@ -153,7 +153,8 @@ class SessionState:
             config, self.state, contents, self.history, planes, reject=config.reject
         )
         if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
-            lost = contents.without_readings(config.names)
+            used = [contents.planes[plane].used().beam_names for plane in contents.numbers]
+            lost = [name for name in config.names if not any(name in seen for seen in used)]
             if lost:
                 raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
         inside, fresh = contents.numbers, factors_of(contents, joined)

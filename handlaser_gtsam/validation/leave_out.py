@@ -99,51 +99,38 @@ def validate(
     require_count("splits", splits, 0, 10**9)
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    noise = Noise() if noise is None else noise
+    options = CalibrationOptions() if options is None else options
+    rng = rng or np.random.default_rng(0)
     with told_to(progress):
-        return _validated(
-            recording,
-            Noise() if noise is None else noise,
-            CalibrationOptions() if options is None else options,
-            splits,
-            rng or np.random.default_rng(0),
+        planes = recording.plane_names if len(recording.plane_names) > 1 else ()
+        total = 2 + len(planes) + splits
+        tell("leave-out", 0, total, "everything")
+        whole = _ended(calibrate(recording, noise, options))
+        if whole.status != "converged":
+            raise SolverError(f"no calibration to validate: {whole.message}")
+        kept = whole.used_in(recording)
+        keep = replace(options, outliers="keep")
+        left_out = []
+        for number, plane in enumerate(planes):
+            tell("leave-out", 1 + number, total, f"without plane {plane}")
+            left_out.append(_without(kept, plane, noise, keep))
+        predictions = []
+        for number in range(splits):
+            tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
+            prediction = _split(kept, noise, keep, rng)
+            predictions += [] if prediction is None else [prediction]
+        tell("leave-out", total - 1, total, "without range error")
+        bare = _ended(
+            calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
         )
-
-
-def _validated(
-    recording: Recording,
-    noise: Noise,
-    options: CalibrationOptions,
-    splits: int,
-    rng: np.random.Generator,
-) -> Validation:
-    planes = recording.plane_names if len(recording.plane_names) > 1 else ()
-    total = 2 + len(planes) + splits
-    tell("leave-out", 0, total, "everything")
-    whole = _ended(calibrate(recording, noise, options))
-    if whole.status != "converged":
-        raise SolverError(f"no calibration to validate: {whole.message}")
-    kept = whole.used_in(recording)
-    keep = replace(options, outliers="keep")
-    left_out = []
-    for number, plane in enumerate(planes):
-        tell("leave-out", 1 + number, total, f"without plane {plane}")
-        left_out.append(_without(kept, plane, noise, keep))
-    predictions = []
-    for number in range(splits):
-        tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
-        prediction = _split(kept, noise, keep, rng)
-        predictions += [] if prediction is None else [prediction]
-    tell("leave-out", total - 1, total, "without range error")
-    bare = _ended(
-        calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
-    )
-    return Validation(
-        whole,
-        tuple(left_out),
-        tuple(predictions),
-        reconstruction(whole, kept),
-        reconstruction(bare, kept),
-    )
+        return Validation(
+            whole,
+            tuple(left_out),
+            tuple(predictions),
+            reconstruction(whole, kept),
+            reconstruction(bare, kept),
+        )
 
 
 def _without(
