@@ -70,7 +70,7 @@ def is_solvable(problem: Problem) -> bool:
 
 def _determined(truth: Parameters, readings: Readings, terms: int, sigma: float) -> bool:
     found = observability(truth, readings, terms, sigma * 0.1 / MOST_SIGMA)
-    return found.full and found.reduced.least >= (sigma / MOST_SIGMA) ** 2
+    return found.full and found.least >= (sigma / MOST_SIGMA) ** 2
 
 
 def _draw(rng: np.random.Generator) -> Problem | None:

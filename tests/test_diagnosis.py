@@ -10,9 +10,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.model.stopping import LEVEL_STEPS, StoppingRule
-from handlaser_gtsam.observability.open_axes import open_axes
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
-from handlaser_gtsam.observability.rank import observability
+from handlaser_gtsam.observability.rank import observability, open_axes
 from handlaser_gtsam.observability.wording import (
     BeamAndPlaneNames,
     open_parts,
@@ -42,9 +41,9 @@ def test_moving_along_the_null_space_changes_no_reading(case):
     centres = linearized(truth, readings, 0).centres
     units = np.array([found.length] * 3 + [1.0] * 2), np.array([1.0, 1.0, found.length])
     step = 1e-6
-    for column in range(found.null_space.beams.shape[-1]):
-        beam = step * units[0] * found.null_space.beams[..., column]
-        plane = step * units[1] * found.null_space.planes[..., column]
+    for column in range(found.null_space[0].shape[-1]):
+        beam = step * units[0] * found.null_space[0][..., column]
+        plane = step * units[1] * found.null_space[1][..., column]
         there = moved(truth, beam, plane, centres)
         e = model.residuals(model.scene(there, readings), readings.distance)
         # Second order in a step of 1e-6; a determined direction would change 1e-7 m.
@@ -55,7 +54,7 @@ def test_full_rank_where_the_motion_suffices():
     readings = recording_of(bench(1), *motion("free", 20), [0] * 20, 1e-4).readings()
     found = observability(bench(1), readings, 0, 1e-4)
     assert found.full
-    assert found.null_space.beams.shape[-1] == 0
+    assert found.null_space[0].shape[-1] == 0
     assert 1.0 < found.condition < 100.0
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -91,9 +92,10 @@ def test_the_statistic_is_the_fall_of_chi2():
 
 
 def _scores(history, epoch):
-    T = np.linalg.inv(history.totals[-1].matrix)
-    late = history.totals[-1] - history.totals[epoch - 1]
-    x = T @ history.totals[-1].vector
+    totals = list(accumulate(history.pieces.values()))
+    T = np.linalg.inv(totals[-1].matrix)
+    late = totals[-1] - totals[epoch - 1]
+    x = T @ totals[-1].vector
     return late.matrix - late.matrix @ T @ late.matrix, late.vector - late.matrix @ x
 
 

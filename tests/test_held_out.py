@@ -105,20 +105,20 @@ def test_a_plane_without_which_nothing_is_determined_says_so():
 def test_the_history_ends_where_the_calibration_is(gripper):
     noise, options = CASES["exact poses"]
     calibration = hl.calibrate(gripper, noise, options)
-    found = history(calibration, 0.015)
-    assert found.stations[-1] == len(gripper.plane_labels)
+    stations, found = history(calibration, 0.015)
+    assert stations[-1] == len(gripper.plane_labels)
     sigma = max(beam.location_sigma.max() for beam in calibration.beams.values())
-    assert found.known.location_sigma[-1] == pytest.approx(sigma, rel=1e-6)
-    known = ~np.isnan(found.known.location_sigma)
+    assert found.location_sigma[-1] == pytest.approx(sigma, rel=1e-6)
+    known = ~np.isnan(found.location_sigma)
     assert known.sum() >= 8
     assert not known[0]
-    for values in (found.known.location_sigma, found.known.direction_sigma, found.known.spot):
+    for values in (found.location_sigma, found.direction_sigma, found.spot):
         assert (np.diff(values[known]) <= 1e-9 * values[known][:-1]).all()  # no station unteaches
-    half = hl.calibrate(gripper.part(np.arange(found.stations[12])), noise, options)
+    half = hl.calibrate(gripper.part(np.arange(stations[12])), noise, options)
     if half.success:
         own = max(beam.location_sigma.max() for beam in half.beams.values())
         # The same stations at another estimate: covariances differ by second-order terms.
-        assert found.known.location_sigma[12] == pytest.approx(own, rel=0.2)
+        assert found.location_sigma[12] == pytest.approx(own, rel=0.2)
 
 
 @pytest.mark.parametrize("noise", [hl.Noise(3e-5, **EXACT), hl.Noise(3e-5), hl.Noise()])
@@ -126,7 +126,7 @@ def test_the_history_ends_there_where_scales_were_learned(gripper, noise):
     """Scales that are integrated over, and what the beams have in common, count at the end."""
     calibration = hl.calibrate(gripper, noise)
     assert calibration.learned is not None
-    known = history(calibration, 0.015).known
+    _, known = history(calibration, 0.015)
     beams = calibration.beams.values()
     assert known.location_sigma[-1] == pytest.approx(max(b.location_sigma.max() for b in beams))
     assert known.direction_sigma[-1] == pytest.approx(max(b.direction_sigma for b in beams))
@@ -149,13 +149,12 @@ def test_all_stations_are_the_solution_at_the_most_probable_scales(gripper):
     calibration = hl.calibrate(gripper, hl.Noise())
     scaled = calibration.at_scales
     assert scaled.range_error_prior is not None
-    found = WholeSolution.of(calibration).solved_from(
-        np.ones(len(gripper.plane_labels), dtype=bool)
-    )
-    own = np.sqrt(np.diagonal(found.joint.matrix(planes=[])))
+    everything = np.ones(len(gripper.plane_labels), dtype=bool)
+    at, joint = WholeSolution.of(calibration).known_by(everything, solve=True)
+    own = np.sqrt(np.diagonal(joint.matrix(planes=[])))
     whole = np.sqrt(np.diagonal(scaled.covariance.matrix(planes=[])))
     assert own == pytest.approx(whole, rel=1e-3)
-    off = np.abs(found.at.locations - scaled.parameters.locations).max()
+    off = np.abs(at.locations - scaled.parameters.locations).max()
     assert off < 1e-2 * whole[:3].min()
-    off = np.abs(found.at.range_errors - scaled.parameters.range_errors)
+    off = np.abs(at.range_errors - scaled.parameters.range_errors)
     assert (off < 1e-2 * whole.reshape(-1, 8)[:, 6:]).all()

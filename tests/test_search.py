@@ -30,9 +30,9 @@ def counts(monkeypatch):
     found = {"plain": 0, "robust": 0, "steps": 0}
 
     def counted(kind, function):
-        def refined(self, latest):
+        def refined(*arguments):
             found[kind] += 1
-            return function(self, latest)
+            return function(*arguments)
 
         return refined
 
@@ -42,8 +42,9 @@ def counts(monkeypatch):
 
     step = damped.damped_step
     monkeypatch.setattr(damped, "damped_step", stepped)
-    for kind, loss in (("plain", choice._LeastSquares), ("robust", robust._RobustLoss)):
-        monkeypatch.setattr(loss, "refined", counted(kind, loss.refined))
+    for kind, module in (("plain", choice), ("robust", robust)):
+        refined_starts = counted(kind, module.refined_starts)
+        monkeypatch.setattr(module, "refined_starts", refined_starts)
     return found
 
 
@@ -173,7 +174,9 @@ def test_the_search_draws_no_round_after_it_is_convinced():
 
     both = _Rounds()
     known = Candidate("known", bench(1, 1), 9.0, 0.0)
-    found, convinced = search(rounds(), both, both, [known])
+    found, convinced = search(
+        rounds(), both.refined, both.criterion, both.convinced, both.mended, [known]
+    )
     assert convinced
     assert drawn == [(5, 3), (4, 1)]
     assert [one.criterion for one in found] == [1.0, 3.0, 4.0, 5.0, 9.0]

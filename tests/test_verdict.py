@@ -19,8 +19,8 @@ from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.significance import chance, contradicted
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
 from handlaser_gtsam.results.verdict import verdict
+from handlaser_gtsam.validation.leave_out import verdict_of_validation
 from handlaser_gtsam.validation.scenes import Layout
-from handlaser_gtsam.validation.verdict import verdict_of_validation
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)
 LOOSE = Limits(1e-3, 1e-3, 0.1)

@@ -75,14 +75,13 @@ def _validated(
     import numpy as np
 
     from ..files.validation_json import validation_text
-    from ..validation.leave_out import validate as run
-    from ..validation.verdict import verdict_of_validation
+    from ..validation import leave_out
     from .answer import text_width
     from .validation_tables import validation_lines
 
     rng = np.random.default_rng(seed)
-    result = run(recording, rig.noise, options, splits=splits, rng=rng)
-    judged = verdict_of_validation(result, rig.limits)
+    result = leave_out.validate(recording, rig.noise, options, splits=splits, rng=rng)
+    judged = leave_out.verdict_of_validation(result, rig.limits)
     lines = validation_lines(result, judged, text_width())
     failure = None if judged.usable else (NOT_USABLE, judged.sentence)
     return Answer(validation_text(result), partial(print_wrapped, lines), failure=failure)

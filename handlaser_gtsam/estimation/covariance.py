@@ -116,19 +116,19 @@ def covariance_of_determined(
     origins : (P, 3)
         Origin of every plane's frame in the world [m].
     """
-    reduced, variance = observability.reduced, sigma**2
-    planes = reduced.information
-    inverse = planes.local_inverse * np.outer(reduced.plane_unit, reduced.plane_unit)
+    found, variance = observability, sigma**2
+    planes = found.information
+    inverse = planes.local_inverse * np.outer(found.plane_unit, found.plane_unit)
     return JointCovariance(
         tuple(map(str, range(len(parameters.locations)))),
         tuple(map(str, range(len(parameters.offsets)))),
-        observability.terms,
-        variance * reduced.covariance() * np.outer(reduced.beam_unit, reduced.beam_unit),
-        reduced.plane_unit[:, None] * planes.local_response / reduced.beam_unit,
+        found.terms,
+        variance * found.covariance() * np.outer(found.beam_unit, found.beam_unit),
+        found.plane_unit[:, None] * planes.local_response / found.beam_unit,
         variance * inverse,
         model.tangent_basis(parameters.directions),
         model.tangent_basis(parameters.normals),
-        reduced.centres + origins,
+        found.centres + origins,
     )
 
 

@@ -22,7 +22,7 @@ from ..model.equation import residuals_or_infinite
 from ..model.families import MOUNT_DIM
 from ..model.reduction import damped_step
 from ..model.weighting import Whitening
-from ..quantities import NEGLIGIBLE
+from ..quantities import MOST_ROUNDS, NEGLIGIBLE, ROUNDING
 from ..solvers.beam_problem import linearized, moved
 from ..solvers.refine import LEAST_DAMPING, refine
 from .poor_motion import poor_motion, some_plane_leans
@@ -30,14 +30,10 @@ from .rank import Observability, ObservabilityOptions, observability
 
 STEPS = 12
 """Steps along the null space at most: one suffices where the solutions lie along a line."""
-REFINED = 20
-"""Refinement steps after each, which lead back to the minimum where the solutions lie along a curve."""
 SHORTEST = 0.1
 """A step that leads off the solutions is halved, down to this part."""
 UPRIGHT_STEPS = 5
 """Steps of all unknowns but the leans, which are short from the beginning."""
-STIFF = 1e9
-"""A lean that is not to change gets this many times the information of its plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +138,8 @@ def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
             slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
             stiff = np.zeros_like(linear.normal.local)
             stiff[0, :, :2, :2] = np.einsum("pa,pb->pab", slope, slope)
-            stiff *= STIFF * np.einsum("kmii->km", linear.normal.local)[..., None, None]
+            # A lean is not to change: it gets far more information than its plane has.
+            stiff *= 1.0 / ROUNDING * np.einsum("kmii->km", linear.normal.local)[..., None, None]
             normal = replace(linear.normal, local=linear.normal.local + stiff)
             step, local = damped_step(normal, np.array([LEAST_DAMPING]))
             beam = step.reshape(readings.beams, -1)
@@ -180,13 +177,13 @@ def _towards_the_hand(
 
     All are in natural units. The length counts locations and range errors.
     """
-    space = observed.null_space
-    width, K = space.beams.shape[1:]
+    beams, planes = observed.null_space
+    width, K = beams.shape[1:]
     errors = (parameters.range_errors * [1.0, observed.length])[:, : width - MOUNT_DIM]
     away = np.hstack((parameters.locations / observed.length, errors)).ravel()
-    part = np.delete(space.beams, [3, 4], axis=1).reshape(-1, K)
+    part = np.delete(beams, [3, 4], axis=1).reshape(-1, K)
     along = -np.linalg.lstsq(part, away, rcond=NEGLIGIBLE)[0]
-    return space.beams @ along, space.planes @ along, float(np.linalg.norm(part @ along))
+    return beams @ along, planes @ along, float(np.linalg.norm(part @ along))
 
 
 def _stepped(
@@ -197,15 +194,14 @@ def _stepped(
     judge: Judge,
 ) -> Parameters | None:
     """Return where a step in natural units leads, or the minimum beside it where that does not fit."""
-    unit = np.zeros(beam.size)
-    unit[observed.reduced.active] = observed.reduced.beam_unit
     there = moved(
         parameters,
-        beam * unit.reshape(beam.shape),
-        plane * observed.reduced.plane_unit,
-        observed.reduced.centres,
+        beam * observed.padded(observed.beam_unit).reshape(beam.shape),
+        plane * observed.plane_unit,
+        observed.centres,
     )
     if judge.squares(there) <= judge.most_squares:
         return there
-    refined = refine(there, judge.readings, judge.free_terms, REFINED)
+    # Where the solutions lie along a curve, refinement leads back to it.
+    refined = refine(there, judge.readings, judge.free_terms, MOST_ROUNDS)
     return None if refined is None else refined.parameters

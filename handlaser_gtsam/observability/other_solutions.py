@@ -36,12 +36,6 @@ from .rank import Observability
 
 CHI2_MARGIN = 25.0
 """A solution, or an image, within this of the best chi2 (five standard deviations) fits as well."""
-OTHER_RANDOM = 16
-"""Random starts from which less determined solutions are sought."""
-OTHER_SWEPT = 8
-"""Swept starts from which less determined solutions are sought."""
-OTHER_STEPS = 60
-"""Refinement steps of these starts: where something is undetermined they converge slowly."""
 IMAGE_LEFT = 0.02
 """The image is searched for where a linear step leaves less than this part of the squares of its
 residuals: terms of second order in the step may decide."""
@@ -119,12 +113,13 @@ def least_observed(
         return held(
             parameters, observed, replace(judge, most_squares=judge.squares(parameters) + margin)
         )
-    partial = random_starts(readings, OTHER_RANDOM, np.random.default_rng(0))
-    partial += direction_starts(readings, OTHER_SWEPT)
+    partial = random_starts(readings, 16, np.random.default_rng(0))
+    partial += direction_starts(readings, 8)
     starts = [parameters, *(grow(start, readings) for start in partial)]
-    tried = refine_many(starts, readings, 0, OTHER_STEPS)
+    steps = 60  # where something is undetermined they converge slowly
+    tried = refine_many(starts, readings, 0, steps)
     if judge.free_terms:
-        tried += refine_many(starts, readings, judge.free_terms, OTHER_STEPS)
+        tried += refine_many(starts, readings, judge.free_terms, steps)
     others = [
         candidate.parameters
         for candidate in tried

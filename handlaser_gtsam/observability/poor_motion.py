@@ -122,11 +122,11 @@ def some_plane_leans(
     observed = observability(parameters, readings, 0, range_sigma, whitening=how)
     lean = (parameters.normals * motion.upright).sum(axis=1)
     slope = np.einsum("pia,pi->pa", model.tangent_basis(parameters.normals), motion.upright)
-    information, mounts = observed.reduced.information, observed.reduced.covariance()
+    information, mounts = observed.information, observed.covariance()
     response = np.einsum("pa,pan->pn", slope, information.local_response[:, :2])
     variance = np.einsum("pn,nm,pm->p", response, mounts, response)
     variance += np.einsum("pa,pab,pb->p", slope, information.local_inverse[:, :2, :2], slope)
-    moves = np.einsum("pa,pak->pk", slope, observed.null_space.planes[:, :2])
+    moves = np.einsum("pa,pak->pk", slope, observed.null_space[1][:, :2])
     known = np.linalg.norm(moves, axis=1) < WORTH_A_WORD
     sigma = range_sigma * np.sqrt(np.maximum(variance, 0.0))
     leans = np.abs(lean) > np.maximum(np.sin(COUNTED_TURN), SIGNIFICANT * sigma)

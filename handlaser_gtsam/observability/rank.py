@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
@@ -20,8 +20,7 @@ from ..model.elimination import ReducedInformation, spectrum
 from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
-from ..solvers.beam_problem import Linearized, linearized
-from .open_axes import open_axes
+from ..solvers.beam_problem import linearized
 
 WITHIN_PRIOR = 2.0
 """In the natural units, a prior alone determines range errors this many times better than asked."""
@@ -49,72 +48,13 @@ class ObservabilityOptions:
         require_number("least_information", self.least_information, 0.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class NullSpace:
-    """Undetermined directions, as columns, in natural units.
+NullSpace = tuple[FloatArray, FloatArray]
+"""Undetermined directions, as columns, in natural units.
 
-    Attributes
-    ----------
-    beams : (B, W, K)
-        Beam part: location (3), direction (2, in the basis of `model.tangent_basis`), range error; W is
-        5 plus the most range-error terms of a beam.
-    planes : (P, 3, K)
-        Plane part: normal (2, same basis), offset.
-    """
-
-    beams: FloatArray
-    planes: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class ReducedSystem:
-    """The information of the beams after planes are eliminated, for unit weights.
-
-    Attributes
-    ----------
-    information : ReducedInformation
-        In natural units, over the unknowns that there are.
-    open : (n, K)
-        Unit eigenvectors that are undetermined, as columns.
-    beam_unit : (n,), plane_unit : (3,)
-        Natural units.
-    active : (B W,) of bool
-        Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
-    centres : (P, 3)
-        Points at which the offsets of the planes are taken [m].
-    least, most : float
-        The extreme eigenvalues.
-    mean_log : float
-        The mean logarithm of the eigenvalues; meaningless where rank is short.
-    weakest : (n,)
-        The unit eigenvector of the least information.
-    """
-
-    information: ReducedInformation
-    open: FloatArray
-    beam_unit: FloatArray
-    plane_unit: FloatArray
-    active: BoolArray
-    centres: FloatArray
-    least: float
-    most: float
-    mean_log: float
-    weakest: FloatArray
-
-    def covariance(self) -> FloatArray:
-        """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
-        if not self.open.shape[1]:
-            return self.information.covariance(0.5 * self.least, self.least)
-        values, axes = np.linalg.eigh(self.information.matrix)
-        known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
-        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
-        return inverse
-
-    def padded(self, columns: FloatArray) -> FloatArray:
-        """Return columns (n, K) of the unknowns over all rows (B W, K), zero in the other rows."""
-        whole = np.zeros((len(self.active), columns.shape[1]))
-        whole[self.active] = columns
-        return whole
+The beam part (B, W, K): location (3), direction (2, in the basis of `model.tangent_basis`) and range
+error; W is 5 plus the most range-error terms of a beam. The plane part (P, 3, K): normal (2, same
+basis) and offset.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +84,23 @@ class Observability:
     readings : int
     terms : tuple of int
         Range-error terms of each beam.
-    reduced : ReducedSystem
+    information : ReducedInformation
+        Of the beams, planes eliminated, for unit weights; in natural units, over the unknowns that
+        there are.
+    open : (n, K)
+        Its unit eigenvectors that are undetermined, as columns.
+    beam_unit : (n,), plane_unit : (3,)
+        Natural units.
+    active : (B W,) of bool
+        Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
+    centres : (P, 3)
+        Points at which the offsets of the planes are taken [m].
+    least, most : float
+        The extreme eigenvalues.
+    mean_log : float
+        The mean logarithm of the eigenvalues; meaningless where rank is short.
+    weakest : (n,)
+        The unit eigenvector of the least information.
     """
 
     rank: int
@@ -154,7 +110,31 @@ class Observability:
     length: float
     readings: int
     terms: tuple[int, ...]
-    reduced: ReducedSystem
+    information: ReducedInformation
+    open: FloatArray
+    beam_unit: FloatArray
+    plane_unit: FloatArray
+    active: BoolArray
+    centres: FloatArray
+    least: float
+    most: float
+    mean_log: float
+    weakest: FloatArray
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance (n, n) over what is determined; the rest counts as fixed."""
+        if not self.open.shape[1]:
+            return self.information.covariance(0.5 * self.least, self.least)
+        values, axes = np.linalg.eigh(self.information.matrix)
+        known = ((axes.T @ self.open) ** 2).sum(axis=1) < 0.5
+        inverse: FloatArray = (axes[:, known] / values[known]) @ axes[:, known].T
+        return inverse
+
+    def padded(self, values: FloatArray) -> FloatArray:
+        """Return values (n,) of the unknowns there are over all rows (B W,), zero in the others."""
+        whole = np.zeros(len(self.active))
+        whole[self.active] = values
+        return whole
 
     def indices(self) -> Indices | None:
         """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
@@ -166,8 +146,8 @@ class Observability:
         """
         if not self.full:
             return None
-        most, least = (np.sqrt(s) / self.length for s in (self.reduced.most, self.reduced.least))
-        mean = np.exp(0.5 * (self.reduced.mean_log - np.log(self.readings))) / self.length
+        most, least = (np.sqrt(s) / self.length for s in (self.most, self.least))
+        mean = np.exp(0.5 * (self.mean_log - np.log(self.readings))) / self.length
         return Indices(float(mean), float(least / most), float(least), float(least**2 / most))
 
     @property
@@ -202,38 +182,9 @@ def observability(
     """
     options = options or ObservabilityOptions()
     counts, planes = per_beam(terms, readings.beams), readings.planes
-    at = linearized(parameters, readings, max(counts), whitening)
-    reduced, plane_null = _reduced(at, readings, counts, range_sigma, options, prior)
-    size, lost = len(reduced.beam_unit), reduced.open.shape[1] + plane_null.shape[2]
-    follow = -reduced.information.local_response @ reduced.open
-    beams = reduced.padded(np.hstack((reduced.open, np.zeros((size, plane_null.shape[2])))))
-    return Observability(
-        rank=size + 3 * planes - lost,
-        unknowns=size + 3 * planes,
-        condition=float(np.sqrt(reduced.most / reduced.least if lost == 0 else np.inf)),
-        null_space=NullSpace(
-            beams.reshape(readings.beams, MOUNT_DIM + max(counts), lost),
-            np.concatenate((follow, plane_null), axis=2),
-        ),
-        length=readings.typical_range(),
-        readings=len(readings),
-        terms=counts,
-        reduced=reduced,
-    )
-
-
-def _reduced(
-    at: Linearized,
-    readings: Readings,
-    counts: tuple[int, ...],
-    range_sigma: float,
-    options: ObservabilityOptions,
-    prior: RangeErrorPrior | None,
-) -> tuple[ReducedSystem, FloatArray]:
-    """Return the reduced information, and what is open of planes (P, 3, L)."""
-    most, normal = max(counts), at.normal
+    most, at = max(counts), linearized(parameters, readings, max(counts), whitening)
+    width, normal = MOUNT_DIM + most, at.normal
     unit, plane_unit = _units(readings, most, options, prior)
-    width = MOUNT_DIM + most
     active = modelled(counts)[:, :width].ravel()
     diagonal = np.diagonal(normal.matrix[0]) * unit**2
     known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
@@ -247,23 +198,34 @@ def _reduced(
     if lost.any() and len(values) < len(beam):
         values, top, mean_log, axes = spectrum(information.matrix, np.inf)
         lost = open_axes(values, axes, beam, *floors)
-    reduced = ReducedSystem(
-        information,
-        axes[:, lost],
-        unit[active],
-        plane_unit,
-        active,
-        at.centres,
-        float(values[0]),
-        top,
-        mean_log,
-        axes[:, 0],
-    )
-    # Undetermined directions of the planes, one a column.
+    # Undetermined directions, one a column: of the beams, which planes follow, then of planes alone.
     which, column = np.nonzero(information.local_values < least_of_planes)
-    null = np.zeros((readings.planes, 3, len(which)))
-    null[which, :, np.arange(len(which))] = information.local_axes[which, :, column]
-    return reduced, null
+    of_beams, short = axes[:, lost], int(lost.sum()) + len(which)
+    null_beams = np.zeros((len(active), short))
+    null_beams[active, : of_beams.shape[1]] = of_beams
+    null_planes = np.zeros((planes, 3, short))
+    null_planes[:, :, : of_beams.shape[1]] = -information.local_response @ of_beams
+    alone = np.arange(of_beams.shape[1], short)
+    null_planes[which, :, alone] = information.local_axes[which, :, column]
+    return Observability(
+        rank=len(beam) + 3 * planes - short,
+        unknowns=len(beam) + 3 * planes,
+        condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
+        null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
+        length=readings.typical_range(),
+        readings=len(readings),
+        terms=counts,
+        information=information,
+        open=of_beams,
+        beam_unit=unit[active],
+        plane_unit=plane_unit,
+        active=active,
+        centres=at.centres,
+        least=float(values[0]),
+        most=top,
+        mean_log=mean_log,
+        weakest=axes[:, 0],
+    )
 
 
 def _units(
@@ -304,3 +266,38 @@ def _least_information(
     """Return the information, for unit weights, that determines a direction, and its rounding."""
     rounding = options.least_information * largest
     return max((range_sigma / options.most_sigma) ** 2, rounding), rounding
+
+
+def open_axes(
+    values: FloatArray, axes: FloatArray, block: IntArray, floor: float, rounding: float = 0.0
+) -> BoolArray:
+    """Return which directions of an information matrix are undetermined.
+
+    What counts is how far one block of unknowns may go: along a unit vector over 400 beams that go
+    together the standard deviation is twenty times as large as for each, and the beam, or the variable,
+    counts, not how many go together.
+
+    Parameters
+    ----------
+    values : (K,)
+        Information along orthogonal unit vectors, among them all with less than `floor`.
+    axes : (n, K)
+        These vectors, as columns.
+    block : (n,)
+        The number of the beam, or variable, that each unknown belongs to.
+    floor : float
+        Information that determines a block by itself. A direction that many share needs less.
+    rounding : float
+        Information below this counts as zero.
+    """
+    weak, lost = np.flatnonzero(values < floor), values < rounding
+    # Variance of each block along each direction, as a part of the largest that it may have.
+    moved = np.zeros((int(block.max()) + 1, len(weak)))
+    np.add.at(moved, block, axes[:, weak] ** 2)
+    moved *= floor / np.maximum(values[weak], SINGULAR * floor)
+    moved[:, lost[weak]] = 0.0
+    while (over := moved.sum(axis=1) > 1.0).any():
+        most = np.unique(moved[over].argmax(axis=1))
+        lost[weak[most]] = True
+        moved[:, most] = 0.0
+    return lost

@@ -131,10 +131,9 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     """Name the least known direction of the solution; nothing where rank is short."""
     if not observed.full:
         return ""
-    reduced = observed.reduced
-    axis = reduced.weakest[:, None]
-    beams = reduced.padded(axis).reshape(len(parameters.locations), -1, 1)
-    space = NullSpace(beams, -(reduced.information.local_response @ axis))
+    beams = observed.padded(observed.weakest)
+    planes = -(observed.information.local_response @ observed.weakest[:, None])
+    space = beams.reshape(len(parameters.locations), -1, 1), planes
     lengths = map(_lengths, _rows(space, parameters).values())
     parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
     words = undetermined(parts)
@@ -159,7 +158,7 @@ def open_coordinates(
 def _parts(
     space: NullSpace, parameters: Parameters, names: BeamAndPlaneNames, share: float = WORTH_A_WORD
 ) -> tuple[OpenPart, ...]:
-    if space.beams.shape[-1] == 0:
+    if space[0].shape[-1] == 0:
         return ()
     rows = _rows(space, parameters)
     long = {quantity: (_lengths(columns) > share).tolist() for quantity, columns in rows.items()}
@@ -196,7 +195,7 @@ def _lengths(rows: FloatArray) -> FloatArray:
 
 def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
     """Return the null space with columns orthonormal over beams and planes together."""
-    beams, planes = space.beams, space.planes
+    beams, planes = space
     columns = beams.shape[-1]
     stacked = np.vstack((beams.reshape(-1, columns), planes.reshape(-1, columns)))
     basis = np.linalg.qr(stacked)[0]

@@ -202,9 +202,8 @@ def _robust(
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [part.restricted(parameters) for parameters in others]
     known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
-    candidates = robust_search(
-        readings, known, sigma, terms, _ConsensusJudge(readings, terms, sigma)
-    )
+    among = _ConsensusJudge(readings, terms, sigma)
+    candidates = robust_search(readings, known, sigma, terms, among.criterion, among.convinced)
     if part.is_whole:
         return candidates
     rule = LossScale(least_scale(part.whole, sigma), MAJORITY)

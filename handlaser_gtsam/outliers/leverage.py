@@ -34,16 +34,15 @@ def leverages(
     parameters: Parameters, readings: Readings, observability: Observability
 ) -> FloatArray:
     """Return h (N,) of all readings for the information `observability` of the readings in use."""
-    reduced = observability.reduced
-    active = reduced.active.reshape(readings.beams, -1)
+    active = observability.active.reshape(readings.beams, -1)
     width = active.shape[1]
-    columns = jacobian_columns(parameters, readings, width - 5, reduced.centres)
-    unit = reduced.padded(reduced.beam_unit[:, None]).reshape(active.shape)
+    columns = jacobian_columns(parameters, readings, width - 5, observability.centres)
+    unit = observability.padded(observability.beam_unit).reshape(active.shape)
     rows_of_beams = columns[:width].T * unit[readings.beam]
-    plane = columns[width : width + 3].T * reduced.plane_unit
-    S, W = reduced.covariance(), reduced.information.local_response
+    plane = columns[width : width + 3].T * observability.plane_unit
+    S, W = observability.covariance(), observability.information.local_response
     follow = S @ np.swapaxes(W, 1, 2)
-    rest = reduced.information.local_inverse + W @ follow
+    rest = observability.information.local_inverse + W @ follow
     beams = np.zeros((readings.beams, width, width))
     across = np.zeros((readings.planes, readings.beams, width, 3))
     ends = np.cumsum(active.sum(axis=1))

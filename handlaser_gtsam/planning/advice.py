@@ -14,15 +14,13 @@ from .blind import completing_motion
 from .bounds import Bounds
 from .goal import Goal
 from .information import station_rows
-from .plan import planned_with_spare, without
+from .plan import POOL, planned_with_spare, without
 from .route import Plan
 from .task import planning_task
 from .workspace import Workspace, reachable
 
 ADVISED = 3
 """Stations that are named: more are a plan."""
-SMALL_POOL = 240
-"""Candidates of all planes together: a fifth of the candidates of a plan, so that nobody waits."""
 ADVISED_BEAMS = 16
 """With more beams, a plan takes longer than a word of advice may."""
 
@@ -43,10 +41,10 @@ def next_stations(
         return None
     try:
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
-        share = SMALL_POOL // len(task.belief.plane_names)
+        share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
         rng = np.random.default_rng(0)
         pool = reachable(task.belief, task.workspace, sensor, share, rng)
-        chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED).candidates
+        chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
         return planned_with_spare(task, pool[chosen], without(pool, chosen), {})
     except HandlaserError:
         return None

@@ -23,6 +23,8 @@ anything, and small enough that rounding does not matter."""
 UNKNOWN_ANGLE = 0.5
 """The same of an angle [rad]."""
 UNKNOWN_PLANE = np.array([UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH])
+COMPARED_DRAWS = 4
+"""Draws of a belief, or of bounds, at which stations are compared: more change no choice much."""
 LAST_PLANES = 16
 """Planes of a calibration before which stations are planned, from the last: the plate of earlier ones
 has hardly stayed where it was."""

@@ -7,42 +7,64 @@ axes) is chosen among many turns, by what is least known afterwards. All keep th
 mount that was drawn from the bounds within the sensor's limits.
 """
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from .. import model
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
+from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..model.weighting import Variances
+from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, plane_name
-from .belief import Belief
+from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .bounds import Bounds
+from .choice import choose, value
 from .goal import Goal
 from .information import recorded_rows, station_rows, updated
-from .moves import COMPARED_MOUNTS, FIRST_MOUNTS, MOUNTS, assumed, safe_stations
-from .plate import MOST_PLACEMENTS
+from .plate import MOST_PLACEMENTS, SIDES
 from .route import Plan, planned
-from .task import Task
-from .workspace import Workspace, joined, workspace_of
+from .task import Task, goal_rows
+from .workspace import (
+    Workspace,
+    inside,
+    joined,
+    least_cosine,
+    require_facing,
+    require_range,
+    workspace_of,
+)
 
+MOUNTS = 2000
+"""Mounts drawn from the bounds: no station leaves the sensor's limits at any of them, so that one in a
+thousand others does at most."""
+FIRST_MOUNTS = 50
+"""Mounts at which every turn is tried first: they refuse nearly all that are refused."""
+TRANSLATION_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
+"""Parts of the largest translations that are tried: each is about 0.7 of the one before."""
+TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+"""Four positions that span space evenly."""
+TRIED_TURNS = 1500
+"""Turns that are tried: of a narrow workspace a tenth is safe."""
+NOISE_PART = 1e-3
+"""A sensor whose noise is not known errs by this part of its range, as cheap ones do."""
 LEAST_BLIND = 11
 """Stations before a plane, at least: four positions and seven turns."""
 MOST_BLIND = 60
 """Stations before a plane, at most: where they do not determine the mounts, the bounds are too wide."""
 ADDED = 4
 """Stations that are added at a time, where those before do not determine the mounts."""
-DETERMINED = 0.05
-"""Largest standard deviation after enough stations: of a direction [rad], and of a location as a part
-of the middle of the sensor's range. A calibration calls undetermined what is known half as well."""
-BARELY_DETERMINED = 0.08
-"""The same where the number of stations is given: nearly what a calibration calls undetermined."""
 COMPLETING_COUNTS = (3, 4, 5, 6, 8, 10, 12)
 """Numbers of stations that are tried, until they determine the mounts."""
-SHIFTS = 500
-"""Moves without a turn from recorded stations that are tried beside turns, a third as many."""
 
 
 def blind_motion(
@@ -91,9 +113,11 @@ def blind_motion(
     first = known.translations(mounts)
     turns = known.turns(rng)
     turns = known.safe(turns, (bounds.draw(rng, FIRST_MOUNTS), mounts))
-    beliefs = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_MOUNTS)]
+    beliefs = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
     before = [updated(belief.covariance, station_rows(belief, first)) for belief in beliefs]
-    enough = DETERMINED if stations is None else BARELY_DETERMINED
+    # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
+    # nearly all where the number of stations is given.
+    enough = (0.5 if stations is None else 0.8) * KNOWN
     motion: Stations | None = None
     most = MOST_BLIND if stations is None else stations
     for number in range(stations or LEAST_BLIND, most + 1, ADDED):
@@ -146,16 +170,17 @@ def completing_motion(
     workspace = workspace_of(recording) if workspace is None else workspace
     known = assumed(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
-    drawn = [bounds.draw(rng) for _ in range(COMPARED_MOUNTS)]
+    drawn = [bounds.draw(rng) for _ in range(COMPARED_DRAWS)]
     beliefs = [known.belief(at).before(plates, only=True) for at in drawn]
     before = [_after(belief, recording) for belief in beliefs]
     # Turns before the last plane, and moves without a turn from stations recorded there.
     taken = Stations(recording.world_R_hand, recording.world_t_hand, recording.plane_of_station)
     last = np.flatnonzero(taken.plane == taken.plane[-1])
-    moved = taken[rng.choice(last, SHIFTS)]
+    shifts = TRIED_TURNS // 3
+    moved = taken[rng.choice(last, shifts)]
     span = 0.5 * (sensor.range_max - sensor.range_min)
     moved = replace(
-        moved, world_t_hand=moved.world_t_hand + span * rng.uniform(-1.0, 1.0, (SHIFTS, 3))
+        moved, world_t_hand=moved.world_t_hand + span * rng.uniform(-1.0, 1.0, (shifts, 3))
     )
     pool = joined([known.turns(rng), moved])
     pool = known.safe(pool, (bounds.draw(rng, FIRST_MOUNTS), bounds.draw(rng, MOUNTS)))
@@ -165,7 +190,7 @@ def completing_motion(
         raise InputError("no stations that are safe for all mounts within the bounds", expected)
     for count in COMPLETING_COUNTS:
         chosen, worst = known.best(beliefs, before, pool, count)
-        if worst <= DETERMINED:
+        if worst <= 0.5 * KNOWN:
             break
     belief = known.belief(bounds.middle()).before(plates, only=True)
     belief = replace(belief, covariance=_after(belief, recording))
@@ -183,3 +208,193 @@ def _after(belief: Belief, recording: Recording) -> FloatArray:
             "the normal of the plate away from the sensor, and directions in the hand frame",
         )
     return updated(belief.covariance, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Blind:
+    """What is known before any calibration.
+
+    Attributes
+    ----------
+    bounds : Bounds
+    sensor : Sensor
+    workspace : Workspace
+    variances : Variances
+        What readings are expected to err by.
+    """
+
+    bounds: Bounds
+    sensor: Sensor
+    workspace: Workspace
+    variances: Variances
+
+    @property
+    def middle(self) -> float:
+        """The middle of the sensor's range [m]."""
+        return 0.5 * (self.sensor.range_min + self.sensor.range_max)
+
+    def belief(self, at: Parameters) -> Belief:
+        """Return what a calibration would start from about some beams and a plate: next to nothing.
+
+        It does not use the bounds; they are the `spread`.
+        """
+        bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
+        uniform = 1.0 / math.sqrt(3.0)  # sigma of a uniform number over its half-width
+        k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])
+        unknown = np.tile([*[UNKNOWN_LENGTH] * 3, *[UNKNOWN_ANGLE] * 2, *k], len(bounds.locations))
+        within = [*[uniform * bounds.location_within] * 3, *[0.5 * bounds.cone] * 2, *k]
+        placed = [0.5 * plate.tilt, 0.5 * plate.tilt, uniform * plate.within]
+        spread = np.append(np.tile(within, len(bounds.locations)), placed)
+        return Belief(
+            at,
+            np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
+            model.tangent_basis(at.directions),
+            model.tangent_basis(at.normals),
+            plate.point[None],
+            self.variances,
+            ("plate",),
+            np.diag(np.maximum(spread, ROUNDING) ** 2),
+        )
+
+    def facing(self) -> FloatArray:
+        """Return the orientation nearest to home at which the beams face the plate.
+
+        As far as half of the largest turn: the other half is left for the motion.
+        """
+        home, n = self.workspace.home, self.bounds.plate.normal
+        v = home @ model.normalized(self.bounds.directions.mean(axis=0))
+        axis = np.cross(v, n)
+        size = float(np.linalg.norm(axis))
+        if size < SINGULAR:
+            return home
+        angle = min(math.atan2(size, float(v @ n)), 0.5 * self.workspace.largest_turn)
+        return np.asarray(Rotation.from_rotvec(axis / size * angle).as_matrix() @ home)
+
+    def moved(self, turns: FloatArray, shift: FloatArray) -> Stations:
+        """Return stations that are turned from `facing`, and shifted.
+
+        They turn about the point where the beams are expected on the plate, so that readings change
+        little.
+        """
+        facing, bounds = self.facing(), self.bounds
+        v = model.normalized(bounds.directions.mean(axis=0))
+        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * v)
+        R = Rotation.from_rotvec(turns)
+        t = bounds.plate.point - R.apply(lever) + shift
+        return Stations(R.as_matrix() @ facing, t, np.zeros(len(t), dtype=np.intp))
+
+    def translations(self, mounts: Parameters) -> Stations:
+        """Return four positions that span space, as far apart as is safe at all mounts."""
+        span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
+        across = model.tangent_basis(n[None])[0].T
+        shares = product(TRANSLATION_SHARES, TRANSLATION_SHARES)
+        for deep, wide in sorted(shares, key=lambda pair: -(pair[0] * pair[1] ** 2)):
+            depth = TETRAHEDRON[:, 2:] * (0.5 * span * deep * n)
+            stations = self.moved(
+                np.zeros((4, 3)), TETRAHEDRON[:, :2] @ (span * wide * across) + depth
+            )
+            if len(self.safe(stations, [mounts])) == 4:
+                return stations
+        raise InputError(
+            "no translations that keep the beams of all mounts within the bounds in range"
+            + ("" if self.workspace.robot is None else ", and that the arm reaches"),
+            "narrower bounds of mount and plate, a wider workspace or a sensor of longer range",
+        )
+
+    def turns(self, rng: np.random.Generator) -> Stations:
+        """Return turns to several sides, about the beams too, each with a translation."""
+        span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
+        v = self.facing() @ model.normalized(self.bounds.directions.mean(axis=0))
+        across = model.tangent_basis(v[None])[0].T
+        side = 2.0 * math.pi * rng.integers(SIDES, size=TRIED_TURNS) / SIDES
+        size = self.workspace.largest_turn * rng.uniform(size=TRIED_TURNS)
+        spin = rng.choice([-0.5, 0.0, 0.5], size=TRIED_TURNS) * size
+        tilt = size[:, None] * (
+            np.cos(side)[:, None] * across[0] + np.sin(side)[:, None] * across[1]
+        )
+        along = rng.uniform(-1.0, 1.0, (TRIED_TURNS, 2)) @ model.tangent_basis(n[None])[0].T
+        depth = rng.uniform(-0.5, 0.5, (TRIED_TURNS, 1))
+        return self.moved(tilt + spin[:, None] * v, span * (along + depth * n))
+
+    def safe(self, stations: Stations, draws: Sequence[Parameters]) -> Stations:
+        """Return the stations of the workspace that are safe at all mounts, draw after draw."""
+        stations = stations[inside(self.workspace, stations)]
+        for mounts in draws:
+            safe = safe_stations(mounts, stations, self.sensor)
+            stations = stations[np.flatnonzero(safe.all(axis=0))]
+        if self.workspace.robot is None:
+            return stations
+        R, t = stations.world_R_hand, stations.world_t_hand
+        return stations[self.workspace.robot.reachable(R, t, self.bounds.plate)]
+
+    def best(
+        self,
+        beliefs: Sequence[Belief],
+        before: Sequence[FloatArray],
+        stations: Stations,
+        count: int,
+    ) -> tuple[IntArray, float]:
+        """Return the stations after which the largest standard deviation is least, and it.
+
+        It is the largest over directions [rad] and over locations as parts of the middle of the
+        sensor's range.
+
+        Parameters
+        ----------
+        beliefs : K of Belief
+            About several mounts within the bounds.
+        before : K of (U, U)
+            Covariance before these stations, about the same mount.
+        stations : Stations
+        count : int
+        """
+        rows = np.stack([station_rows(belief, stations) for belief in beliefs])
+        weight = goal_rows(beliefs[0], Goal("E", self.middle, 1.0), self.middle)
+        best, _, _ = choose(rows, np.stack(before), weight, count, "E", exchange=False)
+        after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
+        return best, max(math.sqrt(value(C, weight, "E")) for C in after)
+
+
+def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:
+    """Return what is known before any calibration; noise that is not stated is as its prior says.
+
+    Raises
+    ------
+    InputError
+        The sensor's range is not stated, or no beam can face the plate.
+    """
+    require_range(sensor)
+    require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
+    noise = Noise() if noise is None else noise
+    sigma = noise.range_sigma
+    if sigma is None:
+        sigma = NOISE_PART * (sensor.range_max - sensor.range_min)
+    shift, turn = noise.pose_translation_sigma, noise.pose_rotation_sigma
+    if noise.pose_covariance is None:
+        shift = noise.pose_translation_prior if shift is None else shift
+        turn = noise.pose_rotation_prior if turn is None else turn
+    stated = replace(noise, pose_translation_sigma=shift, pose_rotation_sigma=turn)
+    pose = stated.pose_covariances(1).mean(axis=0)
+    sigmas = np.full(len(bounds.locations), sigma)
+    variances = Variances(sigmas, noise.incidence_sigma, pose[None] if pose.any() else None)
+    return Blind(bounds, sensor, workspace, variances)
+
+
+def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> BoolArray:
+    """Tell at which stations all readings of each mount are within the sensor's limits, (K, M).
+
+    `mounts` are K draws from bounds: the same number of beams each, and a plane.
+    """
+    R, t = stations.world_R_hand, stations.world_t_hand
+    n, b = mounts.normals, mounts.offsets
+    r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
+    good = np.empty((len(n), len(t)), dtype=bool)
+    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
+    for some in (slice(k, k + size) for k in range(0, len(n), size)):
+        n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
+        cosine = n_hand @ np.swapaxes(v[some], 1, 2)
+        height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
+        with np.errstate(all="ignore"):
+            within = sensor.can_read(-height / cosine) & (cosine >= least_cosine(sensor))
+        good[some] = within.all(axis=2)
+    return good

@@ -10,7 +10,6 @@ better ones while that helps (Fedorov). A and spot are tr(M C) with a fixed M; D
 M at every step, the gradient of the criterion.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -29,25 +28,6 @@ SHARPNESS = 8
 """p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """Stations chosen, and what is known after each.
-
-    Attributes
-    ----------
-    candidates : (M,)
-        Indices of the candidates, in the order in which they were taken.
-    value : (M + 1,)
-        The criterion before the first and after each.
-    covariance : (U, U)
-        After all of them.
-    """
-
-    candidates: IntArray
-    value: FloatArray
-    covariance: FloatArray
-
-
 def choose(
     rows: FloatArray,
     covariance: FloatArray,
@@ -57,7 +37,7 @@ def choose(
     *,
     exchange: bool = True,
     start: IntArray | None = None,
-) -> Chosen:
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Choose stations among candidates.
 
     Parameters
@@ -77,6 +57,15 @@ def choose(
         Whether to exchange stations afterwards.
     start : (count,), optional
         Candidates to start the exchange from, instead of those that greedy choice takes.
+
+    Returns
+    -------
+    candidates : (M,)
+        Their indices, in the order in which greedy choice takes them.
+    values : (M + 1,)
+        The criterion before the first and after each.
+    covariance : (U, U)
+        After all of them.
     """
     search = _Search(rows, covariance, weight, criterion)
     for step in range(min(count, rows.shape[1])):
@@ -88,7 +77,6 @@ def choose(
             search.take(search.best(), place)
         if search.value() > before - LEAST_GAIN * abs(before):
             break
-    # Their order is that in which greedy choice takes the same stations.
     taken = np.array(search.chosen, dtype=np.intp)
     first = covariance if covariance.ndim == 2 else covariance[0]
     again = _Search(rows[:1, taken], first, weight, criterion)
@@ -96,7 +84,7 @@ def choose(
     for _ in taken:
         again.take(again.best())
         values.append(again.value())
-    return Chosen(taken[again.chosen], np.array(values), again.C[0])
+    return taken[again.chosen], np.array(values), again.C[0]
 
 
 class _Search:

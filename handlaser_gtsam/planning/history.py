@@ -7,12 +7,9 @@ all stations give at these scales. All are multiplied by that factor, beam by be
 the calibration's.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..data.value import Value
 from ..errors import GrazingBeamError, InputError, SolverError
 from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
@@ -24,23 +21,7 @@ HISTORY_POINTS = 24
 """Numbers of stations at which it is computed: a curve through them is smooth."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class History(Value):
-    """What was known after the first stations, in the order of the recording.
-
-    Attributes
-    ----------
-    stations : (K,)
-        How many, ascending; the last is all of them.
-    known : Forecast
-        The largest of all beams, (K,) each; NaN where something is still undetermined.
-    """
-
-    stations: IntArray
-    known: Forecast
-
-
-def history(calibration: Calibration, reading: float) -> History | None:
+def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:
     """Return what was known after the first stations, at the noise estimated from all of them.
 
     Parameters
@@ -51,8 +32,11 @@ def history(calibration: Calibration, reading: float) -> History | None:
 
     Returns
     -------
-    History or None
-        None where `parts.WholeSolution.of` refuses the calibration, or it has no covariance.
+    stations : (K,)
+        How many, ascending, in the order of the recording; the last is all of them.
+    known : Forecast
+        The largest of all beams, (K,) each; NaN where something is still undetermined. None in place of
+        both where `parts.WholeSolution.of` refuses the calibration, or it has no covariance.
     """
     joint = calibration.covariance
     try:
@@ -68,16 +52,16 @@ def history(calibration: Calibration, reading: float) -> History | None:
         first = np.zeros(len(whole.recording.plane_labels), dtype=bool)
         first[used[:count]] = True
         try:
-            part = whole.known_by(first)
+            _, known = whole.known_by(first)
         except (SolverError, InputError, GrazingBeamError):
             continue
-        if len(part.recording.beam_names) == len(calibration.beams):
-            rows[:] = _known(calibration, part.joint, reading)
+        if len(known.beam_names) == len(calibration.beams):
+            rows[:] = _known(calibration, known, reading)
     last = sigmas[-1].copy()
     stated = _known(calibration, joint, reading)
     sigmas *= np.divide(stated, last, out=np.ones_like(last), where=last > 0.0)
     location, direction, spots = sigmas.max(axis=1).T
-    return History(counts, Forecast(location, direction, spots, reading))
+    return counts, Forecast(location, direction, spots, reading)
 
 
 def _known(calibration: Calibration, joint: JointCovariance, reading: float) -> FloatArray:

@@ -10,7 +10,7 @@ after it (the update of a Kalman filter).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,39 +21,29 @@ from ..model.effects import OF_READINGS
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, PLANE
 from ..model.weighting import reading_sigmas, whitening
-from ..validation.simulate import Stations, read_back
+from ..validation.simulate import Stations, predicted_readings
 from .belief import Belief
 
 
-@dataclass(frozen=True, slots=True)
-class Outlook:
-    """What M stations would read.
-
-    Attributes
-    ----------
-    reading, cosine : (M, B)
-        Predicted readings [m] and cosines of the incidence.
-    reading_sigma, cosine_sigma : (M, B)
-        What the spread of the belief leaves uncertain of them; noise and robot errors included.
-    """
-
-    reading: FloatArray
-    cosine: FloatArray
-    reading_sigma: FloatArray
-    cosine_sigma: FloatArray
-
-
-def outlook(belief: Belief, stations: Stations) -> Outlook:
+def outlook(
+    belief: Belief, stations: Stations
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what stations would read at the mean of the belief, and how far it may be off.
+
+    Returns
+    -------
+    readings, reading_sigmas : (M, B)
+        Predicted readings [m], and what the spread of the belief leaves uncertain of them; noise and
+        robot errors included.
+    cosines, cosine_sigmas : (M, B)
+        The same of the incidence.
 
     Raises
     ------
-    GrazingBeamError
-        A beam runs parallel to its plane.
-    InputError
-        Range errors that leave no reading for a range.
+    GrazingBeamError, InputError
+        As `predicted_readings` does.
     """
-    readings, x = _predicted(belief, stations)
+    readings, x = predicted_readings(belief.mean, stations)
     rows = _derivatives(belief, readings, x)
     n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
     steeper = np.zeros_like(rows)  # derivatives of the cosines
@@ -66,10 +56,10 @@ def outlook(belief: Belief, stations: Stations) -> Outlook:
         turn = float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
     noise = reading_sigmas(belief.mean, readings, variances)
     shape = len(stations), belief.beams
-    return Outlook(
+    return (
         readings.distance.reshape(shape),
-        model.cosines(x).reshape(shape),
         np.sqrt(_spread(belief, stations, rows) + noise.reshape(shape) ** 2),
+        model.cosines(x).reshape(shape),
         np.sqrt(_spread(belief, stations, steeper) + turn),
     )
 
@@ -83,7 +73,7 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
         As `outlook` does.
     """
     count, beams = len(stations), belief.beams
-    readings, x = _predicted(belief, stations)
+    readings, x = predicted_readings(belief.mean, stations)
     J = _derivatives(belief, readings, x).reshape(count, beams, BEAM.dim + PLANE.dim)
     rows = np.zeros((count, beams, len(belief.covariance)))
     each = np.arange(beams)
@@ -160,24 +150,6 @@ def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
         S = np.eye(len(V)) + V @ station.T
         covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
     return covariance
-
-
-def _predicted(belief: Belief, stations: Stations) -> tuple[Readings, model.Scene]:
-    """Return what stations would read at the mean, and the arguments of the measurement equation."""
-    count, beams = len(stations), belief.beams
-    station = np.repeat(np.arange(count), beams)
-    readings = Readings(
-        station,
-        np.tile(np.arange(beams), count),
-        stations.plane[station],
-        np.zeros(count * beams),
-        stations.world_R_hand[station],
-        stations.world_t_hand[station],
-        beams,
-        len(belief.origins),
-    )
-    x = model.scene(belief.mean, readings)
-    return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x
 
 
 def _derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:

@@ -21,8 +21,6 @@ STYLE = (
     "text{font:12px sans-serif;fill:#222}.axis{stroke:#222;fill:none}.grid{stroke:#ddd}"
     ".curve{stroke:#0b6;stroke-width:2;fill:none}.goal{stroke:#c33;stroke-dasharray:5 4}"
 )
-NICE = (1.0, 2.0, 5.0)
-"""Ticks are these times a power of ten: people divide between them without thinking."""
 MOST_LABELS = 6
 """Labels that fit above one another; with more, only powers of ten have one."""
 
@@ -62,9 +60,7 @@ def _panel(title: str, values: FloatArray, limit: float | None) -> Iterator[str]
     def y(value: float) -> float:
         return EDGE_BOTTOM - (EDGE_BOTTOM - EDGE_TOP) * (math.log10(value) - low) / (high - low)
 
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    ticks = [step * 10.0**power for power in powers for step in NICE]
-    ticks = [tick for tick in ticks if low <= math.log10(tick) <= high]
+    ticks = logarithmic_ticks(low, high)
     if len(ticks) > MOST_LABELS:
         ticks = [tick for tick in ticks if math.log10(tick).is_integer()]
     yield f'<text x="{EDGE_LEFT}" y="20">{title}</text>'
@@ -81,3 +77,10 @@ def _panel(title: str, values: FloatArray, limit: float | None) -> Iterator[str]
     if shown.size:
         points = [f"{x(number):.1f} {y(values[number]):.1f}" for number in shown.tolist()]
         yield f'<path class="curve" d="M{"L".join(points)}"/>'
+
+
+def logarithmic_ticks(low: float, high: float) -> list[float]:
+    """Return the numbers between powers of ten whose exponents are given: 1, 2 and 5 times one."""
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    ticks = [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)]
+    return [tick for tick in ticks if low <= math.log10(tick) <= high]

@@ -13,9 +13,10 @@ from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations, plane_name
+from .belief import COMPARED_DRAWS
 from .choice import value
 from .goal import Goal
-from .information import outlook, station_rows, updated
+from .information import station_rows, updated
 from .plate import Placement, Plate
 from .route import Plan, planned
 from .task import Task, planning_task
@@ -23,12 +24,8 @@ from .workspace import Workspace, candidates, inside, joined, reachable, safe, w
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
-PLACEMENT_POOL = 60
-"""Candidates before each orientation of a plate that is compared."""
 MOST_PLANNED = 1000
 """Nobody drives to more stations: a larger number is a slip."""
-POSTERIOR_DRAWS = 4
-"""Draws of the belief over which the gain is averaged beside its mean: more change no choice much."""
 REFINING_MOVES = (0.4, 0.15)
 """Sizes of the moves by which chosen stations are refined, as parts of the largest turn and of the
 sensor's range: about as far as candidates are apart, and then as those are."""
@@ -92,17 +89,17 @@ def plan(
     share = max(POOL // len(belief.plane_names), 2 * stations)
     pool = reachable(belief, task.workspace, sensor, share, rng)
     each = [station_rows(belief, pool)]
-    for _ in range(POSTERIOR_DRAWS):
+    for _ in range(COMPARED_DRAWS):
         try:
             each.append(station_rows(belief.about(belief.draw(rng)), pool))
         except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
             continue
     rows = np.stack(each)
     if goal.stated:  # how many are enough, before these are chosen with more care
-        quick = task.chosen(rows[:1], stations).candidates
+        quick = task.chosen(rows[:1], stations)
         enough = task.forecast(rows[0, quick]).reaches(goal)
         stations = stations if enough is None else max(enough, 1)
-    chosen = task.chosen(rows, stations, exchange=True).candidates
+    chosen = task.chosen(rows, stations, exchange=True)
     best = _refined(task, pool[chosen], rng)
     if goal.stated:
         enough = task.forecast(station_rows(belief, best)).reaches(goal)
@@ -137,10 +134,11 @@ def _placed(
             belief = before.before({name: plate})
             plane, trial = len(belief.plane_names) - 1, replace(task, belief=belief)
             try:
-                pool = candidates(belief, plane, task.workspace, task.sensor, PLACEMENT_POOL, rng)
+                pool = candidates(belief, plane, task.workspace, task.sensor, POOL // 20, rng)
             except InputError:
                 continue
-            known = trial.chosen(station_rows(belief, pool)[None], count).covariance
+            rows = station_rows(belief, pool)
+            known = updated(belief.covariance, rows[trial.chosen(rows[None], count)])
             left = value(known, trial.weight, task.goal.criterion)
             if left < best:
                 best, put[name] = left, plate
@@ -172,13 +170,13 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
         )
         near = near[inside(workspace, near)]
         try:
-            near = near[safe(outlook(belief, near), sensor)]
+            near = near[safe(belief, near, sensor)]
             near = near[within_reach(belief, workspace, near)]
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])
         rows = station_rows(belief, pool)[None]
-        stations = pool[task.chosen(rows, count, exchange=True, start=np.arange(count)).candidates]
+        stations = pool[task.chosen(rows, count, exchange=True, start=np.arange(count))]
     return stations
 
 
@@ -199,9 +197,9 @@ def planned_with_spare(
             break
         reached = stations[kept]
         known = updated(belief.covariance, station_rows(belief, reached))
-        chosen = task.chosen(station_rows(belief, spare)[None], missing, known).candidates
+        chosen = task.chosen(station_rows(belief, spare)[None], missing, known)
         both = joined([reached, spare[chosen]])
-        order = task.chosen(station_rows(belief, both)[None], count).candidates
+        order = task.chosen(station_rows(belief, both)[None], count)
         stations, spare = both[order], without(spare, chosen)  # in the order in which they matter
         plan, kept = planned(task, stations, plates=plates)
         best = plan if len(plan) > len(best) else best

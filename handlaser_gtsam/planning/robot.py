@@ -30,10 +30,6 @@ WAY_STEP = np.deg2rad(1.0)
 end of an arm of 1 m they are 17 mm."""
 SAME_JOINTS = 1e-4
 """Joints that differ by less are one solution [rad], [m]: both are at the pose to far less."""
-LARGEST_CLEARANCE = 0.5
-"""No arm keeps farther from itself [m]: a larger number is in another unit."""
-ARMS_LOADED = 4
-"""Arms that are kept loaded, which takes a second: a rig has one or two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -88,7 +84,7 @@ class Robot(Value):
             raise InputError(f"start joints of shape {start.shape}", "one finite number a joint")
         object.__setattr__(self, "start", start)
         object.__setattr__(self, "urdf", str(self.urdf))
-        require_number("clearance", self.clearance, 0.0, LARGEST_CLEARANCE, unit="m")
+        require_number("clearance", self.clearance, 0.0, LARGEST_LENGTH, unit="m")
         for name in ("plate_across", "plate_thickness"):
             require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True, unit="m")
         if self.table is not None:
@@ -220,7 +216,7 @@ def _front(plate: Plate | None) -> tuple[FloatArray, FloatArray] | None:
     return None if plate is None else (plate.point, plate.normal)
 
 
-@lru_cache(ARMS_LOADED)
+@lru_cache  # loading takes a second
 def _loaded(pickled: bytes, changed: int) -> Scene:  # noqa: ARG001  a changed file is another arm
     """Return the scene of a robot, which is pickled because arrays are no keys of a cache."""
     robot: Robot = pickle.loads(pickled)

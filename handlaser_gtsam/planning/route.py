@@ -12,12 +12,11 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..validation.simulate import Stations
-from .drive import driven
 from .goal import Forecast
 from .information import outlook, station_rows
-from .order import divided, shortest
 from .plate import Plate
 from .task import Task
+from .way import divided, driven, shortest
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -81,7 +80,7 @@ def planned(
     order = np.arange(len(stations))
     if not ordered:
         order = shortest(stations, location / direction)
-    ahead = outlook(belief, stations)
+    reading, reading_sigma, _, _ = outlook(belief, stations)
     joints: FloatArray | None = None
     if robot is None:
         way, origin = divided(stations[order], task.workspace.largest_step)
@@ -106,7 +105,7 @@ def planned(
         () if robot is None else robot.joint_names,
     )
     ranges, sigmas = (np.full((len(way), belief.beams), math.nan) for _ in range(2))
-    ranges[read], sigmas[read] = ahead.reading[kept], ahead.reading_sigma[kept]
+    ranges[read], sigmas[read] = reading[kept], reading_sigma[kept]
     forecast = task.forecast(station_rows(belief, stations[np.sort(kept)]))
     reached = forecast.reaches(task.goal) if task.goal.stated else None
     put = {} if plates is None else dict(plates)

@@ -15,7 +15,7 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spot_error import radius
 from .belief import Belief, belief_of
-from .choice import Chosen, choose
+from .choice import choose
 from .goal import Forecast, Goal
 from .information import updated, with_errors
 from .plate import Plate
@@ -55,14 +55,14 @@ class Task:
         *,
         exchange: bool = False,
         start: IntArray | None = None,
-    ) -> Chosen:
+    ) -> IntArray:
         """Choose among stations given by rows (K, N, B, U) at the belief and draws; see `choose`.
 
         Beside what the `covariance` (U, U) says, or the belief where it is not given.
         """
         known, weight = self.belief.covariance if covariance is None else covariance, self.weight
         criterion = self.goal.criterion
-        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)
+        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)[0]
 
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""

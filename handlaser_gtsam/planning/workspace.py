@@ -15,10 +15,10 @@ from ..data.recording_checks import rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, ROUNDING
 from ..validation.simulate import Stations
 from .belief import Belief
-from .information import Outlook, outlook
+from .information import outlook
 from .plate import vectors
 from .robot import Robot
 
@@ -38,8 +38,6 @@ ENDS = 0.4
 TURN_EXPONENT = 9.0
 """The turns of candidates are the largest one times the root of this order of a uniform number: nine of
 ten turn by more than three quarters of it, because stations that turn far say most."""
-TURN_ROUNDING = 1e-9
-"""By this a turn may be above the largest one and still be it [rad]."""
 MOST_TRIED = 40
 """Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
 fortieth is good."""
@@ -103,7 +101,7 @@ def inside(workspace: Workspace, stations: Stations) -> BoolArray:
     t = stations.world_t_hand
     turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
     within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
-    return np.asarray(within & (turn <= workspace.largest_turn + TURN_ROUNDING))
+    return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
 
 
 def within_reach(belief: Belief, workspace: Workspace, stations: Stations) -> BoolArray:
@@ -157,7 +155,7 @@ def candidates(
         tried = tried[inside(workspace, tried)]
         if not len(tried):
             continue
-        tried = tried[safe(outlook(belief, tried), sensor)]
+        tried = tried[safe(belief, tried, sensor)]
         if workspace.robot is not None:
             tried = tried[np.arange(min(len(tried), count))]
             asked += len(tried)
@@ -246,11 +244,17 @@ def least_cosine(sensor: Sensor) -> float:
     return math.cos(min(sensor.max_incidence, STEEPEST))
 
 
-def safe(ahead: Outlook, sensor: Sensor) -> BoolArray:
-    """Tell at which stations (M,) all readings are within the sensor's limits, with a margin."""
-    spread = SAFE_SIGMAS * ahead.reading_sigma
-    near, far = ahead.reading - spread, ahead.reading + spread
-    steep = ahead.cosine - SAFE_SIGMAS * ahead.cosine_sigma >= least_cosine(sensor)
+def safe(belief: Belief, stations: Stations, sensor: Sensor) -> BoolArray:
+    """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
+
+    Raises
+    ------
+    GrazingBeamError, InputError
+        As `outlook` does.
+    """
+    reading, spread, cosine, cosine_sigma = outlook(belief, stations)
+    near, far = reading - SAFE_SIGMAS * spread, reading + SAFE_SIGMAS * spread
+    steep = cosine - SAFE_SIGMAS * cosine_sigma >= least_cosine(sensor)
     return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
 
 

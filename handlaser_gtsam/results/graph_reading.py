@@ -15,8 +15,7 @@ from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..factors.keys import BeamKeys
 from ..model.joint import JointCovariance
-from ..observability.open_axes import open_axes
-from ..observability.rank import ObservabilityOptions
+from ..observability.rank import ObservabilityOptions, open_axes
 from ..solvers.graph import parameters_of
 from ..solvers.values import require_values
 from .calibration import Calibration

@@ -17,7 +17,7 @@ from ..data.ordering import sorted_readings
 from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
 from ..starts import Effort, find_start
-from ..starts.glance import mean_squares_at_a_glance
+from ..starts.choice import mean_squares_at_a_glance
 
 MUCH_BETTER = 100.0
 """Another way is taken to be the right one where it lowers the mean squared residual by this factor."""

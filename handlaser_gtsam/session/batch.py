@@ -200,10 +200,8 @@ class BatchProblem:
             ((METHOD, rms),),
             solution,
         )
-        noise = self.config.noise
-        problem = Problem.as_recorded(
-            self.recording, self.readings, self.origins, noise, self.config.sensor
-        )
+        noise, sensor = self.config.noise, self.config.options.sensor
+        problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise, sensor)
         return assemble(problem, selection)
 
     def rejected(self, contents: Contents, reason: str | None = None) -> BoolArray:

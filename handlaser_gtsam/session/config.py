@@ -1,27 +1,31 @@
 """What all planes of a session have in common until its graph is restarted."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from .. import model
+from ..arrays import IntArray
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..errors import InputError
+from ..estimation.information import Information
 from ..estimation.learned import LearnedScales
+from ..estimation.options import CalibrationOptions
 from ..factors import beam_drift
 from ..factors.keys import BeamKeys, beam_keys
-from ..model.sensor import Sensor
+from ..model.families import BEAM, MOUNT_DIM
 from ..model.weighting import Variances
 from ..quantities import KNOWN
+from ..results.calibration import Calibration
 from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
-from .drift import DriftHistory
-from .reference import Reference
+from ..solvers.isam import IncrementalOptions
+from .drift import DriftHistory, Reference
 from .reports import Change
 
 SCALES_KEPT = 0.02
@@ -75,10 +79,21 @@ class ProcessNoise:
             self.range_error_sigmas[: terms[self.now]],
         )
 
-    def sigmas(self) -> FloatArray:
-        """Return the standard deviations (7,) of all unknowns of a beam."""
+    def information(self, reference: Reference) -> Information:
+        """Return what the link says of the beams, in the unknowns of the reference."""
+        size, basis = len(reference.unit), model.tangent_basis(reference.beams[1])
+        active, a, b = reference.active.tolist(), self.before, self.now
+        rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + reference.terms[a])]
+        other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + reference.terms[b])]
+        J = np.zeros((len(rows), size))
+        J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
+        J[3:5, other[3:5]] = basis[a].T @ basis[b]
+        shift, turn, stretch = (array[b] - array[a] for array in reference.beams)
+        error = np.concatenate((shift, basis[a].T @ turn, stretch[: reference.terms[a]]))
         location, direction = [self.location_sigma] * 3, [self.direction_sigma] * 2
-        return np.array([*location, *direction, *self.range_error_sigmas])
+        sigmas = np.array([*location, *direction, *self.range_error_sigmas])[: len(rows)]
+        J = J * reference.unit / sigmas[:, None]
+        return Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
 
 
 @dataclass(frozen=True)
@@ -101,7 +116,9 @@ class SessionConfig:
         As given.
     poses : str
         How errors of the hand poses count.
-    sensor : Sensor
+    options : CalibrationOptions
+        Of the first calibration, and of every batch solution.
+    incremental : IncrementalOptions
     links : tuple of ProcessNoise
     learned : LearnedScales or None
         Scales that are integrated over; None where all are given but the range sigma.
@@ -114,9 +131,38 @@ class SessionConfig:
     sigma_dof: float
     noise: Noise
     poses: Literal["exact", "marginalised", "estimated"]
-    sensor: Sensor = field(default_factory=Sensor)
+    options: CalibrationOptions
+    incremental: IncrementalOptions
     links: tuple[ProcessNoise, ...] = ()
     learned: LearnedScales | None = None
+
+    @classmethod
+    def of(
+        cls,
+        calibration: Calibration,
+        noise: Noise,
+        options: CalibrationOptions,
+        incremental: IncrementalOptions,
+    ) -> "SessionConfig":
+        """Return what all planes have in common after a calibration."""
+        beams, fit = calibration.beams.values(), calibration.fit
+        return cls(
+            names=tuple(beam.name for beam in beams),
+            terms=tuple(beam.terms for beam in beams),
+            length=fit.typical_range,
+            sigma=fit.range_sigma,
+            sigma_dof=np.inf if noise.range_sigma is not None else float(max(fit.dof, 1)),
+            noise=noise,
+            poses=fit.poses,
+            options=options,
+            incremental=incremental,
+            learned=calibration.learned,
+        )
+
+    @property
+    def reject(self) -> bool:
+        """Whether readings that the others contradict are rejected."""
+        return self.options.outliers == "reject"
 
     @cached_property
     def beams(self) -> tuple[BeamKeys, ...]:
@@ -206,5 +252,8 @@ class SessionConfig:
     def history(self, origin: Beams) -> DriftHistory:
         """Return a history without planes, counted from these beams."""
         reference = Reference(self.names, origin, self.terms, self.length)
-        links = [(link.before, link.now, link.sigmas()) for link in self.links]
-        return DriftHistory.empty(reference, links)
+        size = len(reference.unit)
+        known = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
+        for link in self.links:
+            known = known + link.information(reference)
+        return DriftHistory(reference, known)

@@ -52,20 +52,6 @@ class PlaneContents:
         """Return all stations with the readings that are used."""
         return self.recording.without(self.unused()) if self.rejected else self.recording
 
-    def joined(self, recording: Recording, rejected: tuple[Rejected, ...]) -> "PlaneContents":
-        """Return the plane with more stations."""
-        return replace(
-            self,
-            recording=join([self.recording, recording]),
-            rejected=(*self.rejected, *rejected),
-        )
-
-    def renamed(self, beam: str, name: str) -> "PlaneContents":
-        """Return the plane with another name for a beam."""
-        rejected = (replace(r, beam=name) if r.beam == beam else r for r in self.rejected)
-        recording = self.recording.renamed(beam, name)
-        return replace(self, recording=recording, rejected=tuple(rejected))
-
 
 @dataclass(frozen=True, eq=False)
 class Contents:
@@ -154,9 +140,10 @@ class Contents:
             outside = (new.ranges < sensor.range_min) | (new.ranges > sensor.range_max)
             rejected = named(new, outside, OUTSIDE)
             old = planes.get(name)
-            planes[name] = (
-                PlaneContents(new, rejected) if old is None else old.joined(new, rejected)
-            )
+            planes[name] = PlaneContents(new, rejected)
+            if old is not None:
+                more = join([old.recording, new])
+                planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
         first = max(self.station_numbers.values(), default=-1) + 1
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
         return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
@@ -165,6 +152,22 @@ class Contents:
         """Return the contents with more readings of a plane rejected."""
         before = self.planes[plane]
         return self._with(plane, replace(before, rejected=(*before.rejected, *more)))
+
+    def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
+        """Return the contents of which nothing is in a graph, with just these readings rejected."""
+        plane_of = {
+            station: name
+            for name, plane in self.planes.items()
+            for station in plane.recording.station_names
+        }
+        of_plane: dict[str, list[Rejected]] = {name: [] for name in self.planes}
+        for reading in rejected:
+            of_plane[plane_of[reading.station]].append(replace(reading, residual=None))
+        planes = {
+            name: PlaneContents(plane.recording, tuple(of_plane[name]))
+            for name, plane in self.planes.items()
+        }
+        return replace(self, planes=planes)
 
     def without_plane(self, name: str) -> "Contents":
         """Return the contents without a plane.
@@ -240,17 +243,18 @@ class Contents:
         planes = {name: replace(self.planes[name], culprit=None) for name in names}
         return replace(self, planes={**self.planes, **planes})
 
-    def without_readings(self, names: Iterable[str]) -> list[str]:
-        """Return which of the beams have no reading in the graph."""
-        seen = {name for plane in self.numbers for name in self.planes[plane].used().beam_names}
-        return [name for name in names if name not in seen]
-
     def split(self, beam: str, since: str, before: str) -> "Contents":
         """Return the contents with a beam named `before` in the planes that came before `since`."""
-        early = list(self.planes)[: list(self.planes).index(since)]
-        planes = {name: self.planes[name].renamed(beam, before) for name in early}
+        planes = dict(self.planes)
+        for name in list(planes)[: list(planes).index(since)]:
+            rejected = (
+                replace(reading, beam=before) if reading.beam == beam else reading
+                for reading in planes[name].rejected
+            )
+            recording = planes[name].recording.renamed(beam, before)
+            planes[name] = replace(planes[name], recording=recording, rejected=tuple(rejected))
         names = {**self.names, before: self.names.get(beam, beam)}
-        return replace(self, planes={**self.planes, **planes}, names=names)
+        return replace(self, planes=planes, names=names)
 
     def _with(self, name: str, plane: PlaneContents) -> "Contents":
         return replace(self, planes={**self.planes, name: plane})

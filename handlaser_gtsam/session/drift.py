@@ -12,21 +12,21 @@ many planes there are. Every epoch and beam is a test; the smallest probability 
 number.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
 from scipy.special import betaln, gammaln
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.parameters import Beams
 from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
-from ..model.families import BEAM, MOUNT_DIM
+from ..model.families import BEAM, MOUNT_DIM, modelled
 from ..quantities import KNOWN
-from .reference import Reference
 
 FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
@@ -60,94 +60,86 @@ class Moved(Value):
 
 
 @dataclass(frozen=True, slots=True)
+class Reference:
+    """Beams that unknowns are counted from, in natural units: the typical range, 1 rad.
+
+    Attributes
+    ----------
+    names : tuple of str
+    beams : Beams
+    terms : tuple of int
+    length : float
+        [m]
+    """
+
+    names: tuple[str, ...]
+    beams: Beams
+    terms: tuple[int, ...]
+    length: float
+
+    @property
+    def mask(self) -> BoolArray:
+        """Whether each of 7 unknowns a beam is estimated."""
+        return modelled(self.terms).ravel()
+
+    @property
+    def active(self) -> IntArray:
+        """Which of 7 unknowns a beam are estimated."""
+        return np.flatnonzero(self.mask)
+
+    @property
+    def unit(self) -> FloatArray:
+        """Natural units of the active unknowns."""
+        return np.tile(BEAM.natural_units(self.length), len(self.terms))[self.active]
+
+    def moves(self) -> IntArray:
+        """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
+        active = self.active
+        return np.flatnonzero(active % BEAM.dim < MOUNT_DIM).reshape(-1, MOUNT_DIM)
+
+    def coordinates(self, beams: Beams) -> FloatArray:
+        """Return the unknowns of other beams."""
+        basis = model.tangent_basis(self.beams[1])
+        x = np.hstack(
+            (
+                beams[0] - self.beams[0],
+                np.einsum("bij,bi->bj", basis, beams[1] - self.beams[1]),
+                beams[2] - self.beams[2],
+            )
+        )
+        coordinates: FloatArray = x.ravel()[self.active] / self.unit
+        return coordinates
+
+
+@dataclass(frozen=True, slots=True)
 class DriftHistory:
-    """Running totals of the information of the planes, in the order in which they came.
+    """The information of the planes, in the order in which they came.
 
     Attributes
     ----------
     reference : Reference
     known : Information
         Information beside the planes.
-    planes : tuple of str
-    pieces : tuple of Information
-        Information of each plane.
-    totals : tuple of Information
-        Information of the first 1, 2, ... planes.
+    pieces : mapping of str to Information
+        Information of each plane, by its name.
     """
 
     reference: Reference
     known: Information
-    planes: tuple[str, ...] = ()
-    pieces: tuple[Information, ...] = ()
-    totals: tuple[Information, ...] = ()
-
-    @classmethod
-    def empty(
-        cls, reference: Reference, links: Sequence[tuple[int, int, FloatArray]]
-    ) -> "DriftHistory":
-        """Return a history without planes.
-
-        Parameters
-        ----------
-        reference : Reference
-        links : sequence of (beam, beam, sigmas (7,))
-            Process noise between two beams, in SI units.
-        """
-        size = len(reference.unit)
-        matrix, vector = np.zeros((size, size)), np.zeros(size)
-        active = reference.active.tolist()
-        basis = model.tangent_basis(reference.beams[1])
-        for a, b, sigmas in links:
-            rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + reference.terms[a])]
-            other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + reference.terms[b])]
-            J = np.zeros((len(rows), size))
-            J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
-            J[3:5, other[3:5]] = basis[a].T @ basis[b]
-            error = np.concatenate(
-                (
-                    reference.beams[0][b] - reference.beams[0][a],
-                    basis[a].T @ (reference.beams[1][b] - reference.beams[1][a]),
-                    (reference.beams[2][b] - reference.beams[2][a])[: reference.terms[a]],
-                )
-            )
-            J = J * reference.unit / sigmas[: len(rows), None]
-            matrix += J.T @ J
-            vector -= J.T @ (error / sigmas[: len(rows)])
-        return cls(reference, Information(matrix, vector, np.zeros(())))
+    pieces: Mapping[str, Information] = field(default_factory=dict)
 
     def with_plane(self, name: str, piece: Information) -> "DriftHistory":
         """Return the history with one more plane, or with more known of one."""
-        if name not in self.planes:
-            total = piece + self.totals[-1] if self.totals else piece
-            return DriftHistory(
-                self.reference,
-                self.known,
-                (*self.planes, name),
-                (*self.pieces, piece),
-                (*self.totals, total),
-            )
-        index = self.planes.index(name)
-        return self._summed(self.planes, (*self.pieces[:index], piece, *self.pieces[index + 1 :]))
-
-    def with_planes(self, planes: Sequence[str], pieces: Sequence[Information]) -> "DriftHistory":
-        """Return the history of these planes and no others."""
-        return self._summed(tuple(planes), tuple(pieces))
+        return replace(self, pieces={**self.pieces, name: piece})
 
     def without_plane(self, name: str) -> "DriftHistory":
         """Return the history without a plane, whether it is there or not."""
-        if name not in self.planes:
-            return self
-        index = self.planes.index(name)
-        planes = self.planes[:index] + self.planes[index + 1 :]
-        return self._summed(planes, self.pieces[:index] + self.pieces[index + 1 :])
-
-    def _summed(self, planes: tuple[str, ...], pieces: tuple[Information, ...]) -> "DriftHistory":
-        totals = tuple(accumulate(pieces))
-        return DriftHistory(self.reference, self.known, planes, pieces, totals)
+        pieces = {plane: piece for plane, piece in self.pieces.items() if plane != name}
+        return replace(self, pieces=pieces)
 
     def recent(self) -> IntArray:
         """Return the epochs 1, 2, 4, ... planes ago, as numbers of planes before them."""
-        count = len(self.planes)
+        count = len(self.pieces)
         back = 2 ** np.arange(max(count, 1).bit_length())
         return count - back[back < count]
 
@@ -165,12 +157,13 @@ class DriftHistory:
         false_alarms : float
             Probability of finding one where nothing has moved.
         """
-        count = len(self.planes)
+        count = len(self.pieces)
         if epochs is None:
             epochs = np.arange(1, count)
         if not epochs.size:
             return None
-        whole = self.totals[-1]
+        totals = list(accumulate(self.pieces.values()))
+        whole = totals[-1]
         if np.linalg.eigvalsh(whole.matrix)[0] < KNOWN**-2:
             # Otherwise the process noise that is assumed of a move would count as a sign of one.
             whole = whole + self.known
@@ -179,7 +172,7 @@ class DriftHistory:
             covariance = np.linalg.inv(whole.matrix)
         except np.linalg.LinAlgError:
             return None
-        late = [self.totals[-1] - self.totals[epoch - 1] for epoch in epochs.tolist()]
+        late = [totals[-1] - totals[epoch - 1] for epoch in epochs.tolist()]
         L = np.stack([information.matrix for information in late])
         s = np.stack([information.vector for information in late]) - L @ x
         M = L - L @ covariance @ L
@@ -204,7 +197,7 @@ class DriftHistory:
         d = moves[best] * self.reference.unit[beams[best[1]]]
         return Moved(
             self.reference.names[best[1]],
-            self.planes[int(epochs[best[0]])],
+            list(self.pieces)[int(epochs[best[0]])],
             float(statistic[best]),
             min(float(np.exp(log_p[best])) * log_p.size, 1.0),
             d[:3],
@@ -224,3 +217,16 @@ def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
             a = 0.5 * dof
             tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
     return np.where(np.isfinite(log_p), log_p, tail)
+
+
+def turns(directions: FloatArray, reference: Reference) -> FloatArray:
+    """Return the matrix from unknowns in the bases of the reference to unknowns in the bases here."""
+    here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
+    turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
+    turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
+    whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
+    each = np.arange(len(directions))
+    whole[each, :, each, :] = turns
+    size, active = BEAM.dim * len(directions), reference.active
+    matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
+    return matrix

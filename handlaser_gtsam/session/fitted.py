@@ -25,7 +25,7 @@ from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
 from .config import SessionConfig
-from .reference import Reference, plane_information
+from .drift import Reference, turns
 
 WEIGHT_PASSES = 2
 """Passes of weighing a plane: the second judges the noise of its readings by the weighted plane, not by
@@ -81,10 +81,15 @@ class FittedPlane:
         return mask
 
     def information(self, reference: Reference) -> Information:
-        """Return what the plane knows of the beams."""
-        return plane_information(
-            self.normal, self.whitening.sigma, self.parameters.beams, reference
-        )
+        """Return what the plane knows of the beams, (n, n) and (n,), in natural units."""
+        beams, sigma = self.parameters.beams, self.whitening.sigma
+        unit = np.ones(len(reference.mask))
+        unit[reference.mask] = reference.unit
+        reduced = self.normal.reduced(unit, PLANE.natural_units(reference.length), reference.mask)
+        turn = turns(beams[1], reference)
+        L = turn.T @ reduced.matrix @ turn / sigma**2
+        gradient = turn.T @ reduced.gradient / sigma**2
+        return Information(L, L @ reference.coordinates(beams) - gradient, np.zeros(()))
 
     def fits(self, information: Information, reference: Reference) -> bool:
         """Tell whether its readings agree with each other, whatever the beams are.

@@ -6,114 +6,86 @@ Integrating over all scales changes mean and covariance; both changes follow fro
 planes, and are added to the estimate of iSAM2. So the cost of a new plane does not grow.
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from .. import model
-from ..arrays import IntArray
-from ..data.parameters import Beams
 from ..estimation.information import Information, LinearReadings
-from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
+from .drift import DriftHistory, Reference, turns
 from .fitted import FittedPlane
-from .reference import Reference, turns
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleSums:
-    """The information of all planes of a session on the beams, for all sets of noise scales.
+def scaled_information(fitted: FittedPlane, reference: Reference) -> Information:
+    """Return what a plane knows of the beams for all sets of noise scales, counted from a reference."""
+    learned, readings = fitted.config.learned, fitted.readings
+    if learned is None:
+        raise ValueError("no scales are learned")
+    variances = learned.base.for_stations(int(readings.station.max()) + 1)
+    rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
+    points = [learned.mode, *learned.points]
+    information, _ = rows.information([learned.scales.noise(u) for u in points])
+    # The unknowns there are turn (x - shift).
+    turn = turns(fitted.parameters.directions, reference)
+    shift = reference.coordinates(fitted.parameters.beams)
+    matrix = turn.T @ information.matrix @ turn
+    vector = information.vector @ turn
+    constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
+    return Information(matrix, vector + matrix @ shift, constant)
 
-    Attributes
+
+def integrated(
+    state: BeamState,
+    config: SessionConfig,
+    history: DriftHistory,
+    pieces: Mapping[str, Information],
+) -> BeamState:
+    """Return beams at the most probable scales with all scales integrated over.
+
+    Parameters
     ----------
-    learned : LearnedScales
-    reference : Reference
-        Beams that everything is counted from.
-    members : (b,)
-        Beams whose range errors have the prior.
-    known : Information
-        Information on the beams beside the planes.
+    state : BeamState
+    config : SessionConfig
+    history : DriftHistory
+        What is known beside the planes, whatever the noise is, and what everything is counted from.
     pieces : mapping of str to Information
-        Information by plane.
+        `scaled_information` by plane.
     """
-
-    learned: LearnedScales
-    reference: Reference
-    members: IntArray
-    known: Information
-    pieces: Mapping[str, Information]
-
-    @classmethod
-    def of(
-        cls, config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
-    ) -> "ScaleSums | None":
-        """Return the sums of planes, counted from `beams`; None where no scales are learned."""
-        if config.learned is None:
-            return None
-        history = config.history(beams)
-        known, members = history.known[None], config.members  # whatever the noise is
-        empty = cls(config.learned, history.reference, members, known, {})
-        return empty.changed(fitted, fitted)
-
-    def with_plane(self, plane: str, fitted: FittedPlane) -> "ScaleSums":
-        """Return the sums with a plane, in place of its earlier information."""
-        learned, readings = self.learned, fitted.readings
-        variances = learned.base.for_stations(int(readings.station.max()) + 1)
-        rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
-        points = [learned.mode, *learned.points]
-        information, _ = rows.information([learned.scales.noise(u) for u in points])
-        # Counted from the reference: the unknowns here are turn (x - shift).
-        turn = turns(fitted.parameters.directions, self.reference)
-        shift = self.reference.coordinates(fitted.parameters.beams)
-        matrix = turn.T @ information.matrix @ turn
-        vector = information.vector @ turn
-        constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-        counted = Information(matrix, vector + matrix @ shift, constant)
-        return replace(self, pieces={**self.pieces, plane: counted})
-
-    def changed(self, fitted: Mapping[str, FittedPlane], inside: Collection[str]) -> "ScaleSums":
-        """Return the sums of the planes that are `inside`, of which some have been fitted again."""
-        kept = {plane: piece for plane, piece in self.pieces.items() if plane in inside}
-        sums = replace(self, pieces=kept)
-        for plane, refitted in fitted.items():
-            sums = sums.with_plane(plane, refitted)
-        return sums
-
-    def integrated(self, state: BeamState) -> BeamState:
-        """Return beams at the most probable scales with all scales integrated over."""
-        if not self.pieces:
-            return state
-        learned, total = self.learned, self.known
-        for piece in self.pieces.values():
-            total = total + piece
-        k = self.reference.beams[2][:, : learned.terms]
-        k = k * np.array([1.0, learned.length])[: learned.terms]
-        here = BeamPosterior(total[:1], k, learned.widest, self.members)
-        both = BeamPosterior(total[1:], k, learned.widest, self.members)
-        mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
-        mean, covariance = here.conditional(learned.range_error)
-        unit = self.reference.unit
-        step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
-        change = (mixture.covariance - covariance) * np.outer(unit, unit)
-        bases = model.tangent_basis(self.reference.beams[1])
-        lift = beams_lift(bases, [learned.terms] * len(bases))
-        k = state.range_errors.copy()
-        k[:, : learned.terms] += step[:, 5:]
-        turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
-        # The reference has other tangents than the state, which has the tangents of a batch solution:
-        # project along every beam out of the coordinates (8,).
-        across = np.tile(np.eye(8), (len(state.directions), 1, 1))
-        across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
-        project = block_diag(*across)
-        return replace(
-            state,
-            locations=state.locations + step[:, :3],
-            directions=model.normalized(state.directions + turned),
-            range_errors=k,
-            covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
-        )
+    learned, reference, members = config.learned, history.reference, config.members
+    if learned is None or not pieces:
+        return state
+    total = history.known[None]
+    for piece in pieces.values():
+        total = total + piece
+    k = reference.beams[2][:, : learned.terms]
+    k = k * np.array([1.0, learned.length])[: learned.terms]
+    here = BeamPosterior(total[:1], k, learned.widest, members)
+    both = BeamPosterior(total[1:], k, learned.widest, members)
+    mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
+    mean, covariance = here.conditional(learned.range_error)
+    unit = reference.unit
+    step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
+    change = (mixture.covariance - covariance) * np.outer(unit, unit)
+    bases = model.tangent_basis(reference.beams[1])
+    lift = beams_lift(bases, [learned.terms] * len(bases))
+    k = state.range_errors.copy()
+    k[:, : learned.terms] += step[:, 5:]
+    turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
+    # The reference has other tangents than the state, which has the tangents of a batch solution:
+    # project along every beam out of the coordinates (8,).
+    across = np.tile(np.eye(8), (len(state.directions), 1, 1))
+    across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
+    project = block_diag(*across)
+    return replace(
+        state,
+        locations=state.locations + step[:, :3],
+        directions=model.normalized(state.directions + turned),
+        range_errors=k,
+        covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
+    )

@@ -1,7 +1,6 @@
 """Planes that join: fitted beside the beams, judged, and made into factors; nothing is changed yet."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,100 +21,66 @@ DISPLACED = 1e-3
 """Prior probability that a beam is displaced between two planes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joining:
-    """The outcome of planes that were to join.
-
-    Attributes
-    ----------
-    contents : Contents
-        With outliers rejected, and planes that are not determined out of the graph.
-    history : DriftHistory
-    factors : dict of int to PlaneFactors
-    fitted : mapping of str to FittedPlane
-        Planes that joined.
-    inconsistent : tuple of str
-        Planes that do not fit, whichever beam has moved a little. They are excluded, or join all the
-        same where nothing is to be rejected.
-    """
-
-    contents: Contents
-    history: DriftHistory
-    factors: Mapping[int, PlaneFactors] = field(default_factory=dict)
-    fitted: Mapping[str, FittedPlane] = field(default_factory=dict)
-    inconsistent: tuple[str, ...] = ()
-
-    def without(self, plane: str) -> "Joining":
-        """Return the same without a plane, which is not determined or has been removed."""
-        contents = self.contents
-        if plane in contents.planes:
-            contents = contents.taken_out(plane)
-        return replace(self, contents=contents, history=self.history.without_plane(plane))
-
-    def joined(self, plane: str, fitted: FittedPlane, number: int) -> "Joining":
-        """Return the same with a plane in the graph under a number."""
-        contents = self.contents.placed(plane, number, fitted.origin)
-        return replace(
-            self,
-            contents=contents,
-            factors={**self.factors, **factors_of(contents, {plane: fitted})},
-            fitted={**self.fitted, plane: fitted},
-        )
-
-
 def join_planes(
     config: SessionConfig,
     state: BeamState,
-    start: Joining,
+    contents: Contents,
+    history: DriftHistory,
     planes: tuple[str, ...],
     *,
     reject: bool,
-) -> Joining:
-    """Return the outcome of joining `planes` to the beams as they are.
+) -> tuple[Contents, DriftHistory, Mapping[str, FittedPlane], tuple[str, ...]]:
+    """Join `planes` to the beams as they are, or take out those that are not determined.
 
     Parameters
     ----------
     config : SessionConfig
     state : BeamState
-    start : Joining
-        Contents, with the changes of these planes in them, and history so far.
+    contents : Contents
+        With the changes of these planes in them.
+    history : DriftHistory
     planes : tuple of str
     reject : bool
         Whether readings that the others contradict are rejected.
+
+    Returns
+    -------
+    Contents
+        With outliers rejected, and planes that are not determined out of the graph.
+    DriftHistory
+    joined : mapping of str to FittedPlane
+        Planes that joined.
+    inconsistent : tuple of str
+        Planes that do not fit, whichever beam has moved a little. They are excluded, or join all the
+        same where nothing is to be rejected.
     """
-    joining = start
-    free = max(start.contents.numbers.values(), default=-1) + 1
+    joined: dict[str, FittedPlane] = {}
+    inconsistent: list[str] = []
+    free = max(contents.numbers.values(), default=-1) + 1
     for plane in planes:
-        plane_contents = joining.contents.planes.get(plane)
-        fitted = (
-            None
-            if plane_contents is None
-            else fit_plane(config, plane_contents.used(), state.beams, plane_contents.origin)
-        )
-        if plane_contents is None or fitted is None or not fitted.determined():
-            joining = joining.without(plane)
+        own = contents.planes.get(plane)
+        fitted = None if own is None else fit_plane(config, own.used(), state.beams, own.origin)
+        if own is None or fitted is None or not fitted.determined():
+            contents = contents if own is None else contents.taken_out(plane)
+            history = history.without_plane(plane)
             continue
-        contents, fitted = _within_incidence(fitted, joining.contents, plane, state)
+        contents, fitted = _within_incidence(fitted, contents, plane, state)
         if reject:
-            contents, fitted = _screened(fitted, contents, plane, state, joining.history)
-        known = fitted.information(joining.history.reference)
-        fits = fitted.fits(known, joining.history.reference)
-        history = joining.history.without_plane(plane)
-        if fits:
-            history = joining.history.with_plane(plane, known)
-        elif reject:
-            culprit = _culprit(fitted, contents.planes[plane].used(), state)
-            contents = contents.taken_out(plane, culprit)
-        inconsistent = joining.inconsistent if fits else (*joining.inconsistent, plane)
-        joining = replace(joining, contents=contents, history=history, inconsistent=inconsistent)
-        if fits or not reject:
-            number = (
-                free + len(joining.fitted)
-                if plane_contents.number is None
-                else plane_contents.number
-            )
-            joining = joining.joined(plane, fitted, number)
-    return joining
+            contents, fitted = _screened(fitted, contents, plane, state, history)
+        known = fitted.information(history.reference)
+        if fitted.fits(known, history.reference):
+            history = history.with_plane(plane, known)
+        else:
+            history = history.without_plane(plane)
+            inconsistent.append(plane)
+            if reject:
+                culprit = _culprit(fitted, contents.planes[plane].used(), state)
+                contents = contents.taken_out(plane, culprit)
+                continue
+        number = free + len(joined) if own.number is None else own.number
+        contents = contents.placed(plane, number, fitted.origin)
+        joined[plane] = fitted
+    return contents, history, joined, tuple(inconsistent)
 
 
 def fitted_planes(
@@ -160,10 +125,10 @@ def _within_incidence(
 ) -> tuple[Contents, FittedPlane]:
     """Reject the readings that meet the plane flatter than the sensor allows."""
     readings, config = fitted.readings, fitted.config
-    if config.sensor.max_incidence >= 0.5 * np.pi:
+    if config.options.sensor.max_incidence >= 0.5 * np.pi:
         return contents, fitted
     flat = np.ones(len(readings), dtype=bool)
-    flat[within_incidence(readings, fitted.parameters, config.sensor)] = False
+    flat[within_incidence(readings, fitted.parameters, config.options.sensor)] = False
     if not flat.any() or flat.all():
         return contents, fitted
     used = contents.planes[plane].used()

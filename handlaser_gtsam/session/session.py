@@ -11,23 +11,22 @@ from threading import RLock
 
 import numpy as np
 
+from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screen import screened
-from ..errors import CalibrationWarning, InputError
+from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor import Rejected
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.isam import IncrementalOptions
-from .beginning import SessionArguments
-from .comparing import compared, recalibrate
 from .contents import Contents
 from .drift import Moved
 from .reports import Comparison, Update
 from .state import SessionState
-from .updating import UNKNOWN, changed, split_beam, started
+from .updating import UNKNOWN, changed, recalibrate, split_beam, started
 
 
 class Session:
@@ -57,13 +56,23 @@ class Session:
         options: CalibrationOptions | None = None,
         incremental: IncrementalOptions | None = None,
     ) -> None:
-        self._given = SessionArguments(
-            Noise() if noise is None else noise,
-            CalibrationOptions() if options is None else options,
-            IncrementalOptions() if incremental is None else incremental,
-        )
-        self.noise, self.options = self._given.noise, self._given.options
-        self.incremental = self._given.incremental
+        self.noise = Noise() if noise is None else noise
+        self.options = CalibrationOptions() if options is None else options
+        self.incremental = IncrementalOptions() if incremental is None else incremental
+        require_kind("noise", self.noise, Noise)
+        require_kind("options", self.options, CalibrationOptions)
+        require_kind("incremental", self.incremental, IncrementalOptions)
+        S = self.noise.pose_covariance
+        if S is not None and S.ndim == 3:
+            raise InputError("a pose covariance a station", "one for all stations to come")
+        for name in ("estimate_noise", "range_sigma_by_beam"):
+            if getattr(self.options, name):
+                expected = "sigmas that are given: estimate them with calibrate"
+                raise ArgumentError(name, "while planes are added", expected)
+        if self.options.loss != "gaussian":
+            loss = f"{self.options.loss} while planes are added"
+            raise ArgumentError("loss", loss, "the gaussian loss")
+        self.options.require_consistent(self.noise)
         self._early, self._now = Contents(), None
         self._screening: tuple[CalibrationWarning, ...] = ()
         self._lock = RLock()
@@ -146,13 +155,14 @@ class Session:
         if screening.warnings:
             recording = screening.recording.part(~np.isnan(screening.recording.ranges).all(axis=1))
         with self._lock:
-            now, given = self._now, self._given
-            contents = self._contents.added(recording, given.options.sensor)
+            now, contents = self._now, self._contents.added(recording, self.options.sensor)
             if now is None or not set(recording.beam_names) <= set(now.config.names):
-                self._now, update = started(now, contents, given)
+                self._now, update = started(
+                    now, contents, self.noise, self.options, self.incremental
+                )
                 self._early = contents
             else:
-                self._now, update = changed(now, contents, recording.plane_names, given)
+                self._now, update = changed(now, contents, recording.plane_names)
             self._screening += screening.warnings
         return update
 
@@ -183,7 +193,7 @@ class Session:
         if self._now is None:
             self._early = contents
             return Update((), self.waiting, UNKNOWN, None, None)
-        self._now, update = changed(self._now, contents, (plane,), self._given)
+        self._now, update = changed(self._now, contents, (plane,))
         return update
 
     def split_beam(
@@ -219,7 +229,7 @@ class Session:
         """
         sigmas = (location_sigma, direction_sigma, range_error_sigmas)
         with self._lock:
-            self._now = split_beam(self.state, self._given, beam, since, sigmas)
+            self._now = split_beam(self.state, beam, since, sigmas)
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
@@ -260,7 +270,7 @@ class Session:
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        return compared(self.state)
+        return self.state.inside().compared(self.state.integrated())
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was."""
@@ -273,5 +283,5 @@ class Session:
         comparison that is due; but not once a beam has been split.
         """
         with self._lock:
-            self._now, comparison = recalibrate(self.state, self._given)
+            self._now, comparison = recalibrate(self.state)
         return comparison

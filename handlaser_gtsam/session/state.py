@@ -1,7 +1,7 @@
 """Everything a session knows once there is a calibration, and what follows from it; never changed."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import gtsam
@@ -9,19 +9,20 @@ import numpy as np
 
 from ..data.parameters import Beams, Parameters
 from ..errors import HandlaserError, InputError
+from ..estimation.information import Information
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
 from ..quantities import MOST_ROUNDS
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import parameters_of
-from ..solvers.isam import IncrementalGraph, IncrementalOptions
+from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, Moved
-from .fitted import fit_plane
-from .integration import ScaleSums
-from .joining import Joining, factors_of, fitted_planes, join_planes
+from .drift import DriftHistory, Moved, Reference
+from .fitted import FittedPlane, fit_plane
+from .integration import integrated, scaled_information
+from .joining import factors_of, fitted_planes, join_planes
 
 REWEIGHED_MOVE = 3e-3
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -41,7 +42,6 @@ class SessionState:
     ----------
     contents : Contents
     config : SessionConfig
-    options : IncrementalOptions
     graph : IncrementalGraph
     factors : mapping of int to PlaneFactors
         Factors of every plane in the graph, by its number.
@@ -58,15 +58,14 @@ class SessionState:
         Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
-    sums : ScaleSums or None
-        Information of the planes for all scales; None where none are integrated over.
+    sums : mapping of str to Information
+        What each plane knows for all scales; empty where none are integrated over.
     estimate : BeamState or None
         The beams with all scales integrated over, once that has been done.
     """
 
     contents: Contents
     config: SessionConfig
-    options: IncrementalOptions
     graph: IncrementalGraph
     factors: Mapping[int, PlaneFactors]
     state: BeamState
@@ -76,14 +75,14 @@ class SessionState:
     history: DriftHistory
     inconsistent: frozenset[str]
     learned_with: int
-    sums: ScaleSums | None = None
+    sums: Mapping[str, Information] = field(default_factory=dict)
     estimate: BeamState | None = None
 
     def integrated(self) -> BeamState:
         """Return the beams with all scales integrated over."""
         if self.estimate is not None:
             return self.estimate
-        return self.state if self.sums is None else self.sums.integrated(self.state)
+        return integrated(self.state, self.config, self.history, self.sums)
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -122,54 +121,61 @@ class SessionState:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        moved, far = self.history.search(self.config.sigma_dof, epochs), self._moved_far()
+        moved, far = self.history.search(self.config.sigma_dof, epochs), None
+        for plane, beam in self.contents.excluded.items():
+            if beam:  # without it planes that were excluded would fit: it has moved far
+                unknown = float("nan")
+                far = Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
+                break
         if moved is None or far is None or far.beam != moved.beam:
             return moved or far
         order = list(self.contents.planes)
         return replace(moved, since=min(moved.since, far.since, key=order.index))
 
-    def _moved_far(self) -> Moved | None:
-        """Return the beam without which planes that were excluded would fit: it has moved far."""
-        for plane, beam in self.contents.excluded.items():
-            if beam:
-                unknown = float("nan")
-                return Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
-        return None
-
     def changed(
-        self, contents: Contents, planes: tuple[str, ...], *, reject: bool
-    ) -> tuple["SessionState", Joining]:
+        self, contents: Contents, planes: tuple[str, ...]
+    ) -> tuple["SessionState", tuple[str, ...], tuple[str, ...]]:
         """Return the state with `contents`, in which only `planes` differ from the present ones.
+
+        Returns
+        -------
+        SessionState
+        joined, inconsistent : tuples of str
+            As `join_planes` has them.
 
         Raises
         ------
         InputError
             The beams would not be determined.
         """
-        start = Joining(contents, self.history)
-        joining = join_planes(self.config, self.state, start, planes, reject=reject)
+        config = self.config
+        contents, history, joined, inconsistent = join_planes(
+            config, self.state, contents, self.history, planes, reject=config.reject
+        )
         if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
-            lost = joining.contents.without_readings(self.config.names)
+            used = [contents.planes[plane].used().beam_names for plane in contents.numbers]
+            lost = [name for name in config.names if not any(name in seen for seen in used)]
             if lost:
                 raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
-        inside = joining.contents.numbers
+        inside, fresh = contents.numbers, factors_of(contents, joined)
         gone = [number for plane, number in self.contents.numbers.items() if plane not in inside]
         kept = {number: of_plane for number, of_plane in self.factors.items() if number not in gone}
         new = replace(
             self,
-            contents=joining.contents,
-            factors={**kept, **joining.factors},
-            history=joining.history,
+            contents=contents,
+            factors={**kept, **fresh},
+            history=history,
             changes=self.changes + 1,
-            inconsistent=(self.inconsistent - set(planes)) | set(joining.inconsistent),
-            sums=None if self.sums is None else self.sums.changed(joining.fitted, inside),
+            inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
+            sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
+            | _sums(joined, self.history.reference),
             estimate=None,
         )
-        if joining.factors or gone:
-            new = new._solved(joining.factors, gone)
-        if gone and not self.config.links and not new.inside().determined():
+        if fresh or gone:
+            new = new._solved(fresh, gone)
+        if gone and not config.links and not new.inside().determined():
             raise _undetermined()
-        return new, joining
+        return new, tuple(joined), inconsistent
 
     def _solved(self, factors: Mapping[int, PlaneFactors], gone: list[int]) -> "SessionState":
         """Return the same with planes added to the graph and others taken out."""
@@ -198,7 +204,7 @@ class SessionState:
             offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
             parameters = Parameters(*self.state.beams, normals, offsets)
             beams = BatchProblem.of(contents, self.config, parameters).batch_beams()
-            begun = begin(self.contents, self.config, beams, self.options)
+            begun = begin(self.contents, self.config, beams)
             if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
@@ -220,9 +226,10 @@ class SessionState:
             if refitted is None:
                 return self
             fitted[plane] = refitted
-        history, planes = config.history(beams), self.history.planes
-        pieces = [fitted[plane].information(history.reference) for plane in planes]
-        now = replace(self, history=history.with_planes(planes, pieces), weighed=beams)
+        history = config.history(beams)
+        for plane in self.history.pieces:
+            history = history.with_plane(plane, fitted[plane].information(history.reference))
+        now = replace(self, history=history, weighed=beams)
         if not config.weights_depend:
             return now
         factors = factors_of(self.contents, fitted)
@@ -232,7 +239,7 @@ class SessionState:
             graph=graph,
             factors=factors,
             state=state,
-            sums=ScaleSums.of(config, beams, fitted),
+            sums=_sums(fitted, history.reference),
             estimate=None,
         )
 
@@ -249,7 +256,7 @@ class SessionState:
         }
         known = [getattr(self, of_plane.name) for of_plane in fields(self)]
         fine = bool(self.inconsistent)
-        return _restored, (brought, parameters, poses, fine, tuple(known[:3]), tuple(known[5:]))
+        return _restored, (brought, parameters, poses, fine, tuple(known[:2]), tuple(known[4:]))
 
 
 def _restored(
@@ -257,11 +264,11 @@ def _restored(
     parameters: Parameters,
     poses: Mapping[int, gtsam.Pose3],
     fine: bool,
-    first: tuple[Contents, SessionConfig, IncrementalOptions],
+    first: tuple[Contents, SessionConfig],
     rest: tuple[Any, ...],
 ) -> SessionState:
     """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
-    _, config, options = first
+    config = first[1]
     factors = {}
     for number, normal, offset in zip(brought, parameters.normals, parameters.offsets, strict=True):
         values, (blocks, others) = gtsam.Values(), brought[number]
@@ -269,14 +276,12 @@ def _restored(
         for key in poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = PlaneFactors(blocks, others, values)
-    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
     graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
     return SessionState(*first, graph, factors, *rest)
 
 
-def begin(
-    contents: Contents, config: SessionConfig, beams: Beams, options: IncrementalOptions
-) -> SessionState:
+def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
     """Return a new graph of every plane that is determined beside `beams`.
 
     Raises
@@ -294,12 +299,11 @@ def begin(
             history = history.with_plane(plane, information)
         else:
             inconsistent.add(plane)
-    graph = IncrementalGraph(config.beams, config.terms, config.length, options)
+    graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
     graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
     now = SessionState(
         contents,
         config,
-        options,
         graph,
         factors,
         state,
@@ -309,13 +313,22 @@ def begin(
         history,
         frozenset(inconsistent),
         len(fitted),
-        ScaleSums.of(config, beams, fitted),
+        _sums(fitted, history.reference),
     )
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
             break
     return replace(now, compared=now.state)
+
+
+def _sums(fitted: Mapping[str, FittedPlane], reference: Reference) -> dict[str, Information]:
+    """Return what planes know for all scales that are learned; nothing where none are."""
+    return {
+        plane: scaled_information(plane_fit, reference)
+        for plane, plane_fit in fitted.items()
+        if plane_fit.config.learned is not None
+    }
 
 
 def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:

@@ -1,28 +1,40 @@
-"""What a session becomes when planes and stations come and go, and when a beam has moved."""
+"""What a session becomes as planes come and go, as beams move, and beside the batch solution."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from ..data.noise import Noise
 from ..data.parameters import Beams
 from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
+from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
-from .beginning import SessionArguments, beams_of
-from .comparing import compare_if_due
-from .config import ProcessNoise, SessionConfig
+from ..results.calibration import Calibration
+from ..solvers.isam import IncrementalOptions
+from .config import SCALES_KEPT, SIGMA_KEPT, ProcessNoise, SessionConfig
 from .contents import Contents
-from .reports import Update
+from .reports import Change, Comparison, Update
 from .state import SessionState, begin
 
 RESTARTED = (
     "restarted from everything: the planes so far did not fit the calibration they began with"
 )
 UNKNOWN = float("nan")
+LEAST_CHANGES = 4
+"""Changes between two comparisons with the batch solution at least: a comparison takes its time."""
+FAR_MOVE = 5.0
+"""A move by more standard deviations since the last comparison with the batch calls for another."""
+AGREED = 0.01
+"""The estimate agrees with the batch within this many sigmas, and its sigmas to this part."""
 
 
 def started(
-    now: SessionState | None, contents: Contents, given: SessionArguments
+    now: SessionState | None,
+    contents: Contents,
+    noise: Noise,
+    options: CalibrationOptions,
+    incremental: IncrementalOptions,
 ) -> tuple[SessionState | None, Update]:
     """Calibrate everything together, and start the graph from there if that converges.
 
@@ -34,12 +46,13 @@ def started(
     if now is not None and now.config.links:
         beam = "a new beam after another one was split"
         raise InputError(beam, "a session of its own for it")
-    batch = given.calibrated(contents)
+    batch = calibrate(contents.everything(), noise, options)
     if batch.status != "converged":
         if now is not None:  # a new beam that is not determined: nothing is lost
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
         return None, Update((), contents.waiting, UNKNOWN, None, None, batch.message)
-    new = given.begun(contents, batch)
+    config = SessionConfig.of(batch, noise, options, incremental)
+    new = _begun_from(batch, contents, config)
     new = replace(new, estimate=new.integrated())
     return new, Update(
         tuple(new.contents.numbers),
@@ -53,7 +66,7 @@ def started(
 
 
 def changed(
-    now: SessionState, contents: Contents, planes: tuple[str, ...], given: SessionArguments
+    now: SessionState, contents: Contents, planes: tuple[str, ...]
 ) -> tuple[SessionState, Update]:
     """Bring a session to `contents`, in which only `planes` differ from the present ones.
 
@@ -62,19 +75,19 @@ def changed(
     InputError
         The beams would not be determined.
     """
-    new, joining = now.changed(contents, planes, reject=given.reject)
+    new, joined, inconsistent = now.changed(contents, planes)
     gain, restarted = 0.5 * (new.state.information - now.state.information), False
-    if joining.inconsistent and given.reject and not (new.trusted or new.config.links):
-        batch = given.calibrated(new.contents)
+    if inconsistent and new.config.reject and not (new.trusted or new.config.links):
+        batch, config = _batch(new)
         restarted = batch.status == "converged"
-        new = given.begun(new.contents, batch) if restarted else new
+        new = _begun_from(batch, new.contents, config) if restarted else new
     new, comparison = compare_if_due(new)
     if restarted or (comparison is not None and comparison.changes):
         gain = UNKNOWN
     new = replace(new, estimate=new.integrated())
     old = set(now.contents.rejected)
     return new, Update(
-        tuple(new.contents.numbers if restarted else joining.fitted),
+        tuple(new.contents.numbers) if restarted else joined,
         new.contents.waiting,
         gain,
         new.integrated().sigmas(),
@@ -82,14 +95,83 @@ def changed(
         RESTARTED if restarted else "",
         tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),
-        () if restarted else joining.inconsistent,
+        () if restarted else inconsistent,
         comparison,
     )
 
 
+def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
+    """Compare with the batch solution where that is due; return what follows from it."""
+    every = now.config.incremental.compare_every
+    due = max(LEAST_CHANGES, min(every, len(now.contents.numbers) // 4))
+    far = now.state.apart(now.compared.beams, now.compared.sigmas())[0] > FAR_MOVE
+    if every == 0 or (now.changes < due and not far):
+        return now, None
+    changes: tuple[Change, ...] = ()
+    config = _learned(now)
+    if config is not now.config:
+        changes = config.changes(now.config)
+        now = begin(now.contents, config, now.state.beams)
+        excluded = tuple(now.contents.excluded)
+        if excluded:  # they may fit beside the new scales
+            now, _, _ = now.changed(now.contents.included(excluded), excluded)
+    inside = now.inside()
+    comparison = inside.compared(now.integrated())
+    if max(comparison.largest, comparison.largest_sigma) > AGREED:
+        words = "restarted from the batch solution, which it had left"
+        changes = (*changes, Change("from-batch", words))
+        now = begin(now.contents, now.config, inside.batch_beams())
+    planes = len(now.contents.numbers)
+    now = replace(now, compared=now.state, changes=0, learned_with=planes)
+    return now, replace(comparison, changes=changes)
+
+
+def _learned(now: SessionState) -> SessionConfig:
+    """Return the config that everything so far calls for: scales, and a range sigma not given."""
+    config = now.config
+    if config.learned is not None:
+        learned = now.inside().learned()
+        if learned is None or learned.apart(config.learned) < SCALES_KEPT:
+            return config
+        sigma = float(learned.variances().range_sigma[0])
+        return replace(config, learned=learned, sigma=sigma)
+    if config.noise.range_sigma is not None or config.links:
+        return config
+    sigma, dof = now.inside().range_sigma()
+    if abs(sigma / config.sigma - 1.0) < SIGMA_KEPT:
+        return config
+    return replace(config, sigma=sigma, sigma_dof=float(dof))
+
+
+def recalibrate(now: SessionState) -> tuple[SessionState, Comparison]:
+    """Calibrate everything at once and compare; take over scales and outliers that differ."""
+    if now.config.links:
+        return now, now.inside().compared(now.integrated())
+    batch, config = _batch(now)
+    if batch.status != "converged":
+        words = f"everything together does not converge: {batch.message}"
+        found = now.inside().compared(now.integrated())
+        return now, replace(found, changes=(Change("not-converged", words),))
+    changes = config.changes(now.config)
+    contents = now.contents.restarted(batch.fit.rejected)
+    out = [{(r.station, r.beam) for r in each.rejected} for each in (contents, now.contents)]
+    if out[0] != out[1]:
+        changes = (*changes, Change("outliers", "outliers chosen again"))
+    if now.contents.excluded:
+        words = "planes that did not fit taken in again"
+        changes = (*changes, Change("excluded-planes", words))
+    if changes:  # from the estimate so far, not from what it is to be compared with
+        order = [now.config.names.index(name) for name in batch.beams]
+        r, v, k = (array[order] for array in now.state.beams)
+        now = begin(contents, config, (r, v, k))
+    now = replace(now, learned_with=len(now.contents.numbers))
+    sigmas = np.array([batch.beams[name].sigma for name in now.config.names])
+    apart = now.integrated().apart(_beams_of(batch, now.config.names), sigmas)
+    return now, Comparison(*apart, changes)
+
+
 def split_beam(
     now: SessionState,
-    given: SessionArguments,
     beam: str,
     since: str,
     sigmas: tuple[float, float, tuple[float, float]],
@@ -110,9 +192,9 @@ def split_beam(
     )
     r, v, k = (np.vstack((array, array[index])) for array in now.state.beams)
     try:
-        return begin(contents, config, (r, v, k), given.incremental)
+        return begin(contents, config, (r, v, k))
     except (RuntimeError, GrazingBeamError) as error:
-        begun = _begun_from_nowhere(contents, config, given)
+        begun = _begun_from_nowhere(contents, config)
         if begun is None:
             raise InputError(
                 f"a move that process noise of {noise.location_sigma:g} m and "
@@ -148,19 +230,35 @@ def _split_contents(now: SessionState, beam: str, since: str, before: str) -> Co
     return split
 
 
-def _begun_from_nowhere(
-    contents: Contents, config: SessionConfig, given: SessionArguments
-) -> SessionState | None:
+def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionState | None:
     """Begin from a batch calibration: the beam has moved too far for the present estimate."""
     recording = join([plane.used() for plane in contents.planes.values()])
-    options = replace(given.options, outliers="keep")
-    calibration = calibrate(recording, replace(given.noise, range_sigma=config.sigma), options)
+    options = replace(config.options, outliers="keep")
+    calibration = calibrate(recording, replace(config.noise, range_sigma=config.sigma), options)
     if calibration.status != "converged":
         return None
-    r, v, k = beams_of(calibration, config.names)
+    r, v, k = _beams_of(calibration, config.names)
     estimated = np.arange(2) < np.array(config.terms)[:, None]
-    beams: Beams = (r, v, np.where(estimated, k, 0.0))
     try:
-        return begin(contents, config, beams, given.incremental)
+        return begin(contents, config, (r, v, np.where(estimated, k, 0.0)))
     except (RuntimeError, GrazingBeamError):
         return None
+
+
+def _batch(now: SessionState) -> tuple[Calibration, SessionConfig]:
+    """Return the batch calibration of everything, and what all planes have in common after it."""
+    noise, options = now.config.noise, now.config.options
+    batch = calibrate(now.contents.everything(), noise, options)
+    return batch, SessionConfig.of(batch, noise, options, now.config.incremental)
+
+
+def _begun_from(batch: Calibration, contents: Contents, config: SessionConfig) -> SessionState:
+    """Begin from a batch calibration of everything."""
+    return begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
+
+
+def _beams_of(calibration: Calibration, names: tuple[str, ...]) -> Beams:
+    """Return the beams of a calibration by their names."""
+    order = [list(calibration.beams).index(name) for name in names]
+    r, v, k = (array[order] for array in calibration.parameters().beams)
+    return r, v, k

@@ -13,7 +13,6 @@ minimum.
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
+from .directions import sphere
 from .search import FIRST_STEPS, SAME_DIRECTION
 
 MINIMUM_STARTS = 14
@@ -127,7 +127,7 @@ class _BeamsBeforePlanes:
     def minima(self, now: FloatArray) -> FloatArray:
         """Return directions (B, F, 3) of minima, from starts in the half sphere about `now` (B, 3)."""
         bases = np.concatenate((model.tangent_basis(now), now[:, :, None]), axis=2)
-        v = _half_sphere() @ np.swapaxes(bases, 1, 2)
+        v = sphere(2 * MINIMUM_STARTS)[:MINIMUM_STARTS] @ np.swapaxes(bases, 1, 2)
         r, cost = self.cost(v)
         damping = np.full(cost.shape, FIRST_DAMPING)
         for _ in range(FIRST_STEPS):
@@ -154,15 +154,6 @@ class _BeamsBeforePlanes:
         diagonal += damping[..., None] * diagonal + TINY
         step = -np.linalg.solve(H, turned @ e[..., None])
         return np.asarray(model.normalized(v + (basis @ step[:, :, 3:])[..., 0]))
-
-
-@cache
-def _half_sphere() -> FloatArray:
-    """Return evenly spread unit vectors (K, 3) of positive z (Fibonacci's lattice)."""
-    z = 1.0 - (np.arange(MINIMUM_STARTS) + 0.5) / MINIMUM_STARTS
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(MINIMUM_STARTS)
-    across = np.sqrt(1.0 - z**2)
-    return np.stack((across * np.cos(angle), across * np.sin(angle), z), axis=1)
 
 
 def _padded(readings: Readings) -> tuple[IntArray, BoolArray]:

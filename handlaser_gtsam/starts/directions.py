@@ -26,15 +26,13 @@ from ..quantities import MAJORITY, NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
 from .growing import PartialStart
 
 FITTING_TURNS = 3
-"""Turns of fitting planes, then the location, after which directions can be ranked."""
-SUBSET_TURNS = 4
-"""Turns for directions that begin with some stations: the first uses only these."""
+"""Turns of fitting planes, then the location, after which directions can be ranked; one more for
+directions that begin with some stations, which the first uses alone."""
 FLATTEST = 0.1
 """A beam at a smaller cosine to its plane (84 degrees) counts as at this one: its spot says little."""
-LEAST_DRAWN = 0.4
-"""Least part of the stations that a direction begins with: fewer rarely fit well."""
-MOST_DRAWN = 0.9
-"""Largest part of the stations that a direction begins with: more rarely avoid a wrong station."""
+DRAWN = (0.4, 0.9)
+"""Least and largest part of the stations that a direction begins with: fewer rarely fit well, and more
+rarely avoid a wrong station."""
 NOT_DRAWN = 1e-3
 """Weight of the other stations at first: a plane of which none is drawn keeps its readings."""
 
@@ -42,7 +40,7 @@ NOT_DRAWN = 1e-3
 def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
     """Return the `count` best starts of `tried` directions over the sphere."""
     v = sphere(tried)
-    away, r, n, b = _swept(v, readings, FITTING_TURNS)
+    away, r, n, b = _swept(v, readings)
     best = np.argsort((away**2).sum(axis=1), kind="stable")[:count]
     return _starts(r[best], v[best], n[best], b[best], readings)
 
@@ -60,13 +58,13 @@ def subset_starts(
         Draws the stations.
     """
     v = sphere(tried)
-    drawn_part = rng.uniform(LEAST_DRAWN, MOST_DRAWN, (tried, 1))
+    drawn_part = rng.uniform(*DRAWN, (tried, 1))
     drawn = rng.random((tried, int(readings.station.max()) + 1)) < drawn_part
     # Spots and weights of all directions take about ten numbers a reading.
     share = max(NUMBERS_AT_ONCE // (10 * len(readings)), 1)
     parts = []
     for i in range(0, tried, share):
-        away, *fitted = _swept(v[i : i + share], readings, SUBSET_TURNS, drawn[i : i + share])
+        away, *fitted = _swept(v[i : i + share], readings, drawn[i : i + share])
         parts.append((_nearer(away), *fitted))
     misfit, r, n, b = (np.concatenate(column) for column in zip(*parts, strict=True))
     best = np.argsort(misfit, kind="stable")[:count]
@@ -74,23 +72,30 @@ def subset_starts(
 
 
 def _swept(
-    v: FloatArray, readings: Readings, turns: int, drawn: BoolArray | None = None
+    v: FloatArray, readings: Readings, drawn: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Fit planes and the location in turns, for directions (C, 3) that begin with `drawn` stations.
 
     Return distances along the beams (C, N), locations (C, 3), normals (C, P, 3) and offsets (C, P).
     """
     weights = None if drawn is None else np.where(drawn[:, readings.station], 1.0, NOT_DRAWN)
-    reach, r = _reach(v, readings), np.zeros_like(v)
-    for turn in range(turns):
+    turns = FITTING_TURNS if drawn is None else FITTING_TURNS + 1
+    reach, r, plane = _reach(v, readings), np.zeros_like(v), readings.plane
+    for turn in range(turns + 1):
         spots = reach + _turned(r, readings)
         n, b = _planes_through(spots, readings, weights)
+        away = np.einsum("cni,cni->cn", n[:, plane], spots) + b[:, plane]
+        if turn == turns:
+            break
         if turn and drawn is not None:
-            weights = _weights(spots, n, b, readings)
-        r = _common_location(reach, n, b, readings, weights)
-    spots = reach + _turned(r, readings)
-    n, b = _planes_through(spots, readings, weights)
-    return _along_beams(spots, v, n, b, readings), r, n, b
+            weights = _weights(np.abs(away), readings)
+        # The location that all beams share, for known planes.
+        each = n[:, plane]
+        A = (each.transpose(1, 0, 2) @ readings.world_R_hand).transpose(1, 0, 2)
+        rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, plane])
+        r = least_squares(A, rhs, NEGLIGIBLE, weights)
+    cosine = np.abs(np.einsum("cni,cni->cn", n[:, plane], _turned(v, readings)))
+    return np.abs(away) / np.maximum(cosine, FLATTEST), r, n, b
 
 
 def random_starts(readings: Readings, count: int, rng: np.random.Generator) -> list[PartialStart]:
@@ -146,20 +151,6 @@ def _planes_through(
     return normals, offsets
 
 
-def _common_location(
-    reach: FloatArray,
-    n: FloatArray,
-    b: FloatArray,
-    readings: Readings,
-    weights: FloatArray | None = None,
-) -> FloatArray:
-    """Return the location (C, 3) that all beams share, for known planes; weights are (C, N)."""
-    each = n[:, readings.plane]
-    A = (each.transpose(1, 0, 2) @ readings.world_R_hand).transpose(1, 0, 2)
-    rhs = -(np.einsum("cni,cni->cn", each, reach) + b[:, readings.plane])
-    return least_squares(A, rhs, NEGLIGIBLE, weights)
-
-
 def least_squares(
     A: FloatArray, rhs: FloatArray, ridge: float, weights: FloatArray | None = None
 ) -> FloatArray:
@@ -173,20 +164,8 @@ def least_squares(
     return solved[..., 0]
 
 
-def _along_beams(
-    spots: FloatArray, v: FloatArray, n: FloatArray, b: FloatArray, readings: Readings
-) -> FloatArray:
-    """Return how far along their beams the spots (C, N, 3) are from their planes (C, N) [m]."""
-    each = n[:, readings.plane]
-    away = np.einsum("cni,cni->cn", each, spots) + b[:, readings.plane]
-    cosine = np.abs(np.einsum("cni,cni->cn", each, _turned(v, readings)))
-    along: FloatArray = np.abs(away) / np.maximum(cosine, FLATTEST)
-    return along
-
-
-def _weights(spots: FloatArray, n: FloatArray, b: FloatArray, readings: Readings) -> FloatArray:
+def _weights(away: FloatArray, readings: Readings) -> FloatArray:
     """Return the weights (C, N) of spots by their distances from their planes."""
-    away = np.abs(np.einsum("cni,cni->cn", n[:, readings.plane], spots) + b[:, readings.plane])
     first = np.flatnonzero(np.diff(readings.plane, prepend=-1))
     weights: FloatArray = np.empty_like(away)
     for rows in np.split(np.arange(len(readings)), first[1:]):

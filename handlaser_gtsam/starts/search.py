@@ -4,18 +4,14 @@ A plain search refines by least squares and compares sums of squares. A robust s
 losses that let go of outliers, and compares evidence. What they share is here.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ..data.parameters import Parameters
 from ..solvers.refine import Refined
 
-TIED_DIGITS = 9
-"""Criteria that agree to these digits are one optimum, and the candidate tried first wins: further
-digits are rounding, which differs between machines."""
 FIRST_STEPS = 10
 """Refinement steps of many starts, which tell the promising ones from the others."""
 LAST_STEPS = 40
@@ -67,34 +63,12 @@ class Round:
     agreeing: int = 0
 
 
-class Refinement(Protocol):
-    """How starts are refined: the loss, its stages, and the mending of candidates in between."""
-
-    def refined(self, latest: Round) -> list[tuple[str, Refined]]:
-        """Return the refined starts of a round that are worth comparing, with their methods."""
-
-    def mended(self, _best: Sequence[Candidate], _latest: Round, /) -> list[Refined | None]:
-        """Return, for the first of the candidates in order, others that may be better; none here."""
-        return []
-
-
-class Judge(Protocol):
-    """The criterion that compares candidates, and when they are believed."""
-
-    def criterion(self, refined: Refined) -> float:
-        """Return what a candidate is compared by; lower is better."""
-
-    def convinced(self, candidates: Sequence[Candidate], latest: Round, before: float, /) -> bool:
-        """Tell whether the candidates, the best first, need no rivals.
-
-        The criterion of the best one was `before` until the latest round.
-        """
-
-
 def search(
     rounds: Iterable[Round],
-    loss: Refinement,
-    judge: Judge,
+    refine: Callable[[Round], list[tuple[str, Refined]]],
+    criterion: Callable[[Refined], float],
+    convinced: Callable[[Sequence[Candidate], Round, float], bool],
+    mend: Callable[[Sequence[Candidate], Round], list[Refined | None]] | None = None,
     earlier: Sequence[Candidate] = (),
 ) -> tuple[list[Candidate], bool]:
     """Return the candidates, the best first, and whether the search ended on evidence.
@@ -103,23 +77,33 @@ def search(
     ----------
     rounds : iterable of Round
         The cheap ones first; drawn one by one, so that what is not needed is not computed.
-    loss : Refinement
-    judge : Judge
+    refine : callable
+        Returns the refined starts of a round that are worth comparing, with their methods.
+    criterion : callable
+        Returns what a candidate is compared by; lower is better.
+    convinced : callable
+        Takes the candidates, the best first, the latest round, and the criterion of the best one
+        before it; tells whether the best needs no rivals.
+    mend : callable, optional
+        Returns, for the first of the candidates in order, others that may be better.
     earlier : sequence of Candidate
         Of an earlier search that this one goes on with.
     """
+
+    def candidate(method: str, refined: Refined) -> Candidate:
+        return Candidate(method, refined.parameters, criterion(refined), refined.scale)
+
     ordered = list(earlier)
     for latest in rounds:
         before = ordered[0].criterion if ordered else np.inf
-        fresh = loss.refined(latest)
-        ordered += [_candidate(method, refined, judge) for method, refined in fresh]
-        ordered.sort(key=_criterion)
-        for place, refined in enumerate(loss.mended(ordered, latest)):
+        ordered += [candidate(method, refined) for method, refined in refine(latest)]
+        ordered.sort(key=_rank_of)
+        for place, refined in enumerate(mend(ordered, latest) if mend else ()):
             if refined is not None:
-                other = _candidate(ordered[place].method, refined, judge)
-                ordered[place] = min(ordered[place], other, key=_criterion)
-        ordered.sort(key=_criterion)
-        if ordered and judge.convinced(ordered, latest, before):
+                other = candidate(ordered[place].method, refined)
+                ordered[place] = min(ordered[place], other, key=_rank_of)
+        ordered.sort(key=_rank_of)
+        if ordered and convinced(ordered, latest, before):
             return ordered, True
     return ordered, False
 
@@ -129,14 +113,14 @@ def agreeing(candidates: Sequence[Candidate], limit: float) -> int:
     return sum(candidate.criterion <= limit for candidate in candidates)
 
 
-def _candidate(method: str, refined: Refined, judge: Judge) -> Candidate:
-    return Candidate(method, refined.parameters, judge.criterion(refined), refined.scale)
-
-
-def _criterion(candidate: Candidate) -> float:
+def _rank_of(candidate: Candidate) -> float:
     return rank(candidate.criterion)
 
 
 def rank(criterion: float) -> float:
-    """Return what candidates are sorted by: equal where their criteria differ by rounding alone."""
-    return float(f"{criterion:.{TIED_DIGITS}g}")
+    """Return what candidates are sorted by: equal where their criteria differ by rounding alone.
+
+    Criteria that agree to nine digits are one optimum, and the candidate tried first wins: further
+    digits are rounding, which differs between machines.
+    """
+    return float(f"{criterion:.9g}")

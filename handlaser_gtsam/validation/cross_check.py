@@ -1,19 +1,18 @@
 """Does an independent solver agree? Differences in units of the standard deviation."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_kind
-from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-from ..model.joint import JointCovariance
+from ..quantities import SINGULAR
 from ..results.calibration import Calibration
-from ..solvers.reference import ReferenceNoise, ReferenceSolution, solve_reference
+from ..solvers.reference import ReferenceNoise, solve_reference
 from ..starts import find_start
 
 
@@ -72,51 +71,56 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if joint is None:
         raise InputError("a calibration without covariance", "a converged one")
     variance = calibration.fit.range_sigma**2 if variances is None else 1.0
-    rows = list(_rows(calibration, own, joint, reference, variance))
-    worst = max(rows, key=lambda row: row[1])
-    worst_sigma = max(rows, key=lambda row: row[2])
-    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], reference.iterations)
-
-
-def _rows(
-    calibration: Calibration,
-    own: Parameters,
-    joint: JointCovariance,
-    reference: ReferenceSolution,
-    variance: float,
-) -> Iterator[tuple[str, float, float]]:
-    """Yield the rows of `compared` of every beam and plane; `variance` is the variance of a reading."""
     found = reference.parameters
-    off = [ours - other for ours, other in zip(own.beams, found.beams, strict=True)]
-    names = [f"beam {name}" for name in calibration.beams]
-    theirs = variance * reference.beam_covariances
-    terms = [beam.terms for beam in calibration.beams.values()]
-    rows = zip(names, np.hstack(off), joint.all_beams(), theirs, terms, strict=True)
-    for name, e, mine, other, count in rows:
-        yield from compared(f"{name} location", e, mine, other, slice(0, 3))
-        yield from compared(f"{name} direction", e, mine, other, slice(3, 6))
-        yield from compared(f"{name} range error", e, mine, other, slice(6, 6 + count))
-    difference = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    names = [f"plane {name}" for name in calibration.planes]
-    theirs = variance * reference.plane_covariances
-    for name, e, mine, other in zip(names, difference, joint.all_planes(), theirs, strict=True):
-        yield from compared(f"{name} normal", e, mine, other, slice(0, 3))
-        yield from compared(f"{name} offset", e, mine, other, slice(3, 4))
+    off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
+    of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
+    of_beam = {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, 8)}
+    of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
+    S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
+    beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
+    planes = zip(calibration.planes, of_planes, joint.all_planes(), T, strict=True)
+    rows = [
+        (f"{kind} {name}", e, mine, other, parts)
+        for kind, all_of_kind, parts in (("beam", beams, of_beam), ("plane", planes, of_plane))
+        for name, e, mine, other in all_of_kind
+    ]
+    return compared(rows, reference.iterations)
 
 
 def compared(
-    name: str, difference: FloatArray, mine: FloatArray, other: FloatArray, part: slice
-) -> list[tuple[str, float, float]]:
-    """Return (name, difference in sigmas, relative difference of sigma) along the principal axes.
+    variables: Iterable[tuple[str, FloatArray, FloatArray, FloatArray, Mapping[str, slice]]],
+    iterations: int,
+) -> CrossCheck:
+    """Return the largest disagreement.
 
-    Axes without variance (along a unit vector) are omitted.
+    Parameters
+    ----------
+    variables : iterable of (name, difference, covariance, other covariance, parts)
+        Of each variable; parts by what they are, as `location`.
+    iterations : int
+        Of the reference.
     """
-    if part.start == part.stop:
+    rows = [
+        (f"{name} {quantity}", *difference)
+        for name, e, mine, other, parts in variables
+        for quantity, part in parts.items()
+        for difference in _differences(e[part], mine[part, part], other[part, part])
+    ]
+    worst = max(rows, key=lambda row: row[1])
+    worst_sigma = max(rows, key=lambda row: row[2])
+    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], iterations)
+
+
+def _differences(e: FloatArray, mine: FloatArray, other: FloatArray) -> list[tuple[float, float]]:
+    """Return differences in sigmas, and relative ones of sigma, along the principal axes.
+
+    Axes without variance, along a unit vector or of a range error that is not estimated, are omitted.
+    """
+    if not len(e):
         return []
-    variances, axes = np.linalg.eigh(mine[part, part])
-    keep = variances > 1e-12 * variances[-1]
+    variances, axes = np.linalg.eigh(mine)
+    keep = variances > SINGULAR * variances[-1]
     sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
-    along = np.abs(axes.T @ difference[part]) / sigma
-    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other[part, part], axes))
-    ratio = np.abs(other_sigma / sigma - 1.0)
-    return [(name, float(a), float(r)) for a, r in zip(along, ratio, strict=True)]
+    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other, axes))
+    along, ratio = np.abs(axes.T @ e) / sigma, np.abs(other_sigma / sigma - 1.0)
+    return list(zip(along.tolist(), ratio.tolist(), strict=True))

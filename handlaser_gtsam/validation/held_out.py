@@ -72,35 +72,30 @@ def held_out(calibration: Calibration) -> HeldOut:
     fit, planes = calibration.fit, whole.recording.plane_names
     known = fit.range_sigma_given or bool(calibration.noise_estimate)
     sigma = fit.range_sigma if known else None
-    left_out = (_plane_held_out(whole, plane, sigma) for plane in _chosen(planes))
+    # The cost of one plane that is held out is linear in the number of planes.
+    count = len(planes)
+    most = 0 if count < 2 else min(max(PLANES_SQUARED // count, LEAST_HELD_OUT), count)
+    chosen = np.linspace(0, count - 1, most).round().astype(int)
+    left_out = (_plane_held_out(whole, planes[p], sigma) for p in chosen)
     rng = np.random.default_rng(0)
     parts = [training_stations(whole.recording, rng) for _ in range(USUAL_SPLITS)]
     predictions = [_split(whole, training) for training in parts]
     return HeldOut(tuple(left_out), tuple(one for one in predictions if one is not None))
 
 
-def _chosen(planes: tuple[str, ...]) -> list[str]:
-    """Return the planes that are held out: the cost of one is linear in the number of planes."""
-    count = len(planes)
-    if count < 2:
-        return []
-    most = min(max(PLANES_SQUARED // count, LEAST_HELD_OUT), count)
-    return [planes[p] for p in np.linspace(0, count - 1, most).round().astype(int)]
-
-
 def _plane_held_out(whole: WholeSolution, plane: str, range_sigma: float | None) -> PlaneLeftOut:
     """Return how the beams from all other planes fit one plane; see `hold_out` for an unknown sigma."""
     mine = np.array([label == plane for label in whole.recording.plane_labels])
     try:
-        others = whole.solved_from(~mine)
+        at, joint = whole.known_by(~mine, solve=True)
         held, variances = whole.stations(mine)
         exact = 0.0 if variances.pose is None else None
         noise = Noise(range_sigma, exact, exact, variances.incidence_sigma, variances.pose)
         mounts = Mounts(
-            others.recording.beam_names,
-            *others.at.beams,
-            others.joint.terms,
-            others.joint.matrix(planes=[]),
+            joint.beam_names,
+            *at.beams,
+            joint.terms,
+            joint.matrix(planes=[]),
             float(np.median(variances.range_sigma)),
         )
         return PlaneLeftOut(plane, hold_out(mounts, held, noise, each_beam=False), "")
@@ -111,8 +106,8 @@ def _plane_held_out(whole: WholeSolution, plane: str, range_sigma: float | None)
 def _split(whole: WholeSolution, training: BoolArray) -> Prediction | None:
     """Return how the other stations are predicted; None where the training stations do not suffice."""
     try:
-        part = whole.solved_from(training)
+        at, joint = whole.known_by(training, solve=True)
         test, variances = whole.stations(~training)
-        return predicted(part.at, part.joint, test, variances)
+        return predicted(at, joint, test, variances)
     except (InputError, SolverError, GrazingBeamError):
         return None

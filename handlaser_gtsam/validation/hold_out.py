@@ -28,16 +28,12 @@ from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, whitening
 from ..progress import tell
-from ..quantities import KNOWN, SINGULAR
+from ..quantities import KNOWN, MOST_ROUNDS, SINGULAR
 from ..results.mounts import Mounts
 from ..results.significance import FEW_DEGREES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 
-MOST_PLANE_STEPS = 20
-"""Steps of the planes for fixed beams at most: they converge quadratically from closed-form planes."""
-EXACT_STEP = 1e-12
-"""A step of the planes that is smaller in natural units is rounding."""
 SCALE_ROUNDS = 3
 """Rounds in which the scale of the noise and the directions that it determines settle together."""
 
@@ -153,12 +149,12 @@ def fit_planes(
     at = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
     unit = PLANE.natural_units(readings.typical_range())
     still = np.zeros((readings.beams, BEAM.dim))
-    for _ in range(MOST_PLANE_STEPS):
+    for _ in range(MOST_ROUNDS):  # the closed-form planes converge quadratically
         how = whitening(at, readings, variances)
         here = linearized(at, readings, 2, how)
         step = here.normal.reduced(np.ones(still.size), unit).local_step * unit
         at = moved(at, still, step, here.centres)
-        if np.abs(step).max() < EXACT_STEP:
+        if np.abs(step).max() < SINGULAR:
             break
     return at, whitening(at, readings, variances)
 

@@ -17,7 +17,12 @@ from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
 from ..results.calibration import Calibration
+from ..results.limits import Limits, rms_checked
+from ..results.lines import NAMES_IN_LINE
 from ..results.mounts import Mounts
+from ..results.significance import chance, contradicted
+from ..results.verdict import Verdict, best_improvement, failures, verdict
+from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 
@@ -25,8 +30,6 @@ TRAINING = 0.7
 """Part of the stations of every plane that a split calibrates with."""
 USUAL_SPLITS = 5
 """Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
-MOST_SPLITS = 10_000
-"""More tell nothing new: their spread is known to a hundredth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -93,54 +96,41 @@ def validate(
     SolverError
         The whole recording gives no calibration.
     """
-    require_count("splits", splits, 0, MOST_SPLITS)
+    require_count("splits", splits, 0, 10**9)
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    noise = Noise() if noise is None else noise
+    options = CalibrationOptions() if options is None else options
+    rng = rng or np.random.default_rng(0)
     with told_to(progress):
-        return _validated(
-            recording,
-            Noise() if noise is None else noise,
-            CalibrationOptions() if options is None else options,
-            splits,
-            rng or np.random.default_rng(0),
+        planes = recording.plane_names if len(recording.plane_names) > 1 else ()
+        total = 2 + len(planes) + splits
+        tell("leave-out", 0, total, "everything")
+        whole = _ended(calibrate(recording, noise, options))
+        if whole.status != "converged":
+            raise SolverError(f"no calibration to validate: {whole.message}")
+        kept = whole.used_in(recording)
+        keep = replace(options, outliers="keep")
+        left_out = []
+        for number, plane in enumerate(planes):
+            tell("leave-out", 1 + number, total, f"without plane {plane}")
+            left_out.append(_without(kept, plane, noise, keep))
+        predictions = []
+        for number in range(splits):
+            tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
+            prediction = _split(kept, noise, keep, rng)
+            predictions += [] if prediction is None else [prediction]
+        tell("leave-out", total - 1, total, "without range error")
+        bare = _ended(
+            calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
         )
-
-
-def _validated(
-    recording: Recording,
-    noise: Noise,
-    options: CalibrationOptions,
-    splits: int,
-    rng: np.random.Generator,
-) -> Validation:
-    planes = recording.plane_names if len(recording.plane_names) > 1 else ()
-    total = 2 + len(planes) + splits
-    tell("leave-out", 0, total, "everything")
-    whole = _ended(calibrate(recording, noise, options))
-    if whole.status != "converged":
-        raise SolverError(f"no calibration to validate: {whole.message}")
-    kept = whole.used_in(recording)
-    keep = replace(options, outliers="keep")
-    left_out = []
-    for number, plane in enumerate(planes):
-        tell("leave-out", 1 + number, total, f"without plane {plane}")
-        left_out.append(_without(kept, plane, noise, keep))
-    predictions = []
-    for number in range(splits):
-        tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
-        prediction = _split(kept, noise, keep, rng)
-        predictions += [] if prediction is None else [prediction]
-    tell("leave-out", total - 1, total, "without range error")
-    bare = _ended(
-        calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
-    )
-    return Validation(
-        whole,
-        tuple(left_out),
-        tuple(predictions),
-        reconstruction(whole, kept),
-        reconstruction(bare, kept),
-    )
+        return Validation(
+            whole,
+            tuple(left_out),
+            tuple(predictions),
+            reconstruction(whole, kept),
+            reconstruction(bare, kept),
+        )
 
 
 def _without(
@@ -194,3 +184,33 @@ def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArr
         rows = np.flatnonzero(recording.plane_of_station == plane)
         training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
     return training
+
+
+def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:
+    """Return the verdict on a calibration that was validated by holding planes out.
+
+    Beside the verdict on the calibration itself: the rms limit holds for planes held out, too, and
+    none of them contradicts the beams found without it.
+    """
+    found = verdict(validation.calibration, limits)
+    left_out = {one.plane: one.result for one in validation.planes if one.result is not None}
+    checks = tuple(
+        check
+        for plane, result in left_out.items()
+        for check in rms_checked(f"without plane {plane}", result.rms, limits or Limits())
+    )
+    p_values = {plane: result.p_value for plane, result in left_out.items()}
+    against, last = contradicted(p_values), best_improvement(found.best)
+    found = replace(found, limits=(*found.limits, *checks), contradicted_by=against)
+    if not found.usable:
+        return found
+    if against:
+        rarest = chance(min(p_values[plane] for plane in against))
+        words = f"planes {some(against, NAMES_IN_LINE)} contradict"
+        if len(against) == 1:
+            words = f"plane {against[0]} contradicts"
+        words = f"{words} the beams found without it (by chance {rarest} recordings)"
+        return replace(found, code="contradicted", findings=(words, last))
+    if found.exceeded:
+        return replace(found, code="outside-limits", findings=(failures(found.limits), last))
+    return replace(found, confirmed_by=len(p_values))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.recording import Recording
@@ -18,33 +18,11 @@ from ..estimation.covariance import covariance_of_determined
 from ..model.errors_in_variables import weighed
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..model.weighting import Variances
+from ..model.weighting import Variances, Whitening
 from ..observability.rank import Observability, observability
+from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..solvers.beam_problem import newton_step
-
-MOST_NEWTON_STEPS = 30
-"""Steps to the solution of a part at most; it takes about five."""
-SHORT_STEP = 1e-6
-"""A step that is shorter, in standard deviations, ends the iteration."""
-
-
-@dataclass(frozen=True, slots=True)
-class PartSolution:
-    """Beams and planes as some stations alone know them.
-
-    Attributes
-    ----------
-    recording : Recording
-        These stations.
-    at : Parameters
-        In its order, world frame.
-    joint : JointCovariance
-    """
-
-    recording: Recording
-    at: Parameters
-    joint: JointCovariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,22 +88,12 @@ class WholeSolution:
         pose = None if pose is None else pose[rows]
         return part, replace(self.variances, range_sigma=sigma, pose=pose)
 
-    def known_by(self, chosen: BoolArray) -> PartSolution:
-        """Return beams and planes where they stand, with what the `chosen` stations know of them.
+    def known_by(
+        self, chosen: BoolArray, *, solve: bool = False
+    ) -> tuple[Parameters, JointCovariance]:
+        """Return beams and planes as the `chosen` (M,) stations alone know them, world frame.
 
-        Raises
-        ------
-        SolverError
-            They leave something undetermined.
-        InputError
-            Nothing was read there.
-        GrazingBeamError
-        """
-        problem = _Problem.of(self, chosen)
-        return problem.solved(problem.at)
-
-    def solved_from(self, chosen: BoolArray) -> PartSolution:
-        """Return the solution from the `chosen` (M,) stations.
+        They stay where they stand unless these stations are to `solve` for them.
 
         Raises
         ------
@@ -135,57 +103,37 @@ class WholeSolution:
             Nothing was read there.
         GrazingBeamError
         """
-        problem = _Problem.of(self, chosen)
-        problem.determined(problem.at)
-        at = problem.at
-        for _ in range(MOST_NEWTON_STEPS):
-            readings, how = weighed(problem.readings, at, problem.variances, self.terms)
-            at, length = newton_step(at, readings, self.terms, how, problem.prior)
-            if length < SHORT_STEP:
-                return problem.solved(at)
-        raise SolverError("no solution was found near the whole one")
-
-
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """Some stations: their readings in the frames of the planes, and where beams and planes stood."""
-
-    whole: WholeSolution
-    recording: Recording
-    readings: Readings
-    origins: FloatArray
-    at: Parameters
-    variances: Variances
-    prior: RangeErrorPrior | None
-
-    @classmethod
-    def of(cls, whole: WholeSolution, chosen: BoolArray) -> "_Problem":
-        part, variances = whole.stations(chosen)
-        beams = [whole.recording.beam_names.index(name) for name in part.beam_names]
-        planes = [whole.recording.plane_names.index(name) for name in part.plane_names]
-        readings, prior = part.readings(), whole.prior
+        part, variances = self.stations(chosen)
+        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
+        planes = [self.recording.plane_names.index(name) for name in part.plane_names]
+        readings, prior = part.readings(), self.prior
         origins = readings.plane_means(readings.world_t_hand)
+        readings, at = readings.seen_from(origins), self.at.part(beams, planes).seen_from(origins)
         if prior is not None:
             mean = None if prior.mean is None else prior.mean[beams]
             prior = RangeErrorPrior(prior.sigma[beams], mean)
-        at = whole.at.part(beams, planes).seen_from(origins)
-        return cls(whole, part, readings.seen_from(origins), origins, at, variances, prior)
 
-    def determined(self, at: Parameters) -> tuple[Observability, float]:
-        """Return what the readings say of everything, and the sigma of a whitened residual [m]."""
-        terms, prior = self.whole.terms, self.prior
-        readings, how = weighed(self.readings, at, self.variances, terms)
-        found = observability(at, readings, terms, how.sigma, whitening=how, prior=prior)
-        if not found.full:
-            words = f"{found.unknowns - found.rank} of {found.unknowns} unknowns are undetermined"
-            raise SolverError(words)
-        return found, how.sigma
+        def seen(at: Parameters) -> tuple[Observability, Readings, Whitening]:
+            corrected, how = weighed(readings, at, variances, self.terms)
+            found = observability(at, corrected, self.terms, how.sigma, whitening=how, prior=prior)
+            if not found.full:
+                lost = found.unknowns - found.rank
+                raise SolverError(f"{lost} of {found.unknowns} unknowns are undetermined")
+            return found, corrected, how
 
-    def solved(self, at: Parameters) -> PartSolution:
-        found, sigma = self.determined(at)
-        joint = covariance_of_determined(found, at, sigma, self.origins)
+        found, corrected, how = seen(at)
+        if solve:
+            for _ in range(MOST_ROUNDS):  # about five
+                at, length = newton_step(at, corrected, self.terms, how, prior)
+                if length < NEGLIGIBLE:  # in standard deviations
+                    break
+                corrected, how = weighed(readings, at, variances, self.terms)
+            else:
+                raise SolverError("no solution was found near the whole one")
+            found, _, how = seen(at)
+        joint = covariance_of_determined(found, at, how.sigma, origins)
         named = joint.arranged(
-            [(name, i) for i, name in enumerate(self.recording.beam_names)],
-            [(name, p) for p, name in enumerate(self.recording.plane_names)],
+            [(name, i) for i, name in enumerate(part.beam_names)],
+            [(name, p) for p, name in enumerate(part.plane_names)],
         )
-        return PartSolution(self.recording, at.seen_from(-self.origins), named)
+        return at.seen_from(-origins), named

@@ -24,10 +24,9 @@ from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
+from ..quantities import LARGEST_LENGTH
 from .simulate import Errors, Stations, simulate
 
-LARGEST_RANGE_ERROR = 1e3
-"""Of k1 [1] and k2 [1/m]: no sensor errs so."""
 MOST_READINGS = 10_000_000
 """Of a scene: more do not fit into the memory of most computers."""
 
@@ -49,7 +48,7 @@ class Layout:
         if readings > MOST_READINGS:
             raise InputError(f"a scene of {readings} readings", f"at most {MOST_READINGS}")
         for name in ("k1", "k2"):
-            require_number(name, getattr(self, name), -LARGEST_RANGE_ERROR, LARGEST_RANGE_ERROR)
+            require_number(name, getattr(self, name), -LARGEST_LENGTH, LARGEST_LENGTH)
 
 
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]

@@ -4,7 +4,7 @@ A scene says where beams, planes and stations are; noise is added to the reading
 hand poses behind the recorded ones. The recorded poses stay the commanded ones, as on a real robot.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.noise import Noise
 from ..data.parameters import Parameters
-from ..data.recording import Recording
+from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH
@@ -100,9 +100,8 @@ def simulate(
     InputError
         A plane or beam is left without readings, or k1 and k2 leave no reading for a range.
     """
-    x = _scene(truth, stations, _disturbed(stations, errors, rng))
-    d = read_back(model.predicted_ranges(x), x.k)
-    d = d + errors.range_sigma * rng.standard_normal(len(d))
+    readings, x = predicted_readings(truth, _disturbed(stations, errors, rng))
+    d = readings.distance + errors.range_sigma * rng.standard_normal(len(readings))
     sensor = sensor or Sensor()
     steep = np.abs(model.cosines(x)) >= np.cos(sensor.max_incidence)
     d[~((d > 0.0) & sensor.can_read(d) & steep)] = np.nan
@@ -116,22 +115,32 @@ def simulate(
     )
 
 
-def _scene(
-    truth: Parameters, stations: Stations, poses: tuple[FloatArray, FloatArray]
-) -> model.Scene:
-    """Return every beam at every station, for the poses (R, t) that the hand really has."""
-    beams = len(truth.locations)
-    station, beam = np.divmod(np.arange(beams * len(stations.plane)), beams)
-    plane = stations.plane[station]
-    return model.Scene(
-        poses[0][station],
-        poses[1][station],
-        truth.locations[beam],
-        truth.directions[beam],
-        truth.normals[plane],
-        truth.offsets[plane],
-        truth.range_errors[beam],
+def predicted_readings(at: Parameters, stations: Stations) -> tuple[Readings, model.Scene]:
+    """Return what every beam reads at every station, and the arguments of the measurement equation.
+
+    Readings of a station stand together, in the order of the beams.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam grazes its plane.
+    InputError
+        Range errors that leave no reading for a range.
+    """
+    beams = len(at.locations)
+    station, beam = np.divmod(np.arange(beams * len(stations)), beams)
+    readings = Readings(
+        station,
+        beam,
+        stations.plane[station],
+        np.zeros(len(station)),
+        stations.world_R_hand[station],
+        stations.world_t_hand[station],
+        beams,
+        len(at.offsets),
     )
+    x = model.scene(at, readings)
+    return replace(readings, distance=read_back(model.predicted_ranges(x), x.k)), x
 
 
 def read_back(s: FloatArray, k: FloatArray) -> FloatArray:
@@ -153,14 +162,12 @@ def plane_name(index: int) -> str:
     return chr(ord("A") + letter) + (str(lap) if lap else "")
 
 
-def _disturbed(
-    stations: Stations, errors: Errors, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    count = len(stations.world_t_hand)
+def _disturbed(stations: Stations, errors: Errors, rng: np.random.Generator) -> Stations:
+    """Return where the hand really is."""
+    count, R = len(stations), stations.world_R_hand
     turn, shift = np.zeros((count, 3)), np.zeros((count, 3))
     axes = list(errors.pose_axes)
     turn[:, axes] = errors.pose_rotation_sigma * rng.standard_normal((count, len(axes)))
     shift[:, axes] = errors.pose_translation_sigma * rng.standard_normal((count, len(axes)))
-    R = stations.world_R_hand @ Rotation.from_rotvec(turn).as_matrix()
-    t = stations.world_t_hand + np.einsum("mij,mj->mi", stations.world_R_hand, shift)
-    return R, t
+    t = stations.world_t_hand + np.einsum("mij,mj->mi", R, shift)
+    return Stations(R @ Rotation.from_rotvec(turn).as_matrix(), t, stations.plane)

@@ -7,7 +7,7 @@ is compared with what it should be.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,13 +35,13 @@ from .cross_check import CrossCheck, compared
 PART_LEFT_OUT = 0.3
 """Of the stations, in a random split: as of recordings."""
 PARTS = {
-    SENSOR.name: {"rotation": 3, "location": 3, "range error": 4},
-    BEAM.name: {"location": 3, "direction": 3, "range error": 2},
-    PLANE.name: {"normal": 3, "offset": 1},
-    SPHERE.name: {"centre": 3, "radius": 1},
-    POINT.name: {"position": 3},
+    SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
+    BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
+    PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
+    SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
+    POINT.name: {"position": slice(0, None)},
 }
-"""What is compared at a time of each kind of variable, and how many numbers it has."""
+"""What is compared at a time of each kind of variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -151,10 +151,7 @@ def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     found = calibration._found
     theirs = solve_survey(_problem(found))
-    rows = list(_rows(calibration, theirs))
-    worst = max(rows, key=lambda row: row[1])
-    worst_sigma = max(rows, key=lambda row: row[2])
-    return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], theirs.evaluations)
+    return compared(_differences(calibration, theirs), theirs.evaluations)
 
 
 def _problem(found: SurveyEstimate) -> SurveyProblem:
@@ -229,10 +226,10 @@ def _observed(survey: Survey, kind: str, items: list[Item], sigma: float) -> Obs
     )
 
 
-def _rows(
+def _differences(
     calibration: SurveyCalibration, theirs: SurveySolution
-) -> Iterator[tuple[str, float, float]]:
-    """Yield a name, a difference in standard deviations, and that of these, relative."""
+) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray, Mapping[str, slice]]]:
+    """Yield of each variable its name, the difference, both covariances and its parts."""
     found = calibration._found
     rows, values = found.rows, found.estimate.values
     for (kind, i), other in theirs.values.items():
@@ -256,13 +253,7 @@ def _rows(
             lift = np.zeros((4, 3))
             lift[:3, :2], lift[3, :2], lift[3, 2] = bases(n), -c @ bases(n), 1.0
             mine = lift @ mine @ lift.T
-        first = 0
-        for word, width in PARTS[kind].items():
-            part = slice(first, min(first + width, len(own)))
-            yield from compared(
-                f"{name} {word}", own - other, mine, theirs.covariances[kind, i], part
-            )
-            first += width
+        yield name, own - other, mine, theirs.covariances[kind, i], PARTS[kind]
 
 
 def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...planning.picture import NICE
+from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
 from ..json_text import Record
 from .figure import COLOURS, Figure, axis, layout, numbers
@@ -20,8 +20,9 @@ CLEAR = 0.06
 def stations_figure(subject: Subject) -> Figure | None:
     """Return how the uncertainty fell with the stations, and what the next ones promise."""
     past, plan = subject.history, subject.plan
-    if past is None or not np.isfinite(past.known.spot).any():
+    if past is None or not np.isfinite(past[1].spot).any():
         return None
+    stations, known = past
     spot = f"95 % spot at {subject.reading * IN_MM:.3g} mm, mm"
     traces: list[Record] = []
     for index, (name, quantity, unit) in enumerate(
@@ -31,13 +32,11 @@ def stations_figure(subject: Subject) -> Figure | None:
             ("direction, deg (right)", "direction_sigma", IN_DEG),
         )
     ):
-        curve = _curve(
-            name, index, past.stations.astype(np.float64), getattr(past.known, quantity) * unit
-        )
+        curve = _curve(name, index, stations.astype(np.float64), getattr(known, quantity) * unit)
         traces.append(curve)
         if plan is not None:
             ahead = getattr(plan.forecast, quantity) * unit
-            x = past.stations[-1] + np.arange(len(ahead), dtype=np.float64)
+            x = stations[-1] + np.arange(len(ahead), dtype=np.float64)
             line: Record = {"color": COLOURS[index], "width": 2, "dash": "dot"}
             dashed: Record = {"x": numbers(x), "y": numbers(ahead), "line": line}
             traces.append(curve | dashed | {"showlegend": False})
@@ -82,9 +81,7 @@ def _logarithmic(traces: list[Record], side: str) -> Record:
     if not values:  # of readings without noise
         return {"type": "linear"}
     low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    ticks = [step * 10.0**power for power in powers for step in NICE]
-    inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
+    inside = logarithmic_ticks(low, high)
     inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
     words = [f"{tick:g}" for tick in inside]
     return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

@@ -11,7 +11,8 @@ from ...data.recording import Recording
 from ...errors import HandlaserError
 from ...model.weighting import Variances, reading_sigmas
 from ...planning.advice import next_stations
-from ...planning.history import History, history
+from ...planning.goal import Forecast
+from ...planning.history import history
 from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
@@ -33,7 +34,7 @@ class Subject:
     described : Description
         The facts, sentences and tables that every view shows, with the verdict.
     held_out : HeldOut
-    history : History or None
+    history : (number of stations, Forecast) or None
     plan : Plan or None
         The next best stations.
     rows : ReadingRows or None
@@ -44,7 +45,7 @@ class Subject:
     options: ReportOptions
     described: Description
     held_out: HeldOut
-    history: History | None
+    history: tuple[IntArray, Forecast] | None
     plan: Plan | None
     rows: "ReadingRows | None"
 

@@ -7,20 +7,11 @@ reading holds up nobody, and costs what one message takes.
 import asyncio
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 BEAT_S = 10.0
 """Seconds after which a client hears that nothing is new, and so that the server is there."""
 STATE, STATUS = "state", "status"
 """Topics: that all of a calibration was sent, and what is going on."""
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One server-sent event; `mark` is another one where the text is."""
-
-    mark: str
-    event: bytes
 
 
 class Hub:
@@ -29,7 +20,8 @@ class Hub:
     def __init__(self, page: str) -> None:
         self.clients = 0
         self._page = page
-        self._newest: dict[str, Message] = {}
+        # By topic: a mark, which is another one where the text is, and the server-sent event.
+        self._newest: dict[str, tuple[str, bytes]] = {}
         self._changed = asyncio.Event()
 
     @property
@@ -46,25 +38,23 @@ class Hub:
             mark = hashlib.sha256(text.encode()).hexdigest()[:16]
             name = f"id: {mark}\n" if topic == STATE else ""
             event = f"event: {topic.partition(':')[0]}\n{name}data: {text}\n\n".encode()
-            self._newest[topic] = Message(mark, event)
+            self._newest[topic] = (mark, event)
         self._changed.set()
         self._changed = asyncio.Event()
 
     def known_to(self, mark: str) -> dict[str, str]:
         """Return what a client has heard that comes back with the mark of a state."""
-        state = self._newest.get(STATE)
-        if state is None or state.mark != mark:
-            return {}
-        return {topic: message.mark for topic, message in self._newest.items() if topic != STATUS}
+        marks = {topic: newest for topic, (newest, _) in self._newest.items() if topic != STATUS}
+        return marks if marks.get(STATE) == mark else {}
 
     def unheard(self, heard: dict[str, str]) -> bytes:
         """Return what is new to a client, and note that it is not any more."""
         found = b""
         for topic in sorted(self._newest):  # figures, sections, the state, its status
-            newest = self._newest[topic]
-            if heard.get(topic) != newest.mark:
-                heard[topic] = newest.mark
-                found += newest.event
+            mark, event = self._newest[topic]
+            if heard.get(topic) != mark:
+                heard[topic] = mark
+                found += event
         return found
 
     async def news(self, heard: dict[str, str]) -> bytes:

@@ -1,6 +1,5 @@
 """What stands in the files at one moment: whole lines only, whoever is writing to them meanwhile."""
 
-import hashlib
 import stat
 import tempfile
 from collections.abc import Sequence
@@ -44,69 +43,57 @@ class FileContent:
         return len(self.lines.splitlines()) + 1
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """The recording or log, and the files beside it that its format names, at one moment."""
-
-    parts: tuple[FileContent, ...]
-
-    @property
-    def rests(self) -> tuple[bytes, ...]:
-        """What may not be whole yet, of each file."""
-        return tuple(part.rest for part in self.parts)
-
-    @property
-    def digest(self) -> str:
-        """Of the whole lines of the files."""
-        each = [hashlib.sha256(part.lines).digest() for part in self.parts]
-        return hashlib.sha256(b"".join(each)).hexdigest()
-
-    def read(self, rig: Rig, rests: Sequence[bytes]) -> tuple[LogReport, Rig]:
-        """Read what the lines hold, and rests after them; faults name the files themselves.
-
-        Raises
-        ------
-        InputError
-            As `read_with`.
-        """
-        with tempfile.TemporaryDirectory(prefix="handlaser-") as folder:
-            copies = {}
-            for number, (part, rest) in enumerate(zip(self.parts, rests, strict=True)):
-                copy = Path(folder) / str(number) / part.path.name
-                copy.parent.mkdir()
-                copy.write_bytes(part.lines + rest)
-                copies[copy] = part.path
-            there = {original: copy for copy, original in copies.items()}
-            log = replace(
-                rig.log,
-                readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
-                plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
-            )
-            try:
-                return read_with(replace(rig, log=log), next(iter(copies)))
-            except InputError as error:
-                place = None if error.path is None else copies.get(error.path, error.path)
-                found = InputError(error.found, error.expected, place, error.line, error.column)
-                raise found from error
-
-
-def snapshot(paths: Sequence[Path]) -> Snapshot:
-    """Read the recording or log, and the files beside it.
+def file_content(path: Path) -> FileContent:
+    """Return what stands in the recording or log, or in a file beside it, at this moment.
 
     Raises
     ------
     InputError
         No readable file.
     """
-    return Snapshot(tuple(_part(path) for path in paths))
-
-
-def _part(path: Path) -> FileContent:
     data = content(path, "a recording or a log")
     if path.suffix.lower() in BOOKS:
         return FileContent(path, data, b"")
     cut = data.rfind(b"\n" if b"\n" in data else b"\r") + 1
     return FileContent(path, data[:cut], data[cut:])
+
+
+def read_contents(
+    parts: Sequence[FileContent], rests: Sequence[bytes], rig: Rig
+) -> tuple[LogReport, Rig]:
+    """Read what the lines of the files hold, and rests after them; faults name the files themselves.
+
+    Parameters
+    ----------
+    parts : sequence of FileContent
+        The recording or log, and the files beside it that its format names.
+    rests : sequence of bytes
+    rig : Rig
+
+    Raises
+    ------
+    InputError
+        As `read_with`.
+    """
+    with tempfile.TemporaryDirectory(prefix="handlaser-") as folder:
+        copies = {}
+        for number, (part, rest) in enumerate(zip(parts, rests, strict=True)):
+            copy = Path(folder) / str(number) / part.path.name
+            copy.parent.mkdir()
+            copy.write_bytes(part.lines + rest)
+            copies[copy] = part.path
+        there = {original: copy for copy, original in copies.items()}
+        log = replace(
+            rig.log,
+            readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
+            plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
+        )
+        try:
+            return read_with(replace(rig, log=log), next(iter(copies)))
+        except InputError as error:
+            place = None if error.path is None else copies.get(error.path, error.path)
+            found = InputError(error.found, error.expected, place, error.line, error.column)
+            raise found from error
 
 
 def content(path: Path, expected: str) -> bytes:

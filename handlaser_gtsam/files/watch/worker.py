@@ -1,10 +1,12 @@
 """The process that reads and calibrates: the server answers meanwhile, whatever becomes of it."""
 
 import contextlib
+import hashlib
+import json
 import os
 import signal
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
@@ -15,11 +17,10 @@ from ...pipeline import calibrate
 from ...text import printable
 from ..logs.report import LogReport
 from ..report.options import ReportOptions
-from ..report.page import content_of
+from ..report.page import Content, content_of
 from ..report.subject import subject_of
 from ..rig_toml import Rig, known_rig
-from .messages import messages_of
-from .snapshot import Snapshot, content, snapshot
+from .snapshot import FileContent, content, file_content, read_contents
 from .watched import Watched
 
 
@@ -54,7 +55,7 @@ class Calibrator:
 
     def __init__(self, watched: Watched) -> None:
         self._watched = watched
-        self._last: tuple[str, bytes, tuple[bytes, ...]] | None = None
+        self._last: tuple[tuple[bytes, ...], bytes, tuple[bytes, ...]] | None = None
         self._answer = FileAnswer()
 
     def answer(self, settled: bool) -> FileAnswer:
@@ -87,7 +88,7 @@ class Calibrator:
     ) -> FileAnswer:
         paths = (self._watched.recording, *beside)
         try:
-            found = snapshot(paths)
+            parts = tuple(file_content(path) for path in paths)
         except InputError as error:
             self._last = None
             missing = isinstance(error.__cause__, FileNotFoundError)
@@ -95,26 +96,35 @@ class Calibrator:
                 name = printable(error.path.name)
                 return FileAnswer(note=f"waiting for {name}, which is not there", waiting=True)
             return FileAnswer(error=str(error))
-        rests = found.rests if settled else tuple(b"" for _ in found.parts)
-        last = (found.digest, mark, rests)
+        rests = tuple(part.rest if settled else b"" for part in parts)
+        last = (tuple(hashlib.sha256(part.lines).digest() for part in parts), mark, rests)
+        answer = replace(self._answer, messages={})
         if last != self._last:
-            self._answer, self._last = self._calibrated(found, rests, rig), last
-            return _noted(self._answer, found, settled)
-        return _noted(replace(self._answer, messages={}), found, settled)
+            self._answer = answer = self._calibrated(parts, rests, rig)
+            self._last = last
+        for part in parts:
+            if part.rest.strip() and not settled and not answer.error:
+                return replace(answer, note=f"line {part.last_line} is not whole yet")
+        return answer
 
-    def _calibrated(self, found: Snapshot, rests: tuple[bytes, ...], rig: Rig) -> FileAnswer:
+    def _calibrated(
+        self, parts: Sequence[FileContent], rests: tuple[bytes, ...], rig: Rig
+    ) -> FileAnswer:
         heads = 0 if rig.log.header_given else 1
-        first, rest = found.parts[0], rests[0]
+        first, rest = parts[0], rests[0]
         if first.rows(rest) <= heads:
             return FileAnswer(note="waiting for the first station", waiting=True)
         try:
             try:
-                (report, rig), note = found.read(rig, rests), ""
+                note = ""
+                report, rig = read_contents(parts, rests, rig)
             except InputError as error:
-                whole = tuple(b"" for _ in rests)
                 if not any(rest.strip() for rest in rests) or first.rows() <= heads:
                     raise
-                (report, rig), note = found.read(rig, whole), f"not used: {error}"
+                (report, rig), note = (
+                    read_contents(parts, [b""] * len(parts), rig),
+                    f"not used: {error}",
+                )
             return FileAnswer(self._messages(report, rig), note=note)
         except HandlaserError as error:
             return FileAnswer(error=printable(str(error)))
@@ -130,12 +140,27 @@ class Calibrator:
         return messages_of(content_of(subject))
 
 
-def _noted(answer: FileAnswer, found: Snapshot, settled: bool) -> FileAnswer:
-    """Return an answer that says which line is not whole yet."""
-    for part in found.parts:
-        if part.rest.strip() and not settled and not answer.error:
-            return replace(answer, note=f"line {part.last_line} is not whole yet")
-    return answer
+def messages_of(content: Content) -> dict[str, str]:
+    """Return messages by topic, each one line: an event's name, and after a colon what it is about.
+
+    Sections are HTML that the templates of the report have escaped; figures escape names as plotly.js
+    wants it. What has not changed is the same text, and is sent to nobody again.
+    """
+    found = {
+        f"figure:{name}": _line({"name": name, "figure": figure.json()})
+        for name, figure in content.figures.items()
+    }
+    found |= {
+        f"section:{name}": _line({"name": name, "html": html})
+        for name, html in content.sections.items()
+    }
+    found["result"] = content.result or "null"
+    digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
+    return found | {"state": _line({"opening": content.opening, "digest": digest})}
+
+
+def _line(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
 def work(asked: "Connection[FileAnswer, bool]", watched: Watched) -> None:
