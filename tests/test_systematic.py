@@ -15,7 +15,7 @@ from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.estimation.solve import settle
 from handlaser_gtsam.model.distributions import needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.effects.of_robots import DIRECTIONS
+from handlaser_gtsam.model.effects.tool_displaced import DIRECTIONS
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.quantities import POWER

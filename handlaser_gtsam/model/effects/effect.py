@@ -21,10 +21,7 @@ from ...data.readings import Readings
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
 
-KINDS = ("triangulation", "time-of-flight", "confocal", "ultrasonic", "other")
-"""Kinds of sensors; of an `other` kind nothing is plausible."""
-LEAST_STATIONS = 2
-"""Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
+UNKNOWNS = "the unknowns of the calibration in this recording"
 
 
 class SeenStations:
@@ -168,7 +165,7 @@ class Effect:
     remedy: str
     reveal: str = ""
     unit: str = "m"
-    confounded: str = "the unknowns of the calibration in this recording"
+    confounded: str = UNKNOWNS
     anywhere: str = ""
     of_sensor: Mapping[str, float] = field(default_factory=dict)
     of_cell: float | None = None
@@ -201,11 +198,6 @@ class Effect:
         if self.of_cell is not None:
             return self.of_cell
         return self.of_sensor[kind] * measuring_range if self.of_sensor else None
-
-
-def by_kind(*sizes: float) -> dict[str, float]:
-    """Return sizes for all kinds of sensors but `other`, as parts of the measuring range."""
-    return dict(zip(KINDS, (*sizes, 0.0), strict=True))
 
 
 def size_in_words(size: float, unit: str) -> str:

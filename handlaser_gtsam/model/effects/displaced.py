@@ -1,0 +1,42 @@
+"""A plane that is displaced from some station on: farther away.
+
+Planes with more than `MOST_SPLITS` splits are tested at this number of them.
+"""
+
+import numpy as np
+
+from .effect import Effect, OnPlanes, SeenStations
+
+LEAST_STATIONS = 2
+"""Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
+MOST_SPLITS = 32
+"""Evenly spaced splits at which a plane with more is tested: neighbours hardly differ."""
+
+
+def members(stations: SeenStations) -> OnPlanes:
+    """Return the displacements of every plane, from each of its stations on."""
+    readings, row = stations.readings, stations.first[0]
+    order = np.lexsort((stations.position[row], readings.plane[row]))
+    plane, when = readings.plane[row][order], stations.position[row][order]
+    start = np.searchsorted(plane, np.arange(readings.planes + 1))
+    chosen = [np.empty(0, dtype=np.intp)]
+    for first, last in zip(start[:-1] + LEAST_STATIONS, start[1:] - LEAST_STATIONS, strict=True):
+        if last - first >= MOST_SPLITS:
+            chosen.append(np.linspace(first, last, MOST_SPLITS).round().astype(np.intp))
+        elif last >= first:
+            chosen.append(np.arange(first, last + 1, dtype=np.intp))
+    splits = np.concatenate(chosen)
+    all_beams = np.full_like(splits, -1)
+    return OnPlanes(stations.linear.offset, plane[splits], all_beams, when[splits])
+
+
+DISPLACED = Effect(
+    code="displaced",
+    phrase="a displacement by {size} of {subject}",
+    remedy="fix the plate, and give the stations after the displacement a plane label of their own",
+    reveal="record more stations before each plane, and repeat the first ones at the end",
+    anywhere="one plane from some station on",
+    members=members,
+    of_cell=1e-3,
+)
+"""Held by hand-tightened clamps a plate moves by up to 1 mm."""

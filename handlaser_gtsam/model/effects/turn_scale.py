@@ -1,0 +1,25 @@
+"""A scale error of the robot's turns: true turns from the mean orientation are larger than reported."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .effect import Effect, Everywhere, SeenStations
+
+
+def members(stations: SeenStations) -> Everywhere:
+    """Return the derivatives (N, 1) by turns twice as large."""
+    R = stations.readings.world_R_hand[stations.first[0]]
+    turn = Rotation.from_matrix(Rotation.from_matrix(R).mean().as_matrix().T @ R).as_rotvec()
+    return Everywhere(stations.by_pose(np.hstack((turn, np.zeros_like(turn))))[:, None])
+
+
+TURN_SCALE = Effect(
+    code="turn-scale",
+    phrase="a scale error of the robot's turns by {size}",
+    remedy="have the robot's joints calibrated, and check the unit and the convention of its angles",
+    reveal="turn the hand further, and about other axes",
+    unit="1",
+    members=members,
+    of_cell=1e-3,
+)
+"""As the lengths: see `translation_scale`."""
