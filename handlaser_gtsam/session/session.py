@@ -142,9 +142,9 @@ class Session:
             raise InputError(
                 f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
             )
-        screening = screened(recording, self.noise.range_sigma)
-        if screening.warnings:
-            recording = screening.recording.part(~np.isnan(screening.recording.ranges).all(axis=1))
+        left, warnings = screened(recording, self.noise.range_sigma)
+        if warnings:
+            recording = left.part(~np.isnan(left.ranges).all(axis=1))
         with self._lock:
             now, given = self._now, self._given
             contents = self._contents.added(recording, given.options.sensor)
@@ -153,7 +153,7 @@ class Session:
                 self._early = contents
             else:
                 self._now, update = changed(now, contents, recording.plane_names, given)
-            self._screening += screening.warnings
+            self._screening += warnings
         return update
 
     def remove_plane(self, name: str) -> Update:
