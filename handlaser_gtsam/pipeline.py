@@ -123,8 +123,7 @@ def _calibrated(
 ) -> Calibration:
     options = _checked(recording, noise, options)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
-    found = screened(recording, noise.range_sigma)
-    recording = found.recording
+    recording, warnings = screened(recording, noise.range_sigma)
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
     # 2. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)
@@ -138,7 +137,7 @@ def _calibrated(
         # 4. Covariances of what is determined, in the names and the order of the recording.
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
         result = assemble(problem, selection)
-    return _logged(replace(result, recording=recording), found.warnings)
+    return _logged(replace(result, recording=recording), warnings)
 
 
 def _logged(result: Calibration, warnings: tuple[CalibrationWarning, ...]) -> Calibration:

@@ -36,8 +36,6 @@ DECIMALS = range(2, 8)
 """Decimals of metres to which a column may have been rounded, the coarsest first."""
 SAME_UNIT = 0.01
 """Columns whose ratio differs from one by less are in one unit."""
-STATIONS_LOOKED_AT = 16
-"""Stations at which all pairs are compared; only pairs that agree there are looked at further."""
 
 
 class RepeatedColumnError(InputError):
@@ -97,7 +95,7 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
     With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left. Pairs
     that share few of the stations looked at, though not of all, are left to `_agreeing`.
     """
-    step = max(len(d) // STATIONS_LOOKED_AT, 1)
+    step = max(len(d) // (2 * ENOUGH_STATIONS), 1)  # of the stations at which all are compared
     x = d[::step]
     firsts, seconds = np.triu_indices(d.shape[1], 1)
     for begin in range(0, len(firsts), ROWS_AT_ONCE):
@@ -110,7 +108,7 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
         off = np.abs(b - factor * a)
         common = (~np.isnan(off)).sum(axis=0)
         alike = (off <= limit).sum(axis=0) >= 0.5 * common
-        alike |= (common < STATIONS_LOOKED_AT // 2) & (step > 1)
+        alike |= (common < ENOUGH_STATIONS) & (step > 1)
         yield from zip(i[alike].tolist(), j[alike].tolist(), strict=True)
 
 

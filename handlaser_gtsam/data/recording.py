@@ -22,7 +22,6 @@ from .recording_checks import (
     names_of,
     numbered,
     pose_matrices,
-    range_table,
 )
 from .value import Value
 
@@ -129,7 +128,9 @@ class Recording(Value):
         InputError
             Poses that are no rigid transformations, or whatever `Recording` refuses.
         """
-        T, d = pose_matrices(poses), range_table(ranges)
+        T, d = pose_matrices(poses), number_array("ranges", ranges)
+        if d.ndim != 2:
+            raise InputError(f"ranges of shape {d.shape}", "stations by beams, (M, B)")
         beams = numbered(d.shape[1]) if beam_names is None else beam_names
         labels = [planes] * len(T) if isinstance(planes, str) else planes
         return cls(

@@ -48,20 +48,6 @@ def pose_matrices(poses: Sequence[HasMatrix] | ArrayLike) -> FloatArray:
     return T
 
 
-def range_table(ranges: ArrayLike) -> FloatArray:
-    """Return readings as a table (M, B), NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        No numbers, or no table.
-    """
-    d = number_array("ranges", ranges)
-    if d.ndim != 2:
-        raise InputError(f"ranges of shape {d.shape}", "stations by beams, (M, B)")
-    return d
-
-
 def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
     """Return names as a tuple.
 

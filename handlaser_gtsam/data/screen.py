@@ -8,7 +8,7 @@ means "no reading", or "beyond my limit". Files say the same with words (`nan`, 
 numbers that no range has (0, -1); those are found when a file is read.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,26 +22,14 @@ MORE_OFTEN = 3
 """A code that lies near other readings stands at least this many times as often as any of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Screened:
-    """A recording as it is solved, and what was found in it.
-
-    Attributes
-    ----------
-    recording : Recording
-        With the stations, beams and planes of the one that was screened. Readings that repeat others,
-        or are none, are missing; means stand in place of repeated ones.
-    warnings : tuple of CalibrationWarning
-    """
-
-    recording: Recording
-    warnings: tuple[CalibrationWarning, ...]
-
-
-def screened(recording: Recording, sigma: float | None) -> Screened:
+def screened(
+    recording: Recording, sigma: float | None
+) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
     """Merge repeated stations, take out readings that are codes, and refuse repeated columns.
 
-    What was screened stays the same when it is screened again.
+    The recording that is returned has the stations, beams and planes of the one that was screened.
+    Readings that repeat others, or are none, are missing; means stand in place of repeated ones. What
+    was screened stays the same when it is screened again.
 
     Parameters
     ----------
@@ -60,7 +48,7 @@ def screened(recording: Recording, sigma: float | None) -> Screened:
     left, codes = without_codes(left)
     refuse_repeated_columns(left, sigma)
     warnings = (*recording.warnings, *repeated, *codes)
-    return Screened(replace(left, warnings=()) if left.warnings else left, warnings)
+    return replace(left, warnings=()) if left.warnings else left, warnings
 
 
 def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWarning, ...]]:

@@ -14,7 +14,7 @@ Samples that are far from the others of their pose are not averaged: they stay w
 tested like all readings.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,16 +53,26 @@ def merged_stations(
     shared = np.bincount(group)[group] > 1
     if not shared.any():
         return recording, ()
-    samples = _Samples.of(recording, np.flatnonzero(shared), group)
-    mean, worth, agree, held = samples.averaged(sigma)
+    # Readings at shared poses, sorted by (pose, beam) and value: a number for each (pose, beam).
+    row, beam = np.nonzero(~np.isnan(recording.ranges) & shared[:, None])
+    value = recording.ranges[row, beam]
+    _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
+    order = np.lexsort((row, value, key))
+    row, beam, key, value = row[order], beam[order], key[order], value[order]
+    mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
     count = np.ones(ranges.shape) if recording.samples is None else recording.samples.copy()
-    ranges[samples.station[agree], samples.beam[agree]] = np.nan
-    first = samples.first_of(agree)
-    ranges[samples.station[first], samples.beam[first]] = mean[samples.key[first]]
-    count[samples.station[first], samples.beam[first]] = worth[samples.key[first]]
+    ranges[row[agree], beam[agree]] = np.nan
+    kept = np.flatnonzero(agree)  # the mean stands at the earliest station of those that agree
+    kept = kept[np.lexsort((row[kept], key[kept]))]
+    first = kept[np.diff(key[kept], prepend=-1) != 0]
+    ranges[row[first], beam[first]] = mean[key[first]]
+    count[row[first], beam[first]] = worth[key[first]]
     left = replace(recording, ranges=ranges, samples=count if (count != 1.0).any() else None)
-    return left, _warnings(recording, left, group, samples, held)
+    same = np.zeros(len(group), dtype=bool)  # stations all whose readings are those of another
+    same[row] = True
+    same[row[~held[key]]] = False
+    return left, _warnings(recording, left, group, same)
 
 
 def pose_groups(recording: Recording) -> IntArray:
@@ -97,70 +107,34 @@ def pose_groups(recording: Recording) -> IntArray:
     return group
 
 
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """Readings at shared poses, sorted by (pose, beam) and value.
+def _averaged(
+    key: IntArray, value: FloatArray, sigma: float | None
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Return mean and worth (K,), which samples (n,) it is of, and which (K,) are one sample.
 
-    Attributes
-    ----------
-    station, beam : (n,)
-    key : (n,)
-        Number of the (pose, beam).
-    value : (n,)
-        [m]
-    start, count : (K,)
-        First row and number of rows of each (pose, beam).
+    Values (n,) are sorted by their key, 0 to K - 1, and then by themselves.
     """
-
-    station: IntArray
-    beam: IntArray
-    key: IntArray
-    value: FloatArray
-    start: IntArray
-    count: IntArray
-
-    @classmethod
-    def of(cls, recording: Recording, stations: IntArray, group: IntArray) -> "_Samples":
-        """Return the readings of some stations."""
-        row, beam = np.nonzero(~np.isnan(recording.ranges[stations]))
-        station = stations[row]
-        value = recording.ranges[station, beam]
-        _, key = np.unique(group[station] * len(recording.beam_names) + beam, return_inverse=True)
-        order = np.lexsort((station, value, key))
-        key = key[order].astype(np.intp)
-        start = np.flatnonzero(np.concatenate(([True], np.diff(key) != 0)))
-        count = np.diff(np.append(start, len(key)))
-        return cls(station[order], beam[order], key, value[order], start, count)
-
-    def averaged(self, sigma: float | None) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-        """Return mean and worth (K,), which samples (n,) it is of, and which (K,) are one sample."""
-        low, high = (self.count - 1) // 2, self.count // 2
-        median = 0.5 * (self.value[self.start + low] + self.value[self.start + high])
-        off = np.abs(self.value - median[self.key])
-        limit = max(FINEST_STEP, HELD_PART * (sigma or 0.0))
-        held = np.maximum.reduceat(off, self.start) <= limit
-        agree = np.ones(len(off), dtype=bool)
-        free = ~held[self.key] & (self.count[self.key] > 1)
-        if free.any():
-            robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
-            most = FAR_PART * typical_range(self.value) if sigma is None else FAR_SAMPLE * sigma
-            agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
-        number = np.add.reduceat(agree.astype(np.float64), self.start)
-        total = np.add.reduceat(np.where(agree, self.value, 0.0), self.start)
-        mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
-        square = np.add.reduceat(np.where(agree, self.value - mean[self.key], 0.0) ** 2, self.start)
-        some = ~held & (number > 1.0)
-        worth = np.ones(len(mean))
-        if some.any():
-            w2 = float(square[some].sum() / (number[some] - 1.0).sum())
-            worth[some] = worth_of_mean(number[some], w2, sigma)
-        return mean, worth, agree, held & (self.count > 1)
-
-    def first_of(self, agree: BoolArray) -> IntArray:
-        """Return the row of the earliest station among those that agree, one a (pose, beam)."""
-        rows = np.flatnonzero(agree)
-        rows = rows[np.lexsort((self.station[rows], self.key[rows]))]
-        return np.asarray(rows[np.diff(self.key[rows], prepend=-1) != 0])
+    start = np.flatnonzero(np.diff(key, prepend=-1) != 0)
+    count = np.diff(np.append(start, len(key)))
+    median = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
+    off = np.abs(value - median[key])
+    held = np.maximum.reduceat(off, start) <= max(FINEST_STEP, HELD_PART * (sigma or 0.0))
+    agree = np.ones(len(off), dtype=bool)
+    free = ~held[key] & (count[key] > 1)
+    if free.any():
+        robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
+        most = FAR_PART * typical_range(value) if sigma is None else FAR_SAMPLE * sigma
+        agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
+    number = np.add.reduceat(agree.astype(np.float64), start)
+    total = np.add.reduceat(np.where(agree, value, 0.0), start)
+    mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
+    square = np.add.reduceat(np.where(agree, value - mean[key], 0.0) ** 2, start)
+    some = ~held & (number > 1.0)
+    worth = np.ones(len(mean))
+    if some.any():
+        w2 = float(square[some].sum() / (number[some] - 1.0).sum())
+        worth[some] = worth_of_mean(number[some], w2, sigma)
+    return mean, worth, agree, held & (count > 1)
 
 
 def worth_of_mean(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
@@ -171,17 +145,12 @@ def worth_of_mean(number: FloatArray, scatter: float, sigma: float | None) -> Fl
 
 
 def _warnings(
-    recording: Recording, left: Recording, group: IntArray, samples: _Samples, held: BoolArray
+    recording: Recording, left: Recording, group: IntArray, same: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Say which stations lost their readings to another: those that repeat it, and the rest."""
     gone = np.flatnonzero(
         np.isnan(left.ranges).all(axis=1) & ~np.isnan(recording.ranges).all(axis=1)
     )
-    if not gone.size:
-        return ()
-    same = np.zeros(len(group), dtype=bool)
-    same[samples.station] = True
-    same[samples.station[~held[samples.key]]] = False
     warnings = []
     names, total = recording.station_names, len(recording.station_names)
     for code, rows, what in (

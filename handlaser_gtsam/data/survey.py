@@ -25,9 +25,7 @@ TARGETS = ("plane", "sphere", "point", "groove")
 """Kinds of targets, as labels have them before a colon."""
 ERRORS = {
     "profiler": ("k1", "k2", "scale"),
-    "scanner": ("k0", "k1", "k2", "scale"),
-    "array": ("k0", "k1", "k2", "scale"),
-    "points": ("k0", "k1", "k2", "scale"),
+    **dict.fromkeys(("scanner", "array", "points"), ("k0", "k1", "k2", "scale")),
 }
 """Range errors that may be unknown, by the kind of the sensor: k0 + k1 d + k2 d^2, and the scale of x,
 of the angles, or of the tangents of the directions."""
@@ -126,14 +124,28 @@ class Shots(Value):
         cls, name: str, station: ArrayLike, x: ArrayLike, z: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return points (x, z) [m] of a line profiler, in its plane y = 0."""
-        return cls(name, "profiler", _indices(station), _numbers(x), _numbers(z), **noise)
+        return cls(
+            name,
+            "profiler",
+            np.asarray(station),
+            number_array("readings", x),
+            number_array("readings", z),
+            **noise,
+        )
 
     @classmethod
     def scanner(
         cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return ranges [m] at angles [rad] of a 2-D scanner: along (sin, 0, cos)."""
-        return cls(name, "scanner", _indices(station), _numbers(angle), _numbers(reading), **noise)
+        return cls(
+            name,
+            "scanner",
+            np.asarray(station),
+            number_array("readings", angle),
+            number_array("readings", reading),
+            **noise,
+        )
 
     @classmethod
     def array(
@@ -147,24 +159,24 @@ class Shots(Value):
     ) -> "Shots":
         """Return ranges [m] along directions (N, 3); perpendicular ones are along the z axis."""
         require_word("convention", convention, ("radial", "perpendicular"))
-        u, d = _numbers(directions), _numbers(reading)
+        u, d = number_array("readings", directions), number_array("readings", reading)
         if u.ndim != 2 or u.shape[1:] != (3,) or not (u[:, 2] > 0.0).all():
             raise InputError(f"directions of shape {u.shape}", "(N, 3), all with z above zero")
         u = u / np.linalg.norm(u, axis=1)[:, None]
         if convention == "perpendicular":
             d = d / u[:, 2]
-        return cls(name, "array", _indices(station), u, d, **noise)
+        return cls(name, "array", np.asarray(station), u, d, **noise)
 
     @classmethod
     def points(cls, name: str, station: ArrayLike, xyz: ArrayLike, **noise: Any) -> "Shots":
         """Return points (N, 3) [m] of a depth camera, in its frame; noise is along the ray."""
-        p = _numbers(xyz)
+        p = number_array("readings", xyz)
         if p.ndim != 2 or p.shape[1:] != (3,):
             raise InputError(f"points of shape {p.shape}", "(N, 3)")
         d = np.linalg.norm(p, axis=1)
         if not (d > 0.0).all():
             raise InputError("points at the origin of the sensor", "no such rows")
-        return cls(name, "points", _indices(station), p / d[:, None], d, **noise)
+        return cls(name, "points", np.asarray(station), p / d[:, None], d, **noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -287,8 +299,13 @@ class Survey(Value):
             require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
         require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
-        object.__setattr__(self, "shots", _tuple_of("shots", self.shots, Shots))
-        object.__setattr__(self, "known", _tuple_of("known", self.known, Known))
+        for name, kind in (("shots", Shots), ("known", Known)):
+            given = getattr(self, name)
+            several = isinstance(given, Sequence) and not isinstance(given, str)
+            parts = tuple(given) if several else (given,)
+            for part in parts:
+                require_kind(name, part, kind)
+            object.__setattr__(self, name, parts)
         count = len(self.stations)
         for shots in self.shots:
             if not ((shots.station >= 0) & (shots.station < count)).all():
@@ -353,18 +370,3 @@ def beyond_planes(labels: Iterable[str]) -> str:
 def normal_label(label: str) -> str:
     """Return a label with its kind."""
     return label if ":" in label else f"plane:{label}"
-
-
-def _tuple_of(name: str, given: object, kind: type) -> tuple[object, ...]:
-    parts = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
-    for part in parts:
-        require_kind(name, part, kind)
-    return parts
-
-
-def _numbers(values: ArrayLike) -> FloatArray:
-    return number_array("readings", values)
-
-
-def _indices(values: ArrayLike) -> IntArray:
-    return np.asarray(values)

@@ -18,9 +18,8 @@ import numpy as np
 from ..text import SHOWN_CHARACTERS
 
 SHOWN_ENTRIES = 8
-"""Arrays and tuples with more entries are represented by their size, or a line gets too long."""
-SHOWN_KEYS = 4
-"""Keys of a mapping that its repr lists."""
+"""Arrays and tuples with more entries are represented by their size, or a line gets too long; of a
+mapping no more keys are listed."""
 
 
 class Value:
@@ -101,8 +100,8 @@ def _short(value: object) -> str:
             return " ".join(np.array2string(value, precision=6, separator=", ").split())
         return f"<array {'x'.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
-        names = [repr(name) for name in list(value)[:SHOWN_KEYS]]
-        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_KEYS else names)}}}"
+        names = [repr(name) for name in list(value)[:SHOWN_ENTRIES]]
+        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_ENTRIES else names)}}}"
     if isinstance(value, tuple):
         plain = all(isinstance(entry, (str, int, float)) for entry in value)
         if plain and len(value) <= SHOWN_ENTRIES:

@@ -39,7 +39,8 @@ PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
 STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 """The first line by which a spreadsheet states the separator."""
 MOST_LOOKED_AT = 1000
-"""Cells of a line that tell whether it is a header: no log has more columns."""
+"""Cells of a line that tell whether it is a header, for no log has more columns; and lines in which
+separators are counted."""
 MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
 NANOMETRE_DECIMALS = 9
@@ -122,21 +123,6 @@ def _cell(content: object) -> str:
     return "an empty cell" if content is None else shown(content)
 
 
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """The lines of a file that are not blank, without their ends, and where they stand."""
-
-    path: Path
-    text: list[str]
-    numbers: list[int]
-    separator: str
-    ended: bool
-    """Whether the last line of the file has a line end."""
-
-    def fault(self, index: int, found: str, expected: str) -> InputError:
-        return InputError(found, expected, self.path, self.numbers[index])
-
-
 def read_table(path: Path, known: Collection[str] = ()) -> Table:
     """Read a table from a file; columns of the `known` names tell its separator.
 
@@ -210,28 +196,45 @@ def table_of(text: str, path: Path, separator: str) -> Table:
     ------
     InputError
     """
-    lines = _lines(text, path, separator)
-    if len(lines.text) < 2:
+    lines = text.split("\n")
+    numbers = [i + 1 for i, line in enumerate(lines) if line.strip(BLANK + separator)]
+    if not numbers:
+        raise InputError("an empty file", "a header and one row a station", path)
+    if len(numbers) < 2:
         raise InputError("a header but no station", "one row a station", path)
-    cells = [_split(lines, index) for index in range(len(lines.text))]
+    cells, ended = [], numbers[-1] < len(lines)
+    for number in numbers:
+        try:
+            cells.append(_split(lines[number - 1], separator))
+        except InputError as error:
+            raise InputError(error.found, error.expected, path, number) from error
     width = cells[0].count(UNIT) + 1
-    for index, row in enumerate(cells):
-        count, last = row.count(UNIT) + 1, index == len(cells) - 1
+    for number, row in zip(numbers, cells, strict=True):
+        count = row.count(UNIT) + 1
         if count != width:
-            cut = (
-                " in a last line that is cut" if last and not lines.ended and count < width else ""
-            )
+            is_cut = number == numbers[-1] and not ended and count < width
+            cut = " in a last line that is cut" if is_cut else ""
             hint = "; decimal commas need another separator than commas"
-            hint = hint if count > width and lines.separator == "," else ""
-            raise lines.fault(index, f"{count} fields{cut}", f"{width}, as in the header{hint}")
-    names = _names(lines, cells[0].split(UNIT))
+            hint = hint if count > width and separator == "," else ""
+            expected = f"{width}, as in the header{hint}"
+            raise InputError(f"{count} fields{cut}", expected, path, number)
+    names = [cell.strip(BLANK) for cell in cells[0].split(UNIT)]
+    names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
+    for name in names:
+        fault = name_fault(name).rstrip(",")
+        if fault:
+            expected = f"printable names of at most {LONGEST_NAME} characters in the header"
+            raise InputError(fault, expected, path, numbers[0])
+    twice = first_repeated(names)
+    if twice is not None:
+        found, expected = "the same name twice", "every column once"
+        raise InputError(found, expected, path, numbers[0], names[twice])
     split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
     frame = split.struct.rename_fields(names).struct.unnest()
     stripped = pl.all().str.strip_chars(BLANK)
     frame = frame.select(pl.when(stripped != "").then(stripped))
-    numbers = np.array(lines.numbers[1:], dtype=np.intp)
-    open_ended = not lines.ended and not lines.text[-1].rstrip(BLANK).endswith('"')
-    return Table(frame, path, lines.numbers[0], numbers, open_ended)
+    open_ended = not ended and not lines[numbers[-1] - 1].rstrip(BLANK).endswith('"')
+    return Table(frame, path, numbers[0], np.array(numbers[1:], dtype=np.intp), open_ended)
 
 
 def column_numbers(
@@ -286,14 +289,7 @@ def table_text(path: Path) -> str:
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     if "\n" not in text:
         text = text.replace("\r", "\n")  # line ends of an old Mac
-    _refuse_control(text, path)
-    return text
-
-
-def _refuse_control(text: str, path: Path) -> None:
-    """Refuse control characters, and a carriage return that ends no line."""
-    wrong = CONTROL.search(text)
-    stray = text.find("\r")
+    wrong, stray = CONTROL.search(text), text.find("\r")
     if wrong is not None and not 0 <= stray < wrong.start():
         line = text.count("\n", 0, wrong.start()) + 1
         raise InputError(f"the control character {shown(wrong[0])}", "text", path, line)
@@ -301,17 +297,7 @@ def _refuse_control(text: str, path: Path) -> None:
         expected = "line ends of one kind: LF or CR LF, or CR throughout"
         line = text.count("\n", 0, stray) + 1
         raise InputError("a carriage return within a line", expected, path, line)
-
-
-def _lines(text: str, path: Path, separator: str) -> _Lines:
-    """Return the lines with anything but blanks and separators: the header, then the rows."""
-    lines = text.split("\n")
-    blank = BLANK + separator
-    kept = [index for index, line in enumerate(lines) if line.strip(blank)]
-    if not kept:
-        raise InputError("an empty file", "a header and one row a station", path)
-    ended = kept[-1] < len(lines) - 1
-    return _Lines(path, [lines[i] for i in kept], [i + 1 for i in kept], separator, ended)
+    return text
 
 
 def _known(line: str, known: Collection[str]) -> int:
@@ -330,9 +316,8 @@ def _separator(header: str, known: set[str]) -> str:
     return max(SEPARATORS, key=names)
 
 
-def _split(lines: _Lines, index: int) -> str:
+def _split(line: str, separator: str) -> str:
     """Return a line with `UNIT` between its cells and without the quotes around them."""
-    line, separator = lines.text[index], lines.separator
     if '"' not in line:
         return line.replace(separator, UNIT)
     # Quotes without quotes inside, by far the most frequent: what stands between two of them begins
@@ -361,26 +346,10 @@ def _split(lines: _Lines, index: int) -> str:
             expected = (
                 "no quotes, or quotes around a whole cell on one line with those inside doubled"
             )
-            raise lines.fault(index, found, expected)
+            raise InputError(found, expected)
         cells.append(line[at:end])
         at = end + 1
     return UNIT.join(cells)
-
-
-def _names(lines: _Lines, header: list[str]) -> list[str]:
-    """Return the names of the columns; one without a name is called by its number."""
-    names = [cell.strip(BLANK) for cell in header]
-    names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
-    for name in names:
-        fault = name_fault(name)
-        if fault:
-            expected = f"printable names of at most {LONGEST_NAME} characters in the header"
-            raise lines.fault(0, fault.rstrip(","), expected)
-    twice = first_repeated(names)
-    if twice is not None:
-        found, expected = "the same name twice", "every column once"
-        raise InputError(found, expected, lines.path, lines.numbers[0], names[twice])
-    return names
 
 
 def _whole(cell: str | None, others: pl.Series) -> bool:

@@ -151,9 +151,9 @@ class Session:
             raise InputError(
                 f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
             )
-        screening = screened(recording, self.noise.range_sigma)
-        if screening.warnings:
-            recording = screening.recording.part(~np.isnan(screening.recording.ranges).all(axis=1))
+        left, warnings = screened(recording, self.noise.range_sigma)
+        if warnings:
+            recording = left.part(~np.isnan(left.ranges).all(axis=1))
         with self._lock:
             now, contents = self._now, self._contents.added(recording, self.options.sensor)
             if now is None or not set(recording.beam_names) <= set(now.config.names):
@@ -163,7 +163,7 @@ class Session:
                 self._early = contents
             else:
                 self._now, update = changed(now, contents, recording.plane_names)
-            self._screening += screening.warnings
+            self._screening += warnings
         return update
 
     def remove_plane(self, name: str) -> Update:

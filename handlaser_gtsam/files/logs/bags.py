@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from ...arrays import FloatArray
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
-from ...quantities import LARGEST_LENGTH
+from ...quantities import LARGEST_LENGTH, ROWS_AT_ONCE
 from ...text import A_NAME, name_fault, shown, some
 from ..table import Table
 from .format import LogFormat
@@ -40,8 +39,6 @@ METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
-MESSAGES = 20_000
-"""Messages that are read between two signs of progress: less than a second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,11 +59,6 @@ class Beam:
     ray: int | None
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
 
-    def rows(self) -> FloatArray:
-        """Return times and readings (N, 2) in the order of time."""
-        x = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 2)
-        return x if (np.diff(x[:, 0]) >= 0.0).all() else x[np.argsort(x[:, 0], kind="stable")]
-
 
 def is_bag(path: Path) -> bool:
     """Tell whether a path is a bag, by its kind."""
@@ -74,7 +66,7 @@ def is_bag(path: Path) -> bool:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[Any]:
     """Open a bag; whatever rosbags says against it is an InputError.
 
     Raises
@@ -114,20 +106,20 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     InputError
         Topics that are not there or not of their type, or no poses or readings in them.
     """
-    with opened(path) as reader:
+    with _opened(path) as reader:
         topics = {one.topic: one.msgtype for one in reader.connections}
-        publishers = Counter(one.topic for one in reader.connections)
-        beams = _beams(topics, given, path)
-        poses = _pose_topics(topics, given, path)
+        beams = _beams(topics, given)
+        poses = _pose_topics(topics, given)
         frames = Frames(*given.frames) if given.frames else None
         stamped = array("d")
         wanted = list(dict.fromkeys([*poses, *(beam.topic for beam in beams)]))
         wanted.sort(key=lambda topic: not topic.endswith(STATIC))
-        for message, topic, received in _messages(reader, wanted, topics, path):
+        by_topic = path.suffix.lower() == ROS1
+        for message, topic, received in _messages(reader, wanted, topics, by_topic=by_topic):
             when = received if given.receive_time else None
             if topic not in poses:
                 of_topic = [beam for beam in beams if beam.topic == topic]
-                _read(message, of_topic, when, received, given)
+                _read(message, of_topic, _time(message, when, received), given)
             elif frames is None:
                 time, pose = _time(message, when, received), message.pose
                 stamp(stamped, time, pose.position, pose.orientation)
@@ -135,31 +127,38 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 static = topic.endswith(STATIC)
                 for transform in message.transforms:
                     frames.add(_time(transform, when, received), transform, static=static)
+        publishers = Counter(one.topic for one in reader.connections)
     for beam in beams:
         if not len(beam.numbers):
             raise InputError(
                 f"no reading of beam {beam.name} within the limits of its messages, on {beam.topic}",
                 "at least one, or the other topics by --range-columns",
-                path,
             )
     if frames is None and not len(stamped):
-        raise InputError(f"no pose on topic {poses[0]}", "poses of the hand", path)
+        raise InputError(f"no pose on topic {poses[0]}", "poses of the hand")
     x = stamped_rows(stamped) if frames is None else frames.rows()
     way = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
-    words = f"poses from {way}; times count from {x[0, 0]:.3f} s"
-    unused = tuple(name for name in topics if name not in wanted and not name_fault(name))
-    nothing = np.full((len(x), 0), np.nan)
-    several = [*(poses if frames is None else []), *(beam.topic for beam in beams)]
+    warnings = tuple(
+        CalibrationWarning(
+            "several-publishers",
+            f"{publishers[topic]} publishers on topic {topic}, all of whose messages were read; if "
+            "they are not one node that was started again, record each on a topic of its own",
+            {"publishers": publishers[topic]},
+        )
+        for topic in wanted
+        # Several publishers of tf are usual.
+        if publishers[topic] > 1 and topics[topic] not in TRANSFORMS
+    )
     return (
         LogRows(
             _lines(path, len(x)),
             (),
-            nothing,
+            np.full((len(x), 0), np.nan),
             x[:, 1:],
             times=x[:, 0],
-            ignored=unused,
-            warnings=_publishers(publishers, several),
-            words=words,
+            ignored=tuple(name for name in topics if name not in wanted and not name_fault(name)),
+            warnings=warnings,
+            words=f"poses from {way}; times count from {x[0, 0]:.3f} s",
         ),
         _readings(beams, path),
     )
@@ -170,29 +169,29 @@ def _lines(path: Path, count: int) -> Table:
     return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
 
-def _readings(beams: tuple[Beam, ...], path: Path) -> LogRows:
+def _readings(beams: Sequence[Beam], path: Path) -> LogRows:
     """Return the readings of beams, with one row for each moment.
 
     A second reading of a beam at the same moment gets a row of its own.
     """
-    rows = [beam.rows() for beam in beams]
-    time = np.concatenate([x[:, 0] for x in rows])
+    rows = []
+    for beam in beams:
+        x = np.frombuffer(beam.numbers, dtype=np.float64).reshape(-1, 2)
+        rows.append(x[np.argsort(x[:, 0], kind="stable")])
+    time, value = np.concatenate(rows).T
     again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
     order = np.lexsort((again, time))
     new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
     row = np.empty(len(time), dtype=np.intp)
     row[order] = np.cumsum(new) - 1
     d = np.full((int(new.sum()), len(beams)), np.nan)
-    first = 0
-    for number, x in enumerate(rows):
-        d[row[first : first + len(x)], number] = x[:, 1]
-        first += len(x)
-    times = time[order][new]
-    return LogRows(_lines(path, len(d)), tuple(beam.name for beam in beams), d, times=times)
+    d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
+    names = tuple(beam.name for beam in beams)
+    return LogRows(_lines(path, len(d)), names, d, times=time[order][new])
 
 
 def _messages(
-    reader: Any, wanted: Sequence[str], topics: Mapping[str, str], path: Path
+    reader: Any, wanted: Sequence[str], topics: Mapping[str, str], *, by_topic: bool
 ) -> Iterator[tuple[Any, str, int]]:
     """Yield messages of the wanted topics, each with its topic and the time of receipt [ns].
 
@@ -203,40 +202,25 @@ def _messages(
     for one in connections:
         if one.msgtype != topics[one.topic]:
             found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
-            raise InputError(found, "one type on one topic", path)
+            raise InputError(found, "one type on one topic")
     groups = [connections]
-    if path.suffix.lower() == ROS1:
+    if by_topic:
         groups = [[one for one in connections if one.topic == topic] for topic in wanted]
     total, frame_of = sum(one.msgcount for one in connections), dict[str, str]()
     messages = chain.from_iterable(map(reader.messages, groups))
     for count, (one, received, data) in enumerate(messages):
-        if count % MESSAGES == 0:
-            tell("read", count // MESSAGES, total // MESSAGES + 1, "part of the bag")
+        if count % ROWS_AT_ONCE == 0:  # in less than a second
+            tell("read", count // ROWS_AT_ONCE, total // ROWS_AT_ONCE + 1, "part of the bag")
         message = reader.deserialize(data, one.msgtype)
-        if one.msgtype not in TRANSFORMS:  # several publishers of tf are usual
+        if one.msgtype not in TRANSFORMS:
             frame = message.header.frame_id
             first = frame_of.setdefault(one.topic, frame)
             if frame != first:
                 raise InputError(
                     f"messages in the frames {shown(first)} and {shown(frame)} on topic {one.topic}",
                     "one publisher of one frame; record each on a topic of its own",
-                    path,
                 )
         yield message, one.topic, received
-
-
-def _publishers(publishers: Counter[str], topics: list[str]) -> tuple[CalibrationWarning, ...]:
-    """Return a warning for every topic that has several publishers of one frame."""
-    return tuple(
-        CalibrationWarning(
-            "several-publishers",
-            f"{publishers[topic]} publishers on topic {topic}, all of whose messages were read; if "
-            "they are not one node that was started again, record each on a topic of its own",
-            {"publishers": publishers[topic]},
-        )
-        for topic in dict.fromkeys(topics)
-        if publishers[topic] > 1
-    )
 
 
 def _time(message: Any, when: int | None, received: int) -> float:
@@ -247,11 +231,9 @@ def _time(message: Any, when: int | None, received: int) -> float:
     return 1e-9 * received
 
 
-def _read(
-    message: Any, beams: list[Beam], when: int | None, received: int, given: LogFormat
-) -> None:
-    """Add what beams read, if it is a reading."""
-    unit, time = LENGTHS[given.range_units], _time(message, when, received)
+def _read(message: Any, beams: Sequence[Beam], time: float, given: LogFormat) -> None:
+    """Add what beams read at a time, if it is a reading."""
+    unit = LENGTHS[given.range_units]
     for beam in beams:
         if beam.ray is None:
             least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
@@ -266,68 +248,56 @@ def _read(
             beam.numbers.extend((time + delay, unit * d))
 
 
-def _beams(topics: dict[str, str], given: LogFormat, path: Path) -> tuple[Beam, ...]:
+def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
     """Return the beams that are stated, or all `Range` topics."""
-    found = [_beam(text) for text in given.range_columns]
+    found = []
+    for text in given.range_columns or _of_kind(topics, RANGE):
+        name, equals, topic = text.rpartition("=")  # BEAM=TOPIC, BEAM=TOPIC[INDEX], or no name
+        topic = topic.strip()
+        ray = RAY.fullmatch(topic)
+        name = name.strip() if equals else topic.strip("/").replace("/", "_")
+        where = (ray["topic"], int(ray["index"])) if ray else (topic, None)
+        found.append(Beam(name, *where))
     if not found:
-        found = [
-            Beam(topic.strip("/").replace("/", "_"), topic, None)
-            for topic, kind in topics.items()
-            if kind == RANGE
-        ]
-    if not found:
-        scans = [topic for topic, kind in topics.items() if kind == SCAN]
+        scans = _of_kind(topics, SCAN)
         hint = f", as --range-columns 'left={scans[0]}[0]'" if scans else ""
-        raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}", path)
+        raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}")
     for beam in found:
         kind = RANGE if beam.ray is None else SCAN
         if topics.get(beam.topic) != kind:
-            known = [topic for topic, one in topics.items() if one == kind]
             raise InputError(
                 f"topic {shown(beam.topic)} of type {topics.get(beam.topic, 'none')}",
-                f"a topic of {kind}: {some(known, 8) or 'there is none'}"
+                f"a topic of {kind}: {some(_of_kind(topics, kind), 8) or 'there is none'}"
                 + ("; a ray of a LaserScan is TOPIC[INDEX]" if beam.ray is None else ""),
-                path,
             )
         fault = name_fault(beam.name).rstrip(",")
         if fault or [one.name for one in found].count(beam.name) > 1:
-            raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}", path)
+            raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}")
         if [(one.topic, one.ray) for one in found].count((beam.topic, beam.ray)) > 1:
-            ray = "" if beam.ray is None else f"[{beam.ray}]"
-            raise InputError(f"several beams of {beam.topic}{ray}", "one beam of each", path)
-    return tuple(found)
+            index = "" if beam.ray is None else f"[{beam.ray}]"
+            raise InputError(f"several beams of {beam.topic}{index}", "one beam of each")
+    return found
 
 
-def _beam(text: str) -> Beam:
-    """Return the beam of `BEAM=TOPIC`, `BEAM=TOPIC[INDEX]`, or without its name."""
-    name, equals, topic = text.partition("=")
-    topic = topic.strip() if equals else text.strip()
-    ray = RAY.fullmatch(topic)
-    where = ray["topic"] if ray else topic
-    plain = topic.strip("/").replace("/", "_")
-    return Beam(name.strip() if equals else plain, where, int(ray["index"]) if ray else None)
+def _of_kind(topics: Mapping[str, str], *kinds: str) -> list[str]:
+    return [topic for topic, kind in topics.items() if kind in kinds]
 
 
-def _pose_topics(topics: dict[str, str], given: LogFormat, path: Path) -> list[str]:
+def _pose_topics(topics: Mapping[str, str], given: LogFormat) -> list[str]:
     """Return the topics of the hand's poses."""
-    transforms = [topic for topic, kind in topics.items() if kind in TRANSFORMS]
-    poses = [topic for topic, kind in topics.items() if kind == POSE]
+    transforms, poses = _of_kind(topics, *TRANSFORMS), _of_kind(topics, POSE)
     if given.frames:
         if not transforms:
-            raise InputError("no topic of tf", "tf2_msgs/TFMessage, for --frames", path)
+            raise InputError("no topic of tf", "tf2_msgs/TFMessage, for --frames")
         return transforms
     if given.pose_topic:
         if given.pose_topic not in poses:
             known = some(poses, 8) or "there is none"
-            raise InputError(
-                f"no topic {shown(given.pose_topic)} of {POSE}", f"one of: {known}", path
-            )
+            raise InputError(f"no topic {shown(given.pose_topic)} of {POSE}", f"one of: {known}")
         return [given.pose_topic]
     if len(poses) != 1:
         expected = "--pose-topic, which of them" if poses else f"one of {POSE}"
-        also = "; or --frames WORLD,HAND of tf" if transforms else ""
-        found = (
-            f"{len(poses)} topics of {POSE} ({some(poses, 8)})" if poses else f"no topic of {POSE}"
-        )
-        raise InputError(found, expected + also, path)
+        expected += "; or --frames WORLD,HAND of tf" if transforms else ""
+        found = f"{len(poses)} topics of {POSE} ({some(poses, 8)})"
+        raise InputError(found if poses else f"no topic of {POSE}", expected)
     return poses

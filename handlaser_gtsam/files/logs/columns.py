@@ -128,9 +128,7 @@ def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     convention, names = convention_of(given), table.frame.columns
     if given.pose_columns:
         found: list[str] = []
-        for (
-            name
-        ) in given.pose_columns:  # a column, or the columns name[0], name[1], ... of an array
+        for name in given.pose_columns:  # or those of an array: name[0], name[1], ...
             parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
             if name in names or not parts:
                 _require(table, name, "pose_columns")

@@ -15,6 +15,7 @@ Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
 TUM_HEADER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""The columns of a TUM file, and the numbers of a stamped pose."""
 
 
 @dataclass(frozen=True, slots=True)

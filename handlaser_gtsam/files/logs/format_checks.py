@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from ...checks import require_bool, require_number, require_word
 from ...errors import ArgumentError, InputError
 from ...model.conventions import EULER, FORMATS, Convention, spelled_columns
+from ...quantities import LARGEST_LENGTH
 from ...text import name_fault, shown
 from ..writing import path_of
 
@@ -13,10 +14,6 @@ if TYPE_CHECKING:
     from .format import LogFormat
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
-LONGEST = 1e6
-"""Most seconds of any duration that is stated."""
-LARGEST_LAG = 1e10
-"""A clock that counts from 1970 and one that counts from its start differ by less [s]."""
 
 
 def check_format(given: "LogFormat") -> None:
@@ -29,7 +26,18 @@ def check_format(given: "LogFormat") -> None:
     _check_kinds(given)
     if given.delimiter:
         require_word("delimiter", given.delimiter, DELIMITERS)
-    _check_numbers(given)
+    for name, most in (
+        ("tolerance_s", LARGEST_LENGTH),
+        ("stand_s", LARGEST_LENGTH),
+        ("stand_mm", 1e3),
+        ("stand_deg", 180.0),
+    ):
+        value, unit = getattr(given, name), name.rpartition("_")[2]
+        if value is not None or name != "tolerance_s":
+            require_number(name, value, 0.0, most, above=True, unit=unit)
+    # A clock that counts from 1970 and one that counts from its start differ by less.
+    most = 1e4 * LARGEST_LENGTH
+    require_number("lag_s", given.lag_s, -most, most, unit="s")
     _check_together(given)
     convention_of(given)  # one that cannot be is refused now
 
@@ -82,15 +90,6 @@ def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
         elif not isinstance(one, str) or not one:
             raise InputError(f"{shown(one)} in {name}", expected)
     return tuple(map(float, value)) if numbers else tuple(value)
-
-
-def _check_numbers(given: "LogFormat") -> None:
-    if given.tolerance_s is not None:
-        require_number("tolerance_s", given.tolerance_s, 0.0, LONGEST, above=True, unit="s")
-    require_number("lag_s", given.lag_s, -LARGEST_LAG, LARGEST_LAG, unit="s")
-    require_number("stand_s", given.stand_s, 0.0, LONGEST, above=True, unit="s")
-    require_number("stand_mm", given.stand_mm, 0.0, 1e3, above=True, unit="mm")
-    require_number("stand_deg", given.stand_deg, 0.0, 180.0, above=True, unit="deg")
 
 
 def _check_together(given: "LogFormat") -> None:

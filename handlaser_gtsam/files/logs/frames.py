@@ -8,13 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ...quantities import LARGEST_LENGTH
+from ...quantities import LARGEST_LENGTH, ROWS_AT_ONCE
 from ...text import shown, some
 from ..recording_csv import off_unit
-from .motion import AT_ONCE, interpolated, neighbours
-
-NUMBERS = 8
-"""Numbers of a stamped pose: time, position, quaternion."""
+from .format import TUM_HEADER
+from .motion import interpolated, neighbours
 
 
 def stamp(numbers: "array[float]", time: float, p: Any, q: Any) -> None:
@@ -30,7 +28,7 @@ def stamped_rows(numbers: "array[float]") -> FloatArray:
     InputError
         A quaternion that is none, or a position that is not finite.
     """
-    x = np.frombuffer(numbers, dtype=np.float64).reshape(-1, NUMBERS)
+    x = np.frombuffer(numbers, dtype=np.float64).reshape(-1, len(TUM_HEADER))
     if (np.diff(x[:, 0]) <= 0.0).any():
         order = np.argsort(x[:, 0], kind="stable")
         x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
@@ -124,9 +122,9 @@ class Frames:
         time = base[(base >= begin) & (base <= end)]
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")
-        x = np.empty((len(time), NUMBERS))
-        for first in range(0, len(time), AT_ONCE):
-            part = slice(first, first + AT_ONCE)
+        x = np.empty((len(time), len(TUM_HEADER)))
+        for first in range(0, len(time), ROWS_AT_ONCE):
+            part = slice(first, first + ROWS_AT_ONCE)
             R, t = self._hand_in_world(rows, time[part])
             x[part] = np.column_stack((time[part], t, R.as_quat()))
         return x

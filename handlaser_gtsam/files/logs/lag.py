@@ -30,7 +30,7 @@ from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
 from ...model.search import LevenbergOptions
-from ...quantities import ROUNDING
+from ...quantities import MOST_ROUNDS, ROUNDING
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
 from .motion import interpolated, neighbours
@@ -58,8 +58,6 @@ LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
-MOST_MOVES = 12
-"""The calibration moves on at most so often to where its minimum is."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 """Of each calibration: a step of a thousandth of a standard deviation moves no minimum."""
 LEAST_READINGS = 264
@@ -253,7 +251,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     terms = RANGE_ERROR_TERMS["auto"]
     count = len(readings) - readings.unknowns(terms)
     step, found = COARSE, None
-    for _ in range(MOST_MOVES):
+    for _ in range(MOST_ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
         solved = solve_together(problems, [start] * 7, terms, 1.0, options=OPTIONS)

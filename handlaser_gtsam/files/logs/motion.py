@@ -7,9 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...model.conventions import Convention, inverted, poses_of
-
-AT_ONCE = 100_000
-"""Rows whose poses are computed at once: a matrix of each and its copies take some 300 bytes a row."""
+from ...quantities import ROWS_AT_ONCE
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +54,11 @@ class Way:
         inverse : bool
             Whether they are taken as hand_T_world.
         """
-        if len(numbers) > AT_ONCE and len(self.start) > 1:
+        # Matrices and their copies take some 300 bytes a row: not of all rows at once.
+        if len(numbers) > ROWS_AT_ONCE and len(self.start) > 1:
             stations = np.arange(len(self.start))
             each = []
-            for part in np.array_split(stations, -(-len(numbers) // AT_ONCE)):
+            for part in np.array_split(stations, -(-len(numbers) // ROWS_AT_ONCE)):
                 if len(part):
                     rows, way = self.narrowed(part)
                     each.append(way.poses(numbers[rows], convention, inverse=inverse))

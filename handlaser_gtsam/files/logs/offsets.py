@@ -21,12 +21,11 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...quantities import NUMBERS_AT_ONCE
 from .stands import Track
 
 STEP = 0.02
 """Step in which velocities and rates are taken [s]."""
-MOST_STEPS = 1_000_000
-"""Longer recordings are taken in longer steps, for the memory they need."""
 HALF_WIDTH = 5
 """Velocities are differences over twice this number of steps, because readings have noise."""
 CANDIDATES = 6
@@ -62,7 +61,7 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
     spans = track.time[-1] - track.time[0], time[-1] - time[0]
     if min(spans) <= 0.0:
         return []
-    step = max(STEP, sum(spans) / MOST_STEPS)
+    step = max(STEP, 4.0 * sum(spans) / NUMBERS_AT_ONCE)  # longer ones, for the memory they need
     w = _velocities(track, step)
     y = _rates(time, d, step)
     n = next_fast_len(len(w) + len(y) - 1, real=True)

@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ..table import labels, read_table
 from .format import LogFormat
 from .stands import Track, find_stands
 
-RANGE = re.compile(r"(?P<plane>.+?)=(?P<first>.+?)\.\.(?P<last>.+)", re.DOTALL)
+RANGE = re.compile(r"(.+?)=(.+?)\.\.(.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
 EXPECTED = "PLANE=FIRST..LAST of stations, or of times with an s: A=1..12, or A=0s..12.5s"
 EPOCH = 1e8
@@ -44,23 +43,23 @@ def intervals(given: LogFormat) -> list[Interval]:
     InputError
         What is no interval, or intervals of both kinds.
     """
+    found = []
     if given.plane_file is not None:
-        found = _of_file(given.plane_file)
-    else:
-        found = [_of_text(text) for text in given.plane_ranges]
+        table = read_table(given.plane_file, ("plane", "from", "to"))
+        table.require("plane", "from", "to")
+        columns = [labels(table, name) for name in ("plane", "from", "to")]
+        found = [_interval(*row) for row in zip(*columns, strict=True)]
+    for text in given.plane_ranges:
+        parts = RANGE.fullmatch(text)
+        if parts is None:
+            raise InputError(f"--plane-ranges {shown(text)}", EXPECTED)
+        try:
+            found.append(_interval(*(part.strip() for part in parts.groups())))
+        except InputError as error:
+            raise InputError(f"--plane-ranges with {error.found}", error.expected) from error
     if len({one.is_time for one in found}) > 1:
         raise InputError("planes stated by stations and by times", "one kind of them")
     return found
-
-
-def _of_text(text: str) -> Interval:
-    parts = RANGE.fullmatch(text)
-    if parts is None:
-        raise InputError(f"--plane-ranges {shown(text)}", EXPECTED)
-    try:
-        return _interval(*(parts[name].strip() for name in ("plane", "first", "last")))
-    except InputError as error:
-        raise InputError(f"--plane-ranges with {error.found}", error.expected) from error
 
 
 def _interval(plane: str, first: str, last: str) -> Interval:
@@ -70,18 +69,10 @@ def _interval(plane: str, first: str, last: str) -> Interval:
     times = [SECONDS.fullmatch(end) for end in (first, last)]
     if not any(times):
         return Interval(plane, first, last)
-    numbers = [float(one[1]) if one else math.nan for one in times]
-    if not numbers[0] < numbers[1]:
+    begin, end = (float(one[1]) if one else math.nan for one in times)
+    if not begin < end:
         raise InputError(f"plane {shown(plane)} from {shown(first)} to {shown(last)}", EXPECTED)
-    return Interval(plane, numbers[0], numbers[1])
-
-
-def _of_file(path: Path) -> list[Interval]:
-    """Return the intervals of a CSV file: `plane`, `from`, `to`."""
-    table = read_table(path, ("plane", "from", "to"))
-    table.require("plane", "from", "to")
-    columns = [labels(table, name) for name in ("plane", "from", "to")]
-    return [_interval(*row) for row in zip(*columns, strict=True)]
+    return Interval(plane, begin, end)
 
 
 def planes_of(
@@ -106,14 +97,23 @@ def planes_of(
     which = np.full(len(names), -1, dtype=np.intp)
     place = {name: i for i, name in enumerate(names)}
     for index, one in enumerate(found):
-        if one.is_time:
-            inside = _inside(one, times, begin)
+        inside = np.zeros(len(names), dtype=bool)
+        if isinstance(one.first, float) and isinstance(one.last, float):
+            if times is None:
+                raise InputError(
+                    "planes by times, and a log without times", "planes by stations: A=1..12"
+                )
+            shift = 0.0 if abs(one.first) > EPOCH else begin
+            inside = (times >= one.first + shift) & (times <= one.last + shift)
         else:
-            ends = [_place(place, str(end)) for end in (one.first, one.last)]
-            if ends[0] > ends[1]:
+            for end in (str(one.first), str(one.last)):
+                if end not in place:
+                    expected = "a station of it, in --plane-ranges or --plane-file"
+                    raise InputError(f"no station {shown(end)} in the log", expected)
+            first, last = place[str(one.first)], place[str(one.last)]
+            if first > last:
                 raise InputError(f"stations {one.first} to {one.last}", "in the order of the log")
-            inside = np.zeros(len(names), dtype=bool)
-            inside[ends[0] : ends[1] + 1] = True
+            inside[first : last + 1] = True
         twice = np.flatnonzero(inside & (which >= 0))
         if twice.size:
             other = found[which[twice[0]]].plane
@@ -139,26 +139,7 @@ def planes_in_time(track: Track, time: FloatArray, given: LogFormat, begin: floa
     names = [str(i + 1) for i in range(len(stands.begin))]
     which = planes_of(found, names, None, begin)
     plane = np.full(len(time), -1, dtype=np.intp)
-    for index in range(len(found)):
+    for index in np.unique(which[which >= 0]).tolist():
         own = np.flatnonzero(which == index)
-        if own.size:
-            inside = (time >= stands.begin[own[0]]) & (time <= stands.end[own[-1]])
-            plane[inside] = index
+        plane[(time >= stands.begin[own[0]]) & (time <= stands.end[own[-1]])] = index
     return plane
-
-
-def _inside(one: Interval, times: FloatArray | None, begin: float) -> np.ndarray:
-    if times is None:
-        raise InputError("planes by times, and a log without times", "planes by stations: A=1..12")
-    first, last = float(one.first), float(one.last)
-    shift = 0.0 if abs(first) > EPOCH else begin
-    return np.asarray((times >= first + shift) & (times <= last + shift))
-
-
-def _place(place: dict[str, int], name: str) -> int:
-    if name not in place:
-        raise InputError(
-            f"no station {shown(name)} in the log",
-            "a station of it, in --plane-ranges or --plane-file",
-        )
-    return place[name]

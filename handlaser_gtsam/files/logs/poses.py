@@ -9,6 +9,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
 from ...model.conventions import FORMATS, LENGTHS, Convention, called, inverted, matrices, poses_of
+from ...quantities import ROUNDING
 from ..recording_csv import QUATERNION_TOLERANCE, off_unit
 from .format import LogFormat
 from .format_checks import convention_of
@@ -21,8 +22,6 @@ FARTHEST = 30.0
 NEAREST = 5.0
 """Positions that all stay within this distance [mm] of the origin are in metres."""
 UNIT_WORDS = {"m": "metres", "mm": "millimetres"}
-TURN = 2.0 * math.pi * (1.0 + 1e-9)
-"""A turn [rad], and what rounding adds to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
         vector = convention.rotation == "rotvec"
         size = np.linalg.norm(a, axis=1) if vector else np.abs(a).max(axis=1)
         yield Fault(
-            size > TURN,
+            size > 2.0 * math.pi * (1.0 + ROUNDING),
             slice(3, 6),
             f"angles of {size.max():.4g} read as radians",
             f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}",

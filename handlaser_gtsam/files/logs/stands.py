@@ -15,8 +15,9 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
+from ...quantities import ROWS_AT_ONCE
 from .format import LogFormat
-from .motion import AT_ONCE, Way
+from .motion import Way
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
@@ -156,7 +157,7 @@ class _Means:
         x[:, :3], x[:, 3:] = track.position - track.position[0], 2.0 * track.steady
         noise = np.zeros(2)
         if len(x) > 2:
-            rows = np.arange(1, len(x) - 1, -(-len(x) // AT_ONCE))
+            rows = np.arange(1, len(x) - 1, -(-len(x) // (5 * ROWS_AT_ONCE)))
             bend = x[rows + 1] - 2.0 * x[rows] + x[rows - 1]
             for kind, columns in enumerate((slice(3), slice(3, 7))):
                 length = np.linalg.norm(bend[:, columns], axis=1)
@@ -184,8 +185,8 @@ def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
     before = np.searchsorted(t, t - half, side="left")
     after = np.searchsorted(t, t + half, side="right")
     still = (t - t[before] >= 0.5 * half) & (t[after - 1] - t >= 0.5 * half)
-    for begin in range(0, len(t), AT_ONCE):
-        rows = slice(begin, begin + AT_ONCE)
+    for begin in range(0, len(t), ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
         own = np.arange(len(t))[rows]
         still[rows] &= means.near((before[rows], own + 1), (own, after[rows]))
     return np.asarray(still)

@@ -7,7 +7,7 @@ are recognised where only one of each is possible; else they must be stated.
 import logging
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +16,12 @@ import numpy as np
 import polars as pl
 
 from ...data.recording import first_repeated
-from ...errors import CalibrationWarning, InputError
+from ...errors import InputError
 from ...text import LONGEST_NAME, name_fault, shown
 from ..checked_text import in_file, json_value
 from ..table import (
     COMMA,
+    MOST_LOOKED_AT,
     NUMBER,
     POINT,
     SEPARATORS,
@@ -45,8 +46,6 @@ FOREIGN = (*BOOKS, *LINES)
 """and of files that are no text with separators."""
 MOST_CELLS = 100_000_000
 """More cells of a Parquet file do not fit into memory, at eight bytes each and several copies."""
-FIRST_LINES = 200
-"""Lines in which separators are counted: the beginning of a file shows which one it is."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
@@ -80,66 +79,61 @@ def read_log_table(path: Path, given: LogFormat) -> Table:
 
 
 def _of_text(path: Path, given: LogFormat) -> Table:
-    text, names, offset = table_text(path), given.header_given, 0
+    text, names = table_text(path), given.header_given
     if names:
         text = re.sub(r"(?m)^[ \t]*#.*$", "", text)
     tum = given.pose_format == "tum" and not given.delimiter
     text, stated = without_separator_line(text)
     stated = " " if tum else DELIMITERS.get(given.delimiter) or stated
     separator = stated or _separator(text, path)
-    warnings: tuple[CalibrationWarning, ...] = ()
     if separator == " ":
         text = "\n".join("\t".join(line.split()) for line in text.split("\n"))
         separator = "\t"
     if names:
-        text, offset = separator.join(names) + "\n" + text, 1
+        table = table_of(separator.join(names) + "\n" + text, path, separator)
+        table = replace(table, header_line=0, lines=table.lines - 1)
     else:
         text, warnings = without_titles(text, separator, path)
-        _refuse_no_header(text, separator, path)
-    table = replace(table_of(text, path, separator), warnings=warnings)
-    if offset:
-        table = replace(table, header_line=0, lines=table.lines - offset)
+        # A first line that has numbers, and no two names, is no header.
+        line = next((line for line in text.split("\n") if line.strip()), "")
+        cells = first_cells(line, separator)
+        numbers = [cell for cell in cells if NUMBER.fullmatch(cell.strip())]
+        if len(numbers) > 1 and len(cells) - len(numbers) < 2:
+            found = f"numbers in the first line ({shown(numbers[0].strip())[1:-1]}, ...)"
+            expected = "names of columns; state them by --header where the file has none"
+            raise InputError(found, expected, path, 1)
+        table = replace(table_of(text, path, separator), warnings=warnings)
     if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
     table.refuse_cut()
     return table
 
 
-def _refuse_no_header(text: str, separator: str, path: Path) -> None:
-    """Refuse a first line that has numbers, and no two names, where names of columns should be."""
-    line = next((line for line in text.split("\n") if line.strip()), "")
-    cells = first_cells(line, separator)
-    numbers = [cell for cell in cells if NUMBER.fullmatch(cell.strip())]
-    if len(numbers) > 1 and len(cells) - len(numbers) < 2:
-        found = f"numbers in the first line ({shown(numbers[0].strip())[1:-1]}, ...)"
-        expected = "names of columns; state them by --header where the file has none"
-        raise InputError(found, expected, path, 1)
-
-
 def _separator(text: str, path: Path) -> str:
     """Return the only separator at which the lines have equally many cells, two or more."""
-    lines = [line for line in text.split("\n") if line.strip(" \t,;")][:FIRST_LINES]
-    counts = {one: {_cells(line, one) for line in lines} for one in SEPARATORS}
-    possible = [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
+    lines = [line for line in text.split("\n") if line.strip(" \t,;")][:MOST_LOOKED_AT]
+    possible = _even(lines)
     if len(possible) > 1:
         words = {value: name for name, value in DELIMITERS.items()}
         both = " and ".join(words[one] for one in possible)
-        raise InputError(
-            f"lines that {both} divide alike", "one of them as separator: state --delimiter", path
-        )
-    if not possible:  # titles above the header are never half of the lines
-        counts = {one: {_cells(x, one) for x in lines[len(lines) // 2 :]} for one in SEPARATORS}
-        possible = [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
-        possible = possible if len(possible) == 1 else []
-    if possible:
+        expected = "one of them as separator: state --delimiter"
+        raise InputError(f"lines that {both} divide alike", expected, path)
+    # Titles above the header are never half of the lines.
+    possible = possible or _even(lines[len(lines) // 2 :])
+    if len(possible) == 1:
         return possible[0]
-    if (
-        lines
-        and all(len(line.split()) > 1 for line in lines)
-        and not any(one in lines[0] for one in SEPARATORS)
-    ):
+    if not lines:
+        return ","
+    blanks = all(len(line.split()) > 1 for line in lines)
+    if blanks and not any(one in lines[0] for one in SEPARATORS):
         return " "
-    return max(SEPARATORS, key=lambda one: _cells(lines[0], one)) if lines else ","
+    return max(SEPARATORS, key=lambda one: _cells(lines[0], one))
+
+
+def _even(lines: Sequence[str]) -> list[str]:
+    """Return the separators at which the lines have equally many cells, two or more."""
+    counts = {one: {_cells(line, one) for line in lines} for one in SEPARATORS}
+    return [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
 
 
 def _cells(line: str, separator: str) -> int:
@@ -161,39 +155,31 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
         whole = pl.all().str.replace_all(".", "", literal=True)
         texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
         table = replace(table, frame=table.frame.with_columns(texts))
-    cells = [texts[name] for name in texts.columns]
-    commas = [column.str.contains(rf"^{COMMA.pattern}$").fill_null(value=False) for column in cells]
-    if given.decimal == "point" or not any(mask.any() for mask in commas):
+    commas = {name: _match(texts[name], COMMA) for name in texts.columns}
+    commas = {name: mask for name, mask in commas.items() if mask.any()}
+    if given.decimal == "point" or not commas:
         return table
-    if given.decimal is None:
-        _refuse_ambiguous(replace(table, frame=texts), commas)
-    for name, column in zip(texts.columns, cells, strict=True):
-        if numbers_have_points:
-            break
-        points = column.str.contains(rf"^{POINT.pattern}$").fill_null(value=False).to_numpy()
+    if given.decimal is None and all(
+        _match(texts[name].filter(mask), THOUSANDS).all() for name, mask in commas.items()
+    ):
+        name, mask = next(iter(commas.items()))
+        expected = (
+            "a decimal comma or a separator of thousands? state --decimal comma, or leave it out"
+        )
+        table.refuse(mask.to_numpy(), name, expected)
+    for name in () if numbers_have_points else texts.columns:
+        points = _match(texts[name], POINT).to_numpy()
         table.refuse(points, name, "decimal commas, as in other cells; or state --decimal point")
     changed = [
-        pl.when(mask).then(column.str.replace(",", ".", literal=True)).otherwise(column).alias(name)
-        for name, column, mask in zip(texts.columns, cells, commas, strict=True)
+        pl.when(mask).then(pl.col(name).str.replace(",", ".", literal=True)).otherwise(name)
+        for name, mask in commas.items()
     ]
     return replace(table, frame=table.frame.with_columns(changed))
 
 
-def _refuse_ambiguous(table: Table, commas: list[pl.Series]) -> None:
-    """Refuse commas every one of which may stand between thousands."""
-    first = None
-    for name, mask in zip(table.frame.columns, commas, strict=True):
-        column = table.frame[name].filter(mask)
-        thousands = column.str.contains(rf"^{THOUSANDS.pattern}$")
-        if not thousands.all():
-            return
-        if first is None and len(column):
-            first = name, mask.to_numpy()
-    if first is not None:
-        expected = (
-            "a decimal comma or a separator of thousands? state --decimal comma, or leave it out"
-        )
-        table.refuse(first[1], first[0], expected)
+def _match(column: pl.Series, pattern: re.Pattern[str]) -> pl.Series:
+    """Return which cells of a column are of a pattern."""
+    return column.str.contains(rf"^{pattern.pattern}$").fill_null(value=False)
 
 
 # --- tables of values -----------------------------------------------------------------------------
@@ -205,12 +191,22 @@ def _foreign(path: Path, given: LogFormat) -> Table:
     try:
         with _silent(), in_file(path):
             if suffix in WORKBOOKS:
-                return _workbook(path, given)
+                rows, header, warnings = read_sheet(path, given)
+                table = _of_values(rows, path)
+                lines = table.lines + header
+                table = replace(table, header_line=header, lines=lines, warnings=warnings)
+                return _with_points(table, given, numbers_have_points=True)
             if suffix in PARQUET:
-                return _of_values(_parquet(path), path)
+                # Equal values are packed so well that the size of the file says nothing.
+                lazy = pl.scan_parquet(path)
+                height, width = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
+                if height * width > MOST_CELLS:
+                    found = f"{height} rows of {width} columns"
+                    raise InputError(found, f"at most {MOST_CELLS} cells")
+                return _of_values(lazy.collect(), path)
             text = table_text(path)
             if not text.strip():
-                raise InputError("an empty file", "an object a line", path)
+                raise InputError("an empty file", "an object a line")
             _refuse_bad_line(text, path)
             return _of_values(pl.read_ndjson(text.encode(), infer_schema_length=None), path)
     except (InputError, KeyboardInterrupt, SystemExit, MemoryError):
@@ -218,24 +214,6 @@ def _foreign(path: Path, given: LogFormat) -> Table:
     except BaseException as error:  # panics of Polars and its readers are no Exception
         what = str(error).strip().splitlines() or [type(error).__name__]
         raise InputError(f"no table ({what[0][:120]})", f"a {suffix} file", path) from error
-
-
-def _parquet(path: Path) -> pl.DataFrame:
-    """Return a Parquet file; equal values are packed so well that its size says nothing."""
-    lazy = pl.scan_parquet(path)
-    rows, columns = lazy.select(pl.len()).collect().item(), len(lazy.collect_schema())
-    if rows * columns > MOST_CELLS:
-        found = f"{rows} rows of {columns} columns"
-        raise InputError(found, f"at most {MOST_CELLS} cells", path)
-    return lazy.collect()
-
-
-def _workbook(path: Path, given: LogFormat) -> Table:
-    rows, header, warnings = read_sheet(path, given)
-    table = _of_values(rows, path)
-    lines = table.lines + header
-    table = replace(table, header_line=header, lines=lines, warnings=warnings)
-    return _with_points(table, given, numbers_have_points=True)
 
 
 @contextmanager
@@ -254,6 +232,10 @@ def _silent() -> Iterator[None]:
         logger.disabled = before
 
 
+JSON_KINDS = {bool: "a truth value", str: "a text", list: "an array", dict: "an object"}
+JSON_KINDS |= dict.fromkeys((int, float), "a number")
+
+
 def _refuse_bad_line(text: str, path: Path) -> None:
     """Refuse a line of JSON Lines that is none, or has another kind of value than those before."""
     kinds: dict[str, tuple[str, int]] = {}
@@ -264,28 +246,20 @@ def _refuse_bad_line(text: str, path: Path) -> None:
             fields = json_value(line, parse_constant=_refuse_constant)
         except InputError as error:
             raise InputError(error.found, error.expected, path, number) from error
-        except RecursionError as error:
-            raise InputError("too deep nesting", "an object a line", path, number) from error
-        except ValueError as error:
-            found = f"no JSON ({str(error)[:80]})"
+        except (ValueError, RecursionError) as error:
+            deep = isinstance(error, RecursionError)
+            found = "too deep nesting" if deep else f"no JSON ({str(error)[:80]})"
             raise InputError(found, "an object a line", path, number) from error
         if not isinstance(fields, dict):
             raise InputError(shown(fields), "an object a line", path, number)
         for name, value in fields.items():
-            kind = next((word for type_, word in JSON_KINDS if isinstance(value, type_)), "")
-            first, there = kinds.setdefault(name, (kind, number)) if kind else (kind, number)
+            if value is None:
+                continue
+            kind = JSON_KINDS[type(value)]
+            first, there = kinds.setdefault(name, (kind, number))
             if kind != first:
                 expected = f"{first}, as in line {there}"
                 raise InputError(kind, expected, path, number, shown(name)[1:-1])
-
-
-JSON_KINDS = (
-    (bool, "a truth value"),
-    ((int, float), "a number"),
-    (str, "a text"),
-    (list, "an array"),
-    (dict, "an object"),
-)
 
 
 def _refuse_constant(name: str) -> None:
@@ -294,10 +268,7 @@ def _refuse_constant(name: str) -> None:
 
 def _of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
-    lines = np.arange(1, 1 + len(frame), dtype=np.intp)
-    flat: list[pl.Series] = []
-    for column in frame.get_columns():
-        flat += _flat(column)
+    flat = [one for column in frame.get_columns() for one in _flat(column)]
     for column in flat:
         fault = name_fault(column.name).rstrip(",")
         if fault:
@@ -308,11 +279,9 @@ def _of_values(frame: pl.DataFrame, path: Path) -> Table:
         found = "the same name twice, as that of a column and of a part of another"
         raise InputError(found, "every column once", path, None, flat[twice].name)
     table = pl.DataFrame(flat)
-    empty = np.ones(len(table), dtype=bool)
-    for column in flat:
-        empty &= column.is_null().to_numpy()
-    keep = np.flatnonzero(~empty)
-    return Table(table[keep], path, 0, lines[keep], False)
+    filled = table.select(pl.any_horizontal(pl.all().is_not_null())).to_series().to_numpy()
+    rows = np.flatnonzero(filled)
+    return Table(table[rows], path, 0, rows + 1, False)
 
 
 def _flat(column: pl.Series) -> list[pl.Series]:
