@@ -90,10 +90,18 @@ def survey_of(rig: Any, known: Sequence[hl.Known] = ()) -> hl.Survey:
     return hl.Survey(stations, tuple(shots), columns, tuple(names), tuple(known))
 
 
+def truth_of(rig: Any, name: str) -> np.ndarray:
+    """Return hand_T_sensor; generators have a scan in the plane y = 0, its angle zero along z."""
+    T = np.array(rig.truth[name])
+    if rig.tables[name]["kind"] == "scanner":
+        T[:3, :3] = T[:3, [2, 0, 1]]
+    return T
+
+
 def errors_of(rig: Any, result: SurveyCalibration) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the error of each mount with its covariance."""
     for name, sensor in result.sensors.items():
-        T, R = np.asarray(rig.truth[name]), sensor.rotation
+        T, R = truth_of(rig, name), sensor.rotation
         turn = Rotation.from_matrix(R.T @ T[:3, :3]).as_rotvec()
         yield np.concatenate((turn, R.T @ (T[:3, 3] - sensor.location))), sensor.covariance[:6, :6]
     for name, beam in result.beams.items():

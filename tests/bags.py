@@ -83,6 +83,53 @@ class Messages:
             np.zeros(0, dtype=np.float32),
         )
 
+    def fan(self, time, angles, ranges):
+        """A scan of evenly spaced angles; NaN is nothing read."""
+        step = float(angles[1] - angles[0])
+        few = np.array(ranges, dtype=np.float32), np.zeros(0, dtype=np.float32)
+        header = self.header(time, "fan")
+        return self.make(
+            "sensor_msgs/msg/LaserScan",
+            header,
+            float(angles[0]),
+            float(angles[-1]),
+            step,
+            0.0,
+            0.02,
+            0.01,
+            10.0,
+            *few,
+        )
+
+    def cloud(self, time, points, kind="f4"):
+        """Points (n, 3) as x, y, z and an intensity between them, in two rows with a gap at the end."""
+        half = (len(points) + 1) // 2
+        layout = np.dtype([("x", kind), ("intensity", "u2"), ("y", kind), ("z", kind)])
+        table = np.zeros(2 * half, dtype=layout)
+        for column, axis in zip(np.transpose(points), "xyz", strict=True):
+            table[axis][: len(points)] = column
+            table[axis][len(points) :] = np.nan
+        gap = 5
+        data = np.zeros((2, half * layout.itemsize + gap), dtype=np.uint8)
+        data[:, :-gap] = table.view(np.uint8).reshape(2, -1)
+        datatype = {"f4": 7, "f8": 8}[kind]
+        fields = [
+            self.make("sensor_msgs/msg/PointField", axis, layout.fields[axis][1], datatype, 1)
+            for axis in "xyz"
+        ]
+        return self.make(
+            "sensor_msgs/msg/PointCloud2",
+            self.header(time, "camera"),
+            2,
+            half,
+            fields,
+            False,  # little-endian
+            layout.itemsize,
+            data.shape[1],
+            data.ravel(),
+            False,  # not dense
+        )
+
     def data(self, message):
         name = message.__msgtype__
         if self.ros1:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
-from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of
+from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of, truth_of
 from handlaser_gtsam.validation.survey import cross_check_survey, validate_survey
 
 CONDENSED = 2e-3
@@ -82,7 +82,7 @@ def test_scipy_counts_a_relation_of_two_sensors_alike():
     rig = rigs_by_distance.mixed(4)
     survey = survey_of(rig)
     first, second = (shots.name for shots in survey.shots[:2])
-    T, Q = (np.array(rig.truth[name]) for name in (first, second))
+    T, Q = (truth_of(rig, name) for name in (first, second))
     of = f"sensor:{first}", f"sensor:{second}"
     pose = np.linalg.inv(T) @ Q
     known = hl.Known("mounts", of, sigma=2e-5, sigma_angle=2e-4, pose=pose)

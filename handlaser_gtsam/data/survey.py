@@ -137,7 +137,7 @@ class Shots(Value):
     def scanner(
         cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: Any
     ) -> "Shots":
-        """Return ranges [m] at angles [rad] of a 2-D scanner: along (sin, 0, cos)."""
+        """Return ranges [m] at angles [rad] of a 2-D scanner: along (cos, sin, 0)."""
         return cls(
             name,
             "scanner",

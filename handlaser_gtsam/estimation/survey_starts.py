@@ -266,8 +266,7 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     of = rows.survey.stations
     station = np.array([item.station for item in items])
     points = np.stack([_nodes_of(item) for item in items])  # (n, r, 3)
-    flat = bool((points[..., 1] == 0.0).all())
-    axes = [0, 2] if flat else [0, 1, 2]
+    axes = [a for a in range(3) if points[..., a].any()]
     R, t = of.world_R_hand[station], of.world_t_hand[station]
     t = t - t.mean(axis=0)
     normals = _hemisphere(SWEPT)
@@ -278,11 +277,7 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
     x = _ridged(A, right)
-    columns = x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3)
-    if flat:
-        third = np.cross(columns[:, 1], columns[:, 0])
-        columns = np.stack((columns[:, 0], third, columns[:, 1]), axis=1)
-    X = _nearest(np.swapaxes(columns, 1, 2))
+    X = _nearest(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
     offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
     B = A[..., -4:]
@@ -306,7 +301,8 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
     fixed[..., :3] = R
     for i, s in enumerate(sphere):
         fixed[i, :, 3 + 3 * s : 6 + 3 * s] = -np.eye(3)
-    if not KINDS[rows.survey.shots[member].kind].flat:
+    kind = KINDS[rows.survey.shots[member].kind]
+    if not kind.flat:
         X, y, _ = _linear_mount(R, t, shapes[:, :3], fixed)
         yield _mount(X, y[:3])
         return
@@ -317,26 +313,33 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
             radii = np.sort(shapes[sphere == s, 2])
             largest = radii[max(len(radii) - 2, 0)] * part
             square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
-        yield _signed(R, t, shapes, np.sqrt(square), fixed, rng)
+        centres = np.zeros((len(items), 3))
+        centres[:, kind.axes] = shapes[:, :2]
+        yield _signed(R, t, centres, kind.across, np.sqrt(square), fixed, rng)
 
 
 def _signed(
     R: FloatArray,
     t: FloatArray,
-    circles: FloatArray,
+    centres: FloatArray,
+    across: int,
     aside: FloatArray,
     fixed: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return the best mount where each centre is `aside` of its profile, on one side or the other."""
+    """Return the best mount where each centre (n, 3) is `aside` of its profile, on either side.
+
+    The axis `across` is at right angles to all rays.
+    """
     best, least = np.zeros(SENSOR.size), np.inf
     for trial in range(SIGNS):
         side = np.ones(len(R)) if trial == 0 else rng.choice([-1.0, 1.0], len(R))
         for _ in range(ALTERNATIONS):
-            m = np.column_stack((circles[:, 0], side * aside, circles[:, 1]))
+            m = centres.copy()
+            m[:, across] = side * aside
             X, y, e = _linear_mount(R, t, m, fixed)
-            left = e - (R @ X[:, 1]) * (side * aside)[:, None]
-            new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, 1]))
+            left = e - (R @ X[:, across]) * (side * aside)[:, None]
+            new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, across]))
             new[new == 0.0] = 1.0
             if (new == side).all():
                 break
@@ -352,18 +355,24 @@ def _linear_mount(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return R_X, then (t_X, centres), and residuals (n, 3) of R (R_X m + t_X) + t = C."""
     n = len(R)
-    flat = bool((m[:, 1] == 0.0).all())
-    axes = [0, 2] if flat else [0, 1, 2]
+    axes = [a for a in range(3) if m[:, a].any()]
     rows = np.concatenate((*[m[:, a, None, None] * R for a in axes], fixed), axis=2)
     x = np.linalg.lstsq(rows.reshape(3 * n, -1), -t.ravel(), rcond=None)[0]
-    columns = x[: 3 * len(axes)].reshape(-1, 3)
-    if flat:
-        columns = np.stack((columns[0], np.cross(columns[1], columns[0]), columns[1]))
-    X = _nearest(np.asarray(columns.T))
+    X = _nearest(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
     at = np.einsum("nij,nj->ni", R, m @ X.T) + t
     flat_fixed = fixed.reshape(3 * n, -1)
     y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
     return X, y, (flat_fixed @ y).reshape(n, 3) + at
+
+
+def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
+    """Return matrices (K, 3, 3) whose columns at some axes are given (K, 2 or 3, 3)."""
+    found = np.zeros((len(rows), 3, 3))
+    found[:, :, axes] = np.swapaxes(rows, 1, 2)
+    for third in {0, 1, 2} - set(axes):
+        before, after = found[..., (third + 1) % 3], found[..., (third + 2) % 3]
+        found[..., third] = np.cross(before, after)
+    return found
 
 
 def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:

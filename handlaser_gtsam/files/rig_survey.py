@@ -1,7 +1,7 @@
 """Tables of a rig file on sensors of many rays, and on what is known beside the readings.
 
-[[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet);
-units: mm (the default) or m; angles: deg (the default) or rad; sigma_mm,
+[[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet),
+or topics of a bag; units: mm (the default) or m; angles: deg (the default) or rad; sigma_mm,
 sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
 (directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
 near or far
@@ -19,11 +19,13 @@ import polars as pl
 from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
+from ..data.station_list import StationList
 from ..data.survey import Known, Shots
 from ..errors import InputError
 from ..quantities import DEG, MM
 from .checked_text import FileRecord, in_file
+from .logs.format import LogFormat
 from .points_table import Echo, read_points
 
 Words = Annotated[tuple[str, ...], Strict(False)]
@@ -35,7 +37,8 @@ class SensorTable(FileRecord):
 
     name: str
     kind: Literal["profiler", "scanner", "array", "points"]
-    points: str
+    points: str = ""
+    topics: Words = ()
     units: Literal["mm", "m"] = "mm"
     angles: Literal["deg", "rad"] = "deg"
     sigma_mm: float | None = None
@@ -78,18 +81,50 @@ class SurveyTables:
     folder: Path
 
     def shots(self, stations: tuple[str, ...]) -> tuple[Shots, ...]:
-        """Return what the sensors read at named stations.
+        """Return what the sensors read at named stations, from their tables of points.
 
         Raises
         ------
         InputError
         """
-        return tuple(_shots(table, self.folder, stations) for table in self.sensors)
+        return tuple(self._read(table, stations) for table in self.sensors)
+
+    def bag(self, path: Path, given: LogFormat) -> tuple[StationList, tuple[Shots, ...]]:
+        """Return the stops of the hand in a bag, and what the sensors published there.
+
+        Raises
+        ------
+        InputError
+        """
+        from .logs.bag_points import read_bag_points
+
+        for table in self.sensors:
+            if table.points or not table.topics:
+                found = f"a table of points of {table.name}, or no topics, with a bag"
+                raise InputError(found, 'topics = ["/scan"] in [[sensors]]', path)
+        wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
+        with in_file(path):
+            stations, points = read_bag_points(path, given, wanted)
+            shots = [
+                _shots(table, self.folder, station, numbers, 1.0, 1.0)
+                for table, (station, numbers) in zip(self.sensors, points, strict=True)
+            ]
+        return stations, tuple(shots)
+
+    def _read(self, table: SensorTable, stations: tuple[str, ...]) -> Shots:
+        if table.topics or not table.points:
+            found = f"topics of {table.name}, or no table of points, with a table of poses"
+            raise InputError(found, "points, a table of points in [[sensors]]")
+        path = self.folder / table.points
+        station, numbers = read_points(path, table.kind, stations, echo=table.echo)
+        length, angle = MM if table.units == "mm" else 1.0, DEG if table.angles == "deg" else 1.0
+        with in_file(path):
+            return _shots(table, self.folder, station, numbers, length, angle)
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The tables of points."""
-        return tuple(self.folder / table.points for table in self.sensors)
+        return tuple(self.folder / table.points for table in self.sensors if table.points)
 
 
 class SurveyRig(FileRecord):
@@ -111,10 +146,15 @@ class SurveyRig(FileRecord):
         return SurveyTables(self.sensors, tuple(map(_known, self.known)), folder)
 
 
-def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots:
-    path = folder / table.points
-    station, numbers = read_points(path, table.kind, stations, echo=table.echo)
-    length = MM if table.units == "mm" else 1.0
+def _shots(
+    table: SensorTable,
+    folder: Path,
+    station: IntArray,
+    numbers: FloatArray,
+    length: float,
+    angle: float,
+) -> Shots:
+    """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad]."""
     noise: dict[str, Any] = {
         "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
         "sigma_across": table.sigma_across_mm * MM,
@@ -123,18 +163,17 @@ def _shots(table: SensorTable, folder: Path, stations: tuple[str, ...]) -> Shots
     if (table.zones is None) == (table.kind == "array"):
         found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
         raise InputError(found, "the file of zones of an array, and of nothing else")
-    with in_file(path):
-        if table.kind == "profiler":
-            x, z = (numbers * length).T
-            return Shots.profiler(table.name, station, x, z, **noise)
-        if table.kind == "scanner":
-            angle = numbers[:, 0] * (DEG if table.angles == "deg" else 1.0)
-            return Shots.scanner(table.name, station, angle, numbers[:, 1] * length, **noise)
-        if table.kind == "points":
-            return Shots.points(table.name, station, numbers * length, **noise)
-        directions = _directions(folder / str(table.zones), numbers[:, 0])
-        reading = numbers[:, 1] * length
-        return Shots.array(table.name, station, directions, reading, table.convention, **noise)
+    if table.kind == "profiler":
+        x, z = (numbers * length).T
+        return Shots.profiler(table.name, station, x, z, **noise)
+    if table.kind == "scanner":
+        ranges = numbers[:, 1] * length
+        return Shots.scanner(table.name, station, numbers[:, 0] * angle, ranges, **noise)
+    if table.kind == "points":
+        return Shots.points(table.name, station, numbers * length, **noise)
+    directions = _directions(folder / str(table.zones), numbers[:, 0])
+    reading = numbers[:, 1] * length
+    return Shots.array(table.name, station, directions, reading, table.convention, **noise)
 
 
 def _directions(path: Path, zone: FloatArray) -> FloatArray:

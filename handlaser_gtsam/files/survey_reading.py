@@ -10,6 +10,7 @@ from ..data.station_list import StationList
 from ..data.survey import Survey
 from ..errors import InputError
 from ..model.sensor import Sensor
+from .logs.bags import is_bag
 from .logs.format import LogFormat
 from .range_cells import range_numbers
 from .recording_csv import POSE, PREFIX, stations_of
@@ -26,7 +27,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     path : Path or str
         CSV with `plane` (labels such as `plane:A` or `sphere:S1`), `station` and poses, as a
         recording; `range_NAME` of single beams may stand there, too. Or a log of poses, where the rig
-        file says how it is written.
+        file says how it is written. Or a bag with the poses and the topics of the sensors.
     rig : Rig, Path or str
 
     Raises
@@ -37,8 +38,15 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
     if rig.survey is None:
         raise InputError("no table [[sensors]] or [[known]]", "one of them in the rig file", path)
+    known = rig.survey.known
+    if is_bag(path):
+        from .logs.reading import OF_READINGS, refuse_of_a_bag
+
+        refuse_of_a_bag(rig.log, path, OF_READINGS)
+        stations, shots = rig.survey.bag(path, rig.log)
+        return Survey(stations, shots, known=known, linearity=rig.sensor.linearity)
     stations, ranges, beams = _stations(path, rig)
-    shots, known = rig.survey.shots(stations.station_names), rig.survey.known
+    shots = rig.survey.shots(stations.station_names)
     return Survey(stations, shots, ranges, beams, known, linearity=rig.sensor.linearity)
 
 

@@ -145,10 +145,9 @@ class _Sphere:
 
 def shape_of(kind: Kind, target: str) -> Shape:
     """Return what a target, `plane` or `sphere`, looks like to a kind of sensor."""
-    axes = (0, 2) if kind.flat else (0, 1, 2)
     if target == "sphere":
-        return _Sphere(axes)
-    return _Line() if kind.parallel else _Plane(axes)
+        return _Sphere(kind.axes)
+    return _Line() if kind.parallel else _Plane(kind.axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -302,7 +302,7 @@ class _Residuals:
                 o[:, 0], u[:, 2] = one.across[:, 0] * larger + shifted, 1.0
             elif shape == "scanner":
                 angle = one.across[:, 0] * larger
-                u[:, 0], u[:, 2] = np.sin(angle), np.cos(angle)
+                u[:, 0], u[:, 1] = np.cos(angle), np.sin(angle)
             else:
                 u = one.across * [larger, larger, 1.0]
                 u /= np.linalg.norm(u, axis=1)[:, None]

@@ -44,7 +44,7 @@ def assembled(
     if given.range_sigma_from_scatter and scatter is None:
         found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
         raise InputError(found, "repeated readings, or the sigma itself", path)
-    planes, chosen, warnings = _planes(log, given)
+    planes, chosen, warnings = targets_of(log, given)
     counted = (log.station >= 0) & chosen[log.station]
     warnings = (*readings.code_warnings(counted), *warnings)
     if log.times is not None:  # stations in time: a stand may be without a reading
@@ -111,7 +111,7 @@ def assembled(
     )
 
 
-def _planes(
+def targets_of(
     log: Stations, given: LogFormat
 ) -> tuple[Sequence[str], BoolArray, tuple[CalibrationWarning, ...]]:
     """Return the plane of each station, which have one, and a warning of those that have none."""

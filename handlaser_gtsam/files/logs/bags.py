@@ -8,9 +8,10 @@ import math
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,10 @@ def _opened(path: Path) -> Iterator[Any]:
         ) from error
 
 
+Reader = Callable[[Any, float], None]
+"""Takes a message and its time [s]."""
+
+
 def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     """Return the poses and the readings of a bag, in the order of time.
 
@@ -106,20 +111,52 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     InputError
         Topics that are not there or not of their type, or no poses or readings in them.
     """
+    beams: list[Beam] = []
+
+    def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
+        beams.extend(_beams(topics, given))
+        by_topic = {topic: [beam for beam in beams if beam.topic == topic] for topic in topics}
+        return {topic: partial(_read, some, given) for topic, some in by_topic.items() if some}
+
+    poses = read_messages(path, given, readers)
+    for beam in beams:
+        if not len(beam.numbers):
+            raise InputError(
+                f"no reading of beam {beam.name} within the limits of its messages, on {beam.topic}",
+                "at least one, or the other topics by --range-columns",
+            )
+    return poses, _readings(beams, path)
+
+
+def read_messages(
+    path: Path, given: LogFormat, readers_of: Callable[[Mapping[str, str]], Mapping[str, Reader]]
+) -> LogRows:
+    """Return the poses of a bag, and hand every message of some other topics to its reader.
+
+    Parameters
+    ----------
+    path : Path
+    given : LogFormat
+    readers_of : callable
+        Takes the type of every topic; returns the readers of those that are wanted.
+
+    Raises
+    ------
+    InputError
+    """
     with _opened(path) as reader:
         topics = {one.topic: one.msgtype for one in reader.connections}
-        beams = _beams(topics, given)
+        readers = readers_of(topics)
         poses = _pose_topics(topics, given)
         frames = Frames(*given.frames) if given.frames else None
         stamped = array("d")
-        wanted = list(dict.fromkeys([*poses, *(beam.topic for beam in beams)]))
+        wanted = list(dict.fromkeys([*poses, *readers]))
         wanted.sort(key=lambda topic: not topic.endswith(STATIC))
         by_topic = path.suffix.lower() == ROS1
         for message, topic, received in _messages(reader, wanted, topics, by_topic=by_topic):
             when = received if given.receive_time else None
             if topic not in poses:
-                of_topic = [beam for beam in beams if beam.topic == topic]
-                _read(message, of_topic, _time(message, when, received), given)
+                readers[topic](message, _time(message, when, received))
             elif frames is None:
                 time, pose = _time(message, when, received), message.pose
                 stamp(stamped, time, pose.position, pose.orientation)
@@ -128,12 +165,6 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 for transform in message.transforms:
                     frames.add(_time(transform, when, received), transform, static=static)
         publishers = Counter(one.topic for one in reader.connections)
-    for beam in beams:
-        if not len(beam.numbers):
-            raise InputError(
-                f"no reading of beam {beam.name} within the limits of its messages, on {beam.topic}",
-                "at least one, or the other topics by --range-columns",
-            )
     if frames is None and not len(stamped):
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand")
     x = stamped_rows(stamped) if frames is None else frames.rows()
@@ -149,22 +180,19 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
         # Several publishers of tf are usual.
         if publishers[topic] > 1 and topics[topic] not in TRANSFORMS
     )
-    return (
-        LogRows(
-            _lines(path, len(x)),
-            (),
-            np.full((len(x), 0), np.nan),
-            x[:, 1:],
-            times=x[:, 0],
-            ignored=tuple(name for name in topics if name not in wanted and not name_fault(name)),
-            warnings=warnings,
-            words=f"poses from {way}; times count from {x[0, 0]:.3f} s",
-        ),
-        _readings(beams, path),
+    return LogRows(
+        lines_of(path, len(x)),
+        (),
+        np.full((len(x), 0), np.nan),
+        x[:, 1:],
+        times=x[:, 0],
+        ignored=tuple(name for name in topics if name not in wanted and not name_fault(name)),
+        warnings=warnings,
+        words=f"poses from {way}; times count from {x[0, 0]:.3f} s",
     )
 
 
-def _lines(path: Path, count: int) -> Table:
+def lines_of(path: Path, count: int) -> Table:
     """Return a table without cells, whose rows have the numbers from 1 on."""
     return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
@@ -187,7 +215,7 @@ def _readings(beams: Sequence[Beam], path: Path) -> LogRows:
     d = np.full((int(new.sum()), len(beams)), np.nan)
     d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
     names = tuple(beam.name for beam in beams)
-    return LogRows(_lines(path, len(d)), names, d, times=time[order][new])
+    return LogRows(lines_of(path, len(d)), names, d, times=time[order][new])
 
 
 def _messages(
@@ -231,7 +259,7 @@ def _time(message: Any, when: int | None, received: int) -> float:
     return 1e-9 * received
 
 
-def _read(message: Any, beams: Sequence[Beam], time: float, given: LogFormat) -> None:
+def _read(beams: Sequence[Beam], given: LogFormat, message: Any, time: float) -> None:
     """Add what beams read at a time, if it is a reading."""
     unit = LENGTHS[given.range_units]
     for beam in beams:
@@ -251,7 +279,7 @@ def _read(message: Any, beams: Sequence[Beam], time: float, given: LogFormat) ->
 def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
     """Return the beams that are stated, or all `Range` topics."""
     found = []
-    for text in given.range_columns or _of_kind(topics, RANGE):
+    for text in given.range_columns or of_kind(topics, RANGE):
         name, equals, topic = text.rpartition("=")  # BEAM=TOPIC, BEAM=TOPIC[INDEX], or no name
         topic = topic.strip()
         ray = RAY.fullmatch(topic)
@@ -259,7 +287,7 @@ def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
         where = (ray["topic"], int(ray["index"])) if ray else (topic, None)
         found.append(Beam(name, *where))
     if not found:
-        scans = _of_kind(topics, SCAN)
+        scans = of_kind(topics, SCAN)
         hint = f", as --range-columns 'left={scans[0]}[0]'" if scans else ""
         raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}")
     for beam in found:
@@ -267,7 +295,7 @@ def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
         if topics.get(beam.topic) != kind:
             raise InputError(
                 f"topic {shown(beam.topic)} of type {topics.get(beam.topic, 'none')}",
-                f"a topic of {kind}: {some(_of_kind(topics, kind), 8) or 'there is none'}"
+                f"a topic of {kind}: {some(of_kind(topics, kind), 8) or 'there is none'}"
                 + ("; a ray of a LaserScan is TOPIC[INDEX]" if beam.ray is None else ""),
             )
         fault = name_fault(beam.name).rstrip(",")
@@ -279,13 +307,14 @@ def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
     return found
 
 
-def _of_kind(topics: Mapping[str, str], *kinds: str) -> list[str]:
+def of_kind(topics: Mapping[str, str], *kinds: str) -> list[str]:
+    """Return the topics of some types."""
     return [topic for topic, kind in topics.items() if kind in kinds]
 
 
 def _pose_topics(topics: Mapping[str, str], given: LogFormat) -> list[str]:
     """Return the topics of the hand's poses."""
-    transforms, poses = _of_kind(topics, *TRANSFORMS), _of_kind(topics, POSE)
+    transforms, poses = of_kind(topics, *TRANSFORMS), of_kind(topics, POSE)
     if given.frames:
         if not transforms:
             raise InputError("no topic of tf", "tf2_msgs/TFMessage, for --frames")

@@ -29,6 +29,8 @@ OF_TABLES = (
     *("time_units", "readings_time_units"),
 )
 """Fields that say nothing of a bag."""
+OF_READINGS = ("range_columns", "range_units", "average", "range_sigma_from_scatter")
+"""Fields that say nothing of sensors of many rays."""
 OF_BAGS = ("pose_topic", "frames", "receive_time")
 """Fields that say nothing of a table."""
 
@@ -131,8 +133,7 @@ def missing_columns_hint(error: InputError) -> str:
 
 
 def _of_bag(path: Path, given: LogFormat) -> Stations:
-    if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
-        _refuse_stated(given, OF_TABLES, "a bag", path)
+    refuse_of_a_bag(given, path)
     poses, readings = read_bag(path, given)
     return by_time(poses, readings, replace(given, stands=not given.interpolate))
 
@@ -168,6 +169,17 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
         return by_station(poses, readings)
     refuse_other_units(poses, readings, given)
     return by_time(poses, readings, given)
+
+
+def refuse_of_a_bag(given: LogFormat, path: Path, more: Sequence[str] = ()) -> None:
+    """Refuse what is stated and says nothing of a bag, as fields of tables, and some more fields.
+
+    Raises
+    ------
+    InputError
+    """
+    if not path.is_dir() or (path / METADATA).is_file():  # any other folder is refused as none
+        _refuse_stated(given, (*OF_TABLES, *more), "a bag", path)
 
 
 def _refuse_stated(given: LogFormat, names: Sequence[str], what: str, path: Path) -> None:

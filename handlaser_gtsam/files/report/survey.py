@@ -295,10 +295,15 @@ def _profiles(survey: Survey) -> Figure | None:
                     "opacity": 0.6,
                 }
             )
-    shown = layout("x of the sensor, mm", "z of the sensor, mm", 380)
+    shown = layout("first axis of the sensor, mm", "second axis of the sensor, mm", 380)
     shown["showlegend"] = len(flat) > 1
-    shown["yaxis"] = axis("z of the sensor, mm", scaleanchor="x")
-    return Figure("profiles", "What the sensors saw, in their own planes.", traces, shown)
+    shown["yaxis"] = axis("second axis of the sensor, mm", scaleanchor="x")
+    return Figure(
+        "profiles",
+        "What the sensors saw, in their own planes: x and z of a profiler, x and y of a scanner.",
+        traces,
+        shown,
+    )
 
 
 def _drawn_profiles(shots: Shots) -> Iterator[tuple[int, FloatArray, FloatArray]]:
@@ -309,4 +314,5 @@ def _drawn_profiles(shots: Shots) -> Iterator[tuple[int, FloatArray, FloatArray]
         rows = rows[evenly(len(rows), POINTS_OF_PROFILE)]
         rays = KINDS[shots.kind].rays(shots.across[rows])
         p = rays.origin + shots.reading[rows, None] * rays.direction
-        yield int(station), p[:, 0], p[:, 2]
+        first, second = p[:, KINDS[shots.kind].axes].T
+        yield int(station), first, second

@@ -16,21 +16,31 @@ class Kind:
     ----------
     rays : callable
         Takes what tells the rays apart (n, c): x [m], the angle [rad] or a direction.
-    flat : bool
-        Whether all rays lie in the plane y = 0 of the sensor.
+    axes : tuple of int
+        Axes of the sensor's frame that its rays span: two of a profile or a scan.
     parallel : bool
         Whether they are parallel; else they go through the origin of the sensor.
     """
 
     rays: Callable[[FloatArray], Rayset]
-    flat: bool
+    axes: tuple[int, ...]
     parallel: bool
+
+    @property
+    def flat(self) -> bool:
+        """Whether all rays lie in one plane of the sensor."""
+        return len(self.axes) == 2
+
+    @property
+    def across(self) -> int:
+        """The axis at right angles to all rays of a flat kind."""
+        return 3 - sum(self.axes)
 
 
 KINDS = {
-    "profiler": Kind(profiler.profile_rays, flat=True, parallel=True),
-    "scanner": Kind(profiler.scan_rays, flat=True, parallel=False),
-    "array": Kind(array.zone_rays, flat=False, parallel=False),
-    "points": Kind(array.zone_rays, flat=False, parallel=False),
+    "profiler": Kind(profiler.profile_rays, (0, 2), parallel=True),
+    "scanner": Kind(profiler.scan_rays, (0, 1), parallel=False),
+    "array": Kind(array.zone_rays, (0, 1, 2), parallel=False),
+    "points": Kind(array.zone_rays, (0, 1, 2), parallel=False),
 }
 """By the word that a rig file has for it."""

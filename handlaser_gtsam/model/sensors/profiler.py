@@ -1,8 +1,8 @@
 """Line profilers, which read z at many x, and 2-D scanners, which read a range at many angles.
 
 A profile is in the plane y = 0 of the sensor: a point (x, 0, z) is the reading z of a ray from
-(x, 0, 0) along the z axis. A scan is there, too: the ray of an angle goes from the origin along
-(sin, 0, cos), so that angle zero is the z axis.
+(x, 0, 0) along the z axis. A scan is in the plane z = 0, as ROS has it: the ray of an angle goes from
+the origin along (cos, sin, 0), so that angle zero is the x axis.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def scan_rays(across: FloatArray) -> Rayset:
     """Return the rays of a scanner at the given angles (n, 1) [rad]."""
     a = across[:, 0]
     zero = np.zeros_like(a)
-    along = np.stack((np.sin(a), zero, np.cos(a)), axis=1)
-    turning = np.stack((np.cos(a), zero, -np.sin(a)), axis=1) * a[:, None]
+    along = np.stack((np.cos(a), np.sin(a), zero), axis=1)
+    turning = np.stack((-np.sin(a), np.cos(a), zero), axis=1) * a[:, None]
     nothing = np.zeros_like(along)
     return Rayset(nothing, along, nothing, turning)

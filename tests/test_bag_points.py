@@ -1,0 +1,144 @@
+"""Sensors of many rays in bags: scans, clouds and topics of ranges, before stops of the hand."""
+
+import numpy as np
+import pytest
+from bags import HAS_ROSBAGS, write_bag
+from scipy.spatial.transform import Rotation, Slerp
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import EXACT, errors_of, survey_of
+
+pytestmark = pytest.mark.skipif(not HAS_ROSBAGS, reason="needs rosbags")
+STAND, WAY, RATE = 1.6, 0.8, 25.0
+"""Seconds that the hand stands, and that it moves; poses a second."""
+
+
+def poses(rig, make):
+    """Poses of a hand that stops at every station of a rig, and moves from one to the next."""
+    q, both = Rotation.from_matrix(rig.R), STAND + WAY
+    for time in np.arange(0.0, both * len(rig.R) - WAY, 1.0 / RATE):
+        number = int(time // both)
+        part = max((time - both * number - STAND) / WAY, 0.0)
+        after = min(number + 1, len(rig.R) - 1)
+        turn = Slerp([0.0, 1.0], q[[number, after]])(part).as_quat()
+        yield (
+            "pose",
+            time,
+            make.pose(time, (1.0 - part) * rig.t[number] + part * rig.t[after], turn),
+        )
+
+
+def published(rig, make, messages):
+    """Poses, and `messages(name, rows)` of each station at half of its stop, and once on the way."""
+    yield from poses(rig, make)
+    for name, table in rig.tables.items():
+        for number in range(len(rig.R)):
+            rows = np.flatnonzero(table["station"] == number)
+            if len(rows):
+                time = (STAND + WAY) * number + 0.5 * STAND
+                yield from messages(make, name, table, rows, time)
+                wrong = time + 0.5 * (STAND + WAY)  # while the hand moves: of no station
+                yield from messages(make, name, table, rows, wrong)
+
+
+def scans(make, name, table, rows, time):
+    angles = np.linspace(-0.25 * np.pi, 0.25 * np.pi, 361)
+    ranges = np.full(361, np.nan)
+    place = np.rint((table["angle"][rows] - angles[0]) / (angles[1] - angles[0])).astype(int)
+    ranges[place] = table["reading"][rows]
+    yield name, time, make.fan(time, angles, ranges)
+
+
+def clouds(make, name, table, rows, time):
+    if table["kind"] == "profiler":
+        points = np.column_stack((table["x"][rows], 0.0 * rows, table["z"][rows]))
+    else:
+        points = np.column_stack([table[axis][rows] for axis in "xyz"])
+    yield name, time, make.cloud(time, points, "f4" if table["kind"] == "points" else "f8")
+
+
+def zones(make, name, table, rows, time):
+    for zone, d in zip(table["zone"][rows].tolist(), table["reading"][rows], strict=True):
+        yield f"{name}/{zone}", time + 1e-3 * zone, make.range(time + 1e-3 * zone, d)
+
+
+def rig_file(folder, rig, kind, topics, more=""):
+    labels, runs = list(rig.label), []
+    for number, label in enumerate(labels, start=1):
+        if not runs or runs[-1][0] != label:
+            runs.append([label, number, number])
+        runs[-1][2] = number
+    ranges = ", ".join(f'"{label}={first}..{last}"' for label, first, last in runs)
+    text = f'[log]\nplane_ranges = [{ranges}]\n\n[[sensors]]\nname = "{kind}"\nkind = "{kind}"\n'
+    listed = ", ".join(f'"{topic}"' for topic in topics)
+    (folder / "rig.toml").write_text(f"{text}topics = [{listed}]\n{more}")
+    return folder / "rig.toml"
+
+
+CASES = {
+    "scanner": (scans, {"targets": "planes+sphere"}, "ros1"),
+    "points": (clouds, {"planes": 3}, "ros2"),
+    "profiler": (clouds, {"targets": "planes+sphere"}, "mcap"),
+}
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_what_a_bag_has_is_what_was_published_at_the_stops(tmp_path, kind):
+    messages, options, format_ = CASES[kind]
+    rig = getattr(rigs_by_rays, kind)(6, stations=10, **options)
+    bag = write_bag(tmp_path, format_, lambda make: published(rig, make, messages))
+    file = rig_file(tmp_path, rig, kind, [kind])
+    survey, wanted = hl.read_survey(bag, file), survey_of(rig)
+    assert np.abs(survey.stations.world_R_hand - rig.R).max() < 1e-9
+    assert np.abs(survey.stations.world_t_hand - rig.t).max() < 1e-9
+    assert survey.stations.plane_labels == tuple(rig.label)
+    (found,), (given,) = survey.shots, wanted.shots
+    assert (found.station == np.sort(given.station)).all()
+    order = np.argsort(given.station, kind="stable")
+    assert np.abs(found.reading - given.reading[order]).max() < 1e-6  # single precision
+    result = hl.calibrate(survey, EXACT)
+    assert result.status == "converged"
+    for error, C in errors_of(rig, result):
+        assert error @ np.linalg.solve(C, error) < 50.0
+
+
+def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
+    rig = rigs_by_rays.array(3, planes=3, zones=4, convention="radial", stations=10)
+    table = rig.tables["array"]
+    bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, zones))
+    lines = [f"{i},{x},{y},{z}" for i, (x, y, z) in enumerate(table["directions"].tolist())]
+    (tmp_path / "zones.csv").write_text("\n".join(["zone,x,y,z", *lines]) + "\n")
+    topics = [f"array/{i}" for i in range(len(lines))]
+    file = rig_file(tmp_path, rig, "array", topics, 'zones = "zones.csv"\n')
+    survey = hl.read_survey(bag, file)
+    assert len(survey.shots[0].reading) == len(table["reading"])
+    result = hl.calibrate(survey, EXACT)
+    for error, C in errors_of(rig, result):
+        assert error @ np.linalg.solve(C, error) < 50.0
+
+
+def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, handlaser):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+    bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"])
+    code, out, _ = handlaser("calibrate", bag, "--rig", file)
+    assert code == 0
+    assert out.startswith("Usable: scanner within")
+    text = file.read_text()
+    wrong = {
+        'topics = ["scan"]': "found topic 'scan' of type none",
+        'topics = ["pose"]': "found topic 'pose' of type geometry_msgs/msg/PoseStamped",
+        'topics = ["scanner", "pose"]': "found 2 topics of the sensor scanner",
+        'points = "points.csv"': "a table of points of scanner, or no topics, with a bag",
+    }
+    for line, words in wrong.items():
+        file.write_text(text.replace('topics = ["scanner"]', line))
+        code, _, err = handlaser("calibrate", bag, "--rig", file)
+        assert code == 2
+        assert words in err
+        assert err.count("\n") == 1
+    file.write_text(text.replace("[log]", '[log]\npose_format = "kuka"'))
+    code, _, err = handlaser("calibrate", bag, "--rig", file)
+    assert code == 2
+    assert "says nothing of a bag" in err
