@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.plate import Plate
     from ..planning.route import Plan
+    from ..planning.survey import SurveyPlan
     from ..results.calibration import Calibration
     from ..results.mounts import Mounts
 
@@ -77,28 +78,36 @@ def plan(
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan.
     """
-    from ..files.plan_json import plan_text
+    from ..errors import InputError
+    from ..files.plan_json import plan_text, survey_plan_text
     from ..files.stations_csv import write_stations
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
+    from ..planning.survey import SurveyPlan
     from ..text import printable
     from .plan_tables import plan_lines, scene_lines
+    from .survey import survey_plan_lines
 
     with Working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
-        lines = list(plan_lines(planned, rig.goal))
-        if rig.workspace is not None and rig.workspace.robot is not None:
-            lines += scene_lines(rig.workspace.robot)
+        if isinstance(planned, SurveyPlan):
+            if picture is not None:
+                raise InputError("--picture with sensors of many rays", "it with beams only")
+            lines, text = survey_plan_lines(planned), survey_plan_text(planned)
+        else:
+            lines, text = list(plan_lines(planned, rig.goal)), plan_text(planned)
+            if rig.workspace is not None and rig.workspace.robot is not None:
+                lines += scene_lines(rig.workspace.robot)
         if out is not None:
             write_stations(out, planned.stations)
-        if picture is not None:
+        if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         written = [path for path in outputs.values() if path is not None]
         lines += [f"wrote {printable(str(path))}" for path in written]
-        answer = Answer(plan_text(planned), partial(print_wrapped, lines))
+        answer = Answer(text, partial(print_wrapped, lines))
     answer.give(json=json_, quiet=quiet)
 
 
@@ -110,16 +119,18 @@ def _planned(
     planes: int | None,
     stations: int | None,
     seed: int,
-) -> "Plan":
+) -> "Plan | SurveyPlan":
     """Return a first motion, or the next stations of a recording or a result."""
     import numpy as np
 
+    from ..data.survey import Survey
     from ..errors import InputError, SolverError
-    from ..files.rig_reading import read_with
+    from ..files.rig_reading import read_any_kind
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
+    from .survey import refuse_of_beams, survey_plan
 
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:
@@ -137,12 +148,17 @@ def _planned(
             goal=rig.goal,
             rng=rng,
         )
+    read = None if recording is None else read_any_kind(rig, recording)
+    if isinstance(read, Survey):
+        plain = (model, planes) == (Model(), None)
+        refuse_of_beams(rig, [], recording or Path(), plain=plain)
+        return survey_plan(read, rig, stations or UNASKED // 2, rng)
     require_range(rig.sensor)
     calibration: Calibration | Mounts
-    if result is not None:
-        calibration, plates = _result(result, rig)
+    if read is None:
+        calibration, plates = _result(result or Path(), rig)
     else:
-        report, rig = read_with(rig, recording or Path())
+        report, rig = read
         calibration, plates = calibrate(report.recording, rig.noise, model.options(rig)), None
         if calibration.status != "converged":
             raise SolverError(calibration.message)

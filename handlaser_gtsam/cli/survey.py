@@ -1,4 +1,4 @@
-"""What `calibrate` and `validate` do with a survey: sensors of many rays, other targets, relations."""
+"""What `calibrate`, `validate` and `plan` do with a survey: other sensors, targets, and relations."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,8 +12,11 @@ from .answer import Answer, print_wrapped
 from .stopping import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..data.survey import Survey
     from ..files.rig_toml import Rig
+    from ..planning.survey import SurveyPlan
     from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
     from ..validation.survey import SurveyValidation
@@ -100,6 +103,41 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
         failure = NOT_USABLE, words + ", ".join(against)
     show = partial(print_wrapped, _validation_lines(result))
     return Answer(survey_validation_text(result), show, failure=failure)
+
+
+def survey_plan(
+    survey: "Survey", rig: "Rig", stations: int, rng: "np.random.Generator"
+) -> "SurveyPlan":
+    """Plan the next stations of a survey.
+
+    Raises
+    ------
+    InputError
+    """
+    from ..pipeline import calibrate
+    from ..planning.survey import plan_survey
+
+    if rig.workspace is not None and rig.workspace.robot is not None:
+        expected = (
+            "a workspace without it: stations of sensors of many rays are not asked of an arm"
+        )
+        raise InputError("the table [robot] of the rig file", expected)
+    return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rng)
+
+
+def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
+    """Return the lines of a plan."""
+    errors = planned.spot_errors * IN_MM
+    lines = [
+        f"{len(planned.sensors)} stations: spots within {errors[-1]:.2g} mm (95 %) after them, "
+        f"{errors[0]:.2g} mm before"
+    ]
+    of = zip(planned.stations.plane_labels, planned.sensors, errors[1:].tolist(), strict=True)
+    lines += [
+        f"{number}. {sensor} before {label}: then {error:.2g} mm"
+        for number, (label, sensor, error) in enumerate(of, start=1)
+    ]
+    return lines
 
 
 def _validation_lines(result: "SurveyValidation") -> Iterator[str]:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from scipy.spatial.transform import Rotation
 
 from ..planning.route import Plan
+from ..planning.survey import SurveyPlan
 from .json_text import Record, json_text, record
 
 
@@ -39,6 +40,21 @@ def plan_text(plan: Plan) -> str:
     if stations.joint_names:
         content["joint_names"] = list(stations.joint_names)
     return json_text("plan", content)
+
+
+def survey_plan_text(plan: SurveyPlan) -> str:
+    """Return a plan of a survey as JSON text."""
+    stations = plan.stations
+    columns: dict[str, Iterable[object]] = {
+        "station": stations.station_names,
+        "target": stations.plane_labels,
+        "sensor": plan.sensors,
+        "position_m": stations.world_t_hand,
+        "quaternion_xyzw": Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True),
+        "spot_error_m": plan.spot_errors[1:],
+    }
+    content: Record = {"spot_error_m": plan.spot_errors[0], "stations": _rows(columns)}
+    return json_text("survey-plan", content)
 
 
 def _rows(columns: Mapping[str, Iterable[object]]) -> list[Record]:

@@ -12,6 +12,7 @@ from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind, require_number
 from ..data.recording import Recording
 from ..data.recording_checks import rotation_matrix
+from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
@@ -115,7 +116,7 @@ def within_reach(belief: Belief, workspace: Workspace, stations: Stations) -> Bo
     return reached
 
 
-def workspace_of(recording: Recording) -> Workspace:
+def workspace_of(recording: Recording | StationList) -> Workspace:
     """Return the workspace that the stations of a recording show."""
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()

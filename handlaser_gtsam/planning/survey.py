@@ -1,0 +1,358 @@
+r"""The next stations of a survey: where a profiler, a scanner or an array has most to say.
+
+Candidates look at the targets as they were found, from all sides, at ranges that the sensor had so far
+and within the workspace. A candidate says what all its rays say, J'(I + A A')^-1 J with the derivatives
+J by sensor and target, and A by the hand's errors, in standard deviations; `choose` takes those that
+shrink the laser spots at working distance most. What the survey leaves undetermined counts as known to
+a metre, or a radian: so the first stations go where the motion has been too poor.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..checks import require_count, require_kind
+from ..data.station_list import StationList
+from ..data.value import Value
+from ..errors import InputError
+from ..estimation.dense import pose_roots
+from ..estimation.survey_rows import TARGETS, Item
+from ..model.families import FAMILIES, PLANE, POSE, bases
+from ..model.geometry import skew
+from ..model.ranges import PoseVariables, Ranges
+from ..model.sensors.fans import Rayset
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
+from ..results.spot_error import radius
+from ..results.survey import SurveyCalibration
+from ..validation.simulate import Stations
+from .choice import choose
+from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
+
+CANDIDATES = 600
+"""Candidates before each target for each sensor: twice as many bring less than a tenth more."""
+TRIED = 6 * CANDIDATES
+"""Orientations that are drawn for them: of a hand that turns in all directions a sixth looks there."""
+RAYS = 60
+"""Rays of a candidate, evenly among those of a shot, with the weight of all."""
+STEEPEST = np.radians(50.0)
+"""Candidates look at a plane at angles of incidence up to that: most sensors read there."""
+ASIDE = 0.6
+"""They look past the centre of a sphere by up to this part of its radius."""
+FEWEST = 0.6
+"""This part of the rays meets a plane at least; of a sphere a third of that."""
+WIDEST = 1.0
+"""Standard deviation [m], [rad] of what is undetermined so far."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyPlan(Value):
+    """Stations to measure next, the most useful first.
+
+    Attributes
+    ----------
+    stations : StationList
+    sensors : names
+        The sensor that looks at the target, at each station.
+    spot_errors : (M + 1,)
+        Largest radius of a sensor that holds its spot with 95 %, before the first and after each [m].
+    """
+
+    stations: StationList
+    sensors: tuple[str, ...]
+    spot_errors: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Views:
+    """Candidates of one sensor before one target: hand poses, and what they say.
+
+    Attributes
+    ----------
+    member : int
+    target : (family, number)
+    R, t : (N, 3, 3), (N, 3)
+    rows : (N, B, U)
+        Of unit weight, over all unknowns.
+    """
+
+    member: int
+    target: tuple[str, int]
+    R: FloatArray
+    t: FloatArray
+    rows: FloatArray
+
+
+def plan_survey(
+    calibration: SurveyCalibration,
+    count: int = 10,
+    workspace: Workspace | None = None,
+    rng: np.random.Generator | None = None,
+) -> SurveyPlan:
+    """Choose the next stations of a survey with sensors of many rays.
+
+    Parameters
+    ----------
+    calibration : SurveyCalibration
+        Converged or undetermined.
+    count : int
+    workspace : Workspace, optional
+        Where the hand may go; about the stations so far where it is not given.
+    rng : Generator, optional
+
+    Raises
+    ------
+    InputError
+        No sensor of many rays, a survey that does not fit, or no place for a station.
+    """
+    require_kind("calibration", calibration, SurveyCalibration)
+    require_count("count", count, 1, 1000)
+    found = calibration._found
+    if calibration.status not in ("converged", "undetermined"):
+        raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
+    if not calibration.sensors:
+        raise InputError("a survey of single beams", "a sensor of many rays")
+    rng = np.random.default_rng(0) if rng is None else rng
+    if workspace is None:
+        workspace = workspace_of(found.rows.survey.stations)
+    views = [
+        view
+        for member, target in _seen(calibration)
+        if (view := _views(calibration, member, target, workspace, rng)) is not None
+    ]
+    if not views:
+        expected = "a workspace with room for other orientations before the targets"
+        raise InputError("no place from which a sensor sees its target", expected)
+    values = {name: x[None] for name, x in found.estimate.values.items()}
+    J, _ = found.problem.rows(found.problem.blocks, values).whitened()
+    before = _inverse(J.T @ J + np.eye(J.shape[1]) / WIDEST**2)
+    weight = _weight(calibration, J.shape[1])
+    most = max(view.rows.shape[1] for view in views)
+    rows = np.concatenate(
+        [np.pad(v.rows, ((0, 0), (0, most - v.rows.shape[1]), (0, 0))) for v in views]
+    )
+    taken, _, _ = choose(rows[None], before, weight, min(count, len(rows)))
+    view_of = np.repeat(np.arange(len(views)), [len(view.R) for view in views])
+    R, t = (np.concatenate([getattr(view, name) for view in views])[taken] for name in "Rt")
+    chosen = [views[i] for i in view_of[taken]]
+    labels = tuple(found.rows.label(view.target) for view in chosen)
+    names = list(calibration.sensors)
+    errors = [_spot_error(before, weight)]
+    C = before
+    for A in rows[taken]:
+        gain = C @ A.T
+        C = C - gain @ np.linalg.solve(np.eye(len(A)) + A @ gain, gain.T)
+        errors.append(_spot_error(C, weight))
+    return SurveyPlan(
+        StationList(R, t, labels),
+        tuple(names[view.member] for view in chosen),
+        np.array(errors),
+    )
+
+
+def _seen(calibration: SurveyCalibration) -> Iterator[tuple[int, tuple[str, int]]]:
+    """Yield the sensors of many rays, each with the targets that it has seen."""
+    items = calibration._found.rows.items
+    of_rays = (item for item in items if item.family == SENSOR.name)
+    yield from dict.fromkeys((item.member, item.target) for item in of_rays)
+
+
+def _views(
+    calibration: SurveyCalibration,
+    member: int,
+    target: tuple[str, int],
+    workspace: Workspace,
+    rng: np.random.Generator,
+) -> _Views | None:
+    """Draw candidates, and keep those that see their target; None where none does."""
+    rows = calibration._found.rows
+    items = [
+        item
+        for item in rows.items
+        if (item.family, item.member, item.target) == (SENSOR.name, member, target)
+    ]
+    rays, weight = _typical(calibration, items)
+    R, t = _drawn(calibration, items, workspace, rng)
+    good = inside(workspace, Stations(R, t, np.zeros(len(R), dtype=np.intp)))
+    R, t = R[good], t[good]
+    if not len(R):
+        return None
+    own = calibration._found
+    values = {name: x[None] for name, x in own.estimate.values.items()}
+    values[POSE.name] = np.hstack((R.reshape(-1, 9), t))[None]
+    s, hit = _ranges(values, member, target, rays)
+    reading = np.concatenate([item.shot.reading for item in items if item.shot is not None])
+    good = (s > 0.8 * reading.min()) & (s < 1.2 * reading.max()) & hit
+    needed = FEWEST if target[0] == PLANE.name else FEWEST / 3.0
+    enough = good.mean(axis=1) >= needed
+    if not enough.any():
+        return None
+    R, t, s, good = R[enough], t[enough], s[enough], good[enough]
+    values[POSE.name] = values[POSE.name][:, enough]
+    root = good * np.sqrt(weight) / own.noise.sigma[member]
+    return _Views(member, target, R, t, _said(calibration, values, member, target, rays, s, root))
+
+
+def _typical(calibration: SurveyCalibration, items: list[Item]) -> tuple[Rayset, float]:
+    """Return rays of the largest shot, and how many of its readings each stands for."""
+    shots = calibration._found.rows.survey.shots[items[0].member]
+    points = max((item.points for item in items if item.points is not None), key=len)
+    some = points[np.linspace(0, len(points) - 1, min(RAYS, len(points))).round().astype(int)]
+    return KINDS[shots.kind].rays(shots.across[some]), len(points) / len(some)
+
+
+def _drawn(
+    calibration: SurveyCalibration,
+    items: list[Item],
+    workspace: Workspace,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Return hand poses, as far turned as the workspace allows, whose sensor looks at a target."""
+    found = calibration._found
+    stations = found.rows.survey.stations
+    sensor = list(calibration.sensors.values())[items[0].member]
+    station = np.array([item.station for item in items])
+    reading = np.array([np.median(i.shot.reading) for i in items if i.shot is not None])
+    middle = KINDS[sensor.kind].rays(
+        np.median(found.rows.survey.shots[items[0].member].across, axis=0)[None]
+    )
+    o, u = middle.origin[0], middle.direction[0]
+    in_hand = (o + reading[:, None] * u) @ sensor.rotation.T + sensor.location
+    spots = (stations.world_R_hand[station] @ in_hand[..., None])[..., 0]
+    spots += stations.world_t_hand[station]
+    family, number = items[0].target
+    x = found.estimate.values[family][number]
+    turn = rng.standard_normal((TRIED, 3))
+    turn *= (workspace.largest_turn * rng.random(TRIED) ** (1.0 / TURN_EXPONENT))[:, None] / (
+        np.linalg.norm(turn, axis=1, keepdims=True)
+    )
+    R = workspace.home @ Rotation.from_rotvec(turn).as_matrix()
+    direction = R @ sensor.rotation @ u
+    if family == PLANE.name:
+        before = stations.world_R_hand[station] @ sensor.rotation @ u @ x[:3]
+        R = R[np.sign(before.sum()) * (direction @ x[:3]) > np.cos(STEEPEST)][:CANDIDATES]
+        direction = R @ sensor.rotation @ u
+        spread = (spots - spots.mean(axis=0))[rng.integers(len(spots), size=len(R))]
+        at = spots.mean(axis=0) + rng.uniform(-1.0, 1.0, (len(R), 1)) * spread
+    else:
+        R, direction = R[:CANDIDATES], direction[:CANDIDATES]
+        aside = bases(direction) @ rng.uniform(-ASIDE, ASIDE, (len(R), 2, 1)) * x[3]
+        at = x[:3] + aside[..., 0] - x[3] * direction
+    nearest, farthest = np.quantile(reading, (0.05, 0.95)).tolist()
+    d = rng.uniform(nearest, farthest, (len(R), 1))
+    start = (R @ (sensor.rotation @ o + sensor.location)[:, None])[..., 0]
+    return R, at - d * direction - start
+
+
+def _ranges(
+    values: dict[str, FloatArray], member: int, target: tuple[str, int], rays: Rayset
+) -> tuple[FloatArray, BoolArray]:
+    """Return the ranges (N, S) of rays at each candidate, and which meet the target."""
+    columns, impossible = _evaluated(values, member, target, rays, np.zeros(1), np.zeros(1))
+    s = columns[-1, 0]
+    return s, np.isfinite(s) & ~impossible
+
+
+def _evaluated(
+    values: dict[str, FloatArray],
+    member: int,
+    target: tuple[str, int],
+    rays: Rayset,
+    reading: FloatArray,
+    by_error: FloatArray,
+) -> tuple[FloatArray, BoolArray]:
+    n = values[POSE.name].shape[1]
+    shape = (n, len(rays.origin))
+    origin, direction = (
+        np.broadcast_to(x.T[:, None, None], (3, 1, *shape)) for x in (rays.origin, rays.direction)
+    )
+    errors = np.broadcast_to(by_error, (len(ERRORS), 1, *shape))
+    block = Ranges(
+        Mounted(np.full(n, member), origin, direction, errors),
+        TARGETS[target[0]](np.full(n, target[1])),
+        PoseVariables(np.arange(n)),
+        np.broadcast_to(reading, (1, *shape)),
+    )
+    rows = block.evaluate(values)
+    missed = np.zeros(shape, dtype=bool)
+    if rows.impossible is not None:
+        missed = np.broadcast_to(rows.impossible, (1, *shape))[0]
+    return rows.columns, missed
+
+
+def _said(
+    calibration: SurveyCalibration,
+    values: dict[str, FloatArray],
+    member: int,
+    target: tuple[str, int],
+    rays: Rayset,
+    s: FloatArray,
+    root: FloatArray,
+) -> FloatArray:
+    """Return rows (N, B, U) of unit weight that say what all rays of each candidate say."""
+    found = calibration._found
+    h = 1e-6  # of the scale, by differences: it is rarely unknown
+    scaled = Rayset(
+        rays.origin + h * rays.origin_by_scale,
+        rays.direction + h * rays.direction_by_scale,
+        rays.origin_by_scale,
+        rays.direction_by_scale,
+    )
+    by_scale = (_ranges(values, member, target, scaled)[0] - s) / h
+    by_scale = np.where(np.isfinite(by_scale), by_scale, 0.0)
+    flat = np.where(np.isfinite(s), s, 0.0)
+    by_error = np.stack((np.ones_like(flat), flat, flat**2, -by_scale))[:, None]
+    columns, _ = _evaluated(values, member, target, rays, flat, by_error)
+    columns = np.where(root > 0.0, columns[:, 0] * root, 0.0)  # (c, N, S)
+    sensor, seen = slice(0, SENSOR.dim), FAMILIES[target[0]].dim
+    place, widths = found.problem.places(), found.rows.unknown()
+    free = np.flatnonzero(np.broadcast_to(widths[SENSOR.name], SENSOR.dim))
+    J = np.concatenate((columns[sensor][free], columns[SENSOR.dim : SENSOR.dim + seen]))
+    A = columns[SENSOR.dim + seen : SENSOR.dim + seen + 6]
+    state = found.at(values, found.noise)
+    covariance = state.pose_covariance()
+    A = np.einsum("cns,cd->dns", A, pose_roots(covariance[:1])[0])
+    J, A = np.moveaxis(J, 0, 2), np.moveaxis(A, 0, 2)  # (N, S, c)
+    AJ = np.swapaxes(A, 1, 2) @ J
+    M = np.swapaxes(J, 1, 2) @ J
+    M -= np.swapaxes(AJ, 1, 2) @ np.linalg.solve(np.eye(6) + np.swapaxes(A, 1, 2) @ A, AJ)
+    size, axes = np.linalg.eigh(M)
+    own: FloatArray = np.sqrt(np.maximum(size, 0.0))[..., None] * np.swapaxes(axes, 1, 2)
+    at: IntArray = np.concatenate(
+        (
+            place.place[SENSOR.name][member] + np.arange(len(free)),
+            place.place[target[0]][target[1]] + np.arange(seen),
+        )
+    )
+    rows = np.zeros((*own.shape[:2], len(place.names)))
+    rows[..., at] = own
+    return rows
+
+
+def _weight(calibration: SurveyCalibration, unknowns: int) -> FloatArray:
+    """Return derivatives (3 sensors, U) of the spots at working distance, in their sensors' frames."""
+    place = calibration._found.problem.places().place[SENSOR.name]
+    weight = np.zeros((3 * len(calibration.sensors), unknowns))
+    for i, sensor in enumerate(calibration.sensors.values()):
+        own = slice(3 * i, 3 * i + 3)
+        weight[own, place[i] + np.arange(3)] = -skew(sensor.spot)
+        weight[own, place[i] + 3 + np.arange(3)] = np.eye(3)
+    return weight
+
+
+def _spot_error(C: FloatArray, weight: FloatArray) -> float:
+    """Return the largest radius that holds a spot with 95 % [m]."""
+    S = weight @ C @ weight.T
+    each = [slice(i, i + 3) for i in range(0, len(weight), 3)]
+    return max(radius(S[own, own]) for own in each)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse of an information matrix whose unknowns differ in size."""
+    scale = 1.0 / np.sqrt(np.diagonal(information))
+    values, axes = np.linalg.eigh(information * np.outer(scale, scale))
+    root = axes / np.sqrt(np.maximum(values, np.finfo(float).eps))
+    return np.asarray((root @ root.T) * np.outer(scale, scale))

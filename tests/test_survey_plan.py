@@ -1,0 +1,102 @@
+"""Plans of surveys: what they promise is what the stations bring, by formulas of this file."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks.rigs import EXACT
+from handlaser_gtsam.planning.survey import plan_survey
+from handlaser_gtsam.planning.workspace import Workspace
+
+X = np.linspace(-0.03, 0.03, 200)
+SIGMA = 3e-5
+MOUNT = Rotation.from_rotvec([0.4, -0.3, 1.1]).as_matrix(), np.array([0.03, -0.05, 0.12])
+NORMAL, OFFSET = np.array([0.1, -0.05, 0.9935]), -0.9
+NORMAL = NORMAL / np.linalg.norm(NORMAL)
+
+
+def profile(R, t, rng):
+    """What the profiler at a hand pose reads of the plane n . x + b = 0, noise and all."""
+    mount, place = MOUNT
+    start = t + (R @ place) + np.outer(X, R @ mount[:, 0])
+    z = -(start @ NORMAL + OFFSET) / (R @ mount[:, 2] @ NORMAL)
+    return z + SIGMA * rng.standard_normal(len(X))
+
+
+def measured(poses, rng):
+    """A survey of hand poses before the plane."""
+    stations = hl.StationList(*map(np.array, zip(*poses, strict=True)), ("plane:A",) * len(poses))
+    z = np.concatenate([profile(R, t, rng) for R, t in poses])
+    station = np.repeat(np.arange(len(poses)), len(X))
+    shots = hl.Shots.profiler("profiler", station, np.tile(X, len(poses)), z, sigma=SIGMA)
+    return hl.Survey(stations, (shots,))
+
+
+def looking(tilts, rng):
+    """Hand poses whose profiler looks at the plane from about 0.1 m, tilted by (about x, about y) [rad]."""
+    mount, place = MOUNT
+    for about_x, about_y in tilts:
+        # The sensor's z along the normal, then tilted about its own axes.
+        side = np.cross(NORMAL, [1.0, 0.0, 0.0])
+        side /= np.linalg.norm(side)
+        square = np.column_stack((side, np.cross(NORMAL, side), NORMAL))
+        sensor = square @ Rotation.from_euler("xy", [about_x, about_y]).as_matrix()
+        foot = -OFFSET * NORMAL + 0.05 * rng.standard_normal(3)
+        foot -= NORMAL * (foot @ NORMAL + OFFSET)
+        R = sensor @ mount.T
+        yield R, foot - rng.uniform(0.07, 0.13) * sensor[:, 2] - R @ place
+
+
+def test_what_a_plan_promises_is_what_its_stations_bring():
+    rng = np.random.default_rng(2)
+    tilts = rng.uniform(-0.5, 0.5, (6, 2))
+    poses = list(looking(tilts, rng))
+    first = hl.calibrate(measured(poses, rng), EXACT)
+    assert first.status == "converged"
+    home = Rotation.from_matrix([R for R, _ in poses]).mean().as_matrix()
+    plan = plan_survey(first, 5, Workspace(-np.ones(3), np.full(3, 2.0), home, 0.7))
+    before = first.sensors["profiler"].spot_error
+    assert plan.spot_errors[0] == pytest.approx(before, rel=1e-3)
+    assert (np.diff(plan.spot_errors) < 0.0).all()
+    added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
+    after = hl.calibrate(measured([*poses, *added], rng), EXACT)
+    brought = after.sensors["profiler"].spot_error
+    assert brought < 0.5 * before
+    assert plan.spot_errors[-1] == pytest.approx(brought, rel=0.2)
+    # Five stations at random, turned as far, bring less.
+    random = looking(rng.uniform(-0.5, 0.5, (5, 2)), rng)
+    other = hl.calibrate(measured([*poses, *random], rng), EXACT)
+    assert brought < 0.9 * other.sensors["profiler"].spot_error
+
+
+def test_a_plan_determines_what_a_poor_motion_left_open():
+    rng = np.random.default_rng(3)
+    about_one_axis = [(tilt, 0.0) for tilt in np.linspace(-0.5, 0.5, 8)]
+    poses = list(looking(about_one_axis, rng))
+    first = hl.calibrate(measured(poses, rng), EXACT)
+    assert first.status == "undetermined"
+    plan = plan_survey(first, 4)
+    added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
+    after = hl.calibrate(measured([*poses, *added], rng), EXACT)
+    assert after.status == "converged"
+    assert after.sensors["profiler"].spot_error < 1e-3
+
+
+def test_the_command(handlaser, tmp_path):
+    poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
+    out = tmp_path / "next.csv"
+    code, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--out", out)
+    assert code == 0
+    assert said.startswith("3 stations: spots within")
+    assert len(hl.read_stations(out).station_names) == 3
+    _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--json")
+    answer = json.loads(said)
+    errors = [answer["spot_error_m"], *(one["spot_error_m"] for one in answer["stations"])]
+    assert errors == sorted(errors, reverse=True)
+    code, _, err = handlaser("plan", poses, "--rig", rig, "--planes", "2")
+    assert code == 2
+    assert "options of how beams before planes are calibrated" in err
