@@ -37,7 +37,7 @@ def measured(poses, rng):
 
 
 def looking(tilts, rng):
-    """Hand poses whose profiler looks at the plane from about 0.1 m, tilted by (about x, about y) [rad]."""
+    """Hand poses whose profiler looks at the plane from some 0.1 m, tilted about x and y [rad]."""
     mount, place = MOUNT
     for about_x, about_y in tilts:
         # The sensor's z along the normal, then tilted about its own axes.
