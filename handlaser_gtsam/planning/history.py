@@ -14,7 +14,7 @@ from ..errors import GrazingBeamError, InputError, SolverError
 from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
 from ..results.spot_error import freedom, radius, spot_at
-from ..validation.parts import WholeSolution
+from ..validation.held_out import WholeSolution
 from .goal import Forecast
 
 HISTORY_POINTS = 24
@@ -36,7 +36,7 @@ def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecas
         How many, ascending, in the order of the recording; the last is all of them.
     known : Forecast
         The largest of all beams, (K,) each; NaN where something is still undetermined. None in place of
-        both where `parts.WholeSolution.of` refuses the calibration, or it has no covariance.
+        both where `WholeSolution.of` refuses the calibration, or it has no covariance.
     """
     joint = calibration.covariance
     try:

@@ -24,6 +24,7 @@ from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, mov
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
+from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 from .drift import Reference, turns
 
@@ -221,7 +222,10 @@ def fit_plane(
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
     variances = config.variances(len(recording.plane_labels))
-    parameters, terms = _through_spots(beams, readings), max(config.terms)
+    r, v, k = beams
+    # The plane through the laser spots by total least squares, facing away from the beams.
+    parameters = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
+    terms = max(config.terms)
     try:
         for _ in range(WEIGHT_PASSES if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
@@ -231,17 +235,6 @@ def fit_plane(
     except GrazingBeamError:
         return None
     return FittedPlane(config, corrected, parameters, e, how, normal, origin)
-
-
-def _through_spots(beams: Beams, readings: Readings) -> Parameters:
-    """Return the plane through the laser spots by total least squares, facing away from the beams."""
-    r, v, k = (array[readings.beam] for array in beams)
-    d, R = readings.distance, readings.world_R_hand
-    spots = model.spots(R, readings.world_t_hand, r, v, model.corrected(d, k))
-    axes, centre, _ = model.plane_through(spots)
-    n = axes[2]
-    n = n if np.einsum("nij,nj->i", R, v) @ n > 0.0 else -n
-    return Parameters(*beams, n[None], np.array([-n @ centre]))
 
 
 def _stepped(
