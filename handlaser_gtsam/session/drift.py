@@ -60,8 +60,10 @@ class Moved(Value):
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
-    """Beams that unknowns are counted from, in natural units: the typical range, 1 rad.
+class DriftHistory:
+    """Beams that unknowns are counted from, and what the planes know of them, in their order.
+
+    Unknowns are in natural units: the typical range, 1 rad.
 
     Attributes
     ----------
@@ -69,13 +71,19 @@ class Reference:
     beams : Beams
     terms : tuple of int
     length : float
-        [m]
+        The typical range [m].
+    known : Information
+        Information beside the planes.
+    pieces : mapping of str to Information
+        Information of each plane, by its name.
     """
 
     names: tuple[str, ...]
     beams: Beams
     terms: tuple[int, ...]
     length: float
+    known: Information
+    pieces: Mapping[str, Information] = field(default_factory=dict)
 
     @property
     def mask(self) -> BoolArray:
@@ -109,24 +117,6 @@ class Reference:
         )
         coordinates: FloatArray = x.ravel()[self.active] / self.unit
         return coordinates
-
-
-@dataclass(frozen=True, slots=True)
-class DriftHistory:
-    """The information of the planes, in the order in which they came.
-
-    Attributes
-    ----------
-    reference : Reference
-    known : Information
-        Information beside the planes.
-    pieces : mapping of str to Information
-        Information of each plane, by its name.
-    """
-
-    reference: Reference
-    known: Information
-    pieces: Mapping[str, Information] = field(default_factory=dict)
 
     def with_plane(self, name: str, piece: Information) -> "DriftHistory":
         """Return the history with one more plane, or with more known of one."""
@@ -184,7 +174,7 @@ class DriftHistory:
         return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
 
     def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
-        beams = self.reference.moves()
+        beams = self.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
         keep = values > KNOWN**-2
@@ -194,9 +184,9 @@ class DriftHistory:
         moves = np.einsum("ebij,ebj->ebi", axes, np.where(keep, along / safe, 0.0))
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-        d = moves[best] * self.reference.unit[beams[best[1]]]
+        d = moves[best] * self.unit[beams[best[1]]]
         return Moved(
-            self.reference.names[best[1]],
+            self.names[best[1]],
             list(self.pieces)[int(epochs[best[0]])],
             float(statistic[best]),
             min(float(np.exp(log_p[best])) * log_p.size, 1.0),
@@ -219,14 +209,14 @@ def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
     return np.where(np.isfinite(log_p), log_p, tail)
 
 
-def turns(directions: FloatArray, reference: Reference) -> FloatArray:
-    """Return the matrix from unknowns in the bases of the reference to unknowns in the bases here."""
-    here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
+def turns(directions: FloatArray, history: DriftHistory) -> FloatArray:
+    """Return the matrix from unknowns in the bases of a history to unknowns in the bases here."""
+    here, there = model.tangent_basis(directions), model.tangent_basis(history.beams[1])
     turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
     turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
     whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
     each = np.arange(len(directions))
     whole[each, :, each, :] = turns
-    size, active = BEAM.dim * len(directions), reference.active
+    size, active = BEAM.dim * len(directions), history.active
     matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
     return matrix

@@ -26,7 +26,7 @@ from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
-from .drift import Reference, turns
+from .drift import DriftHistory, turns
 
 WEIGHT_PASSES = 2
 """Passes of weighing a plane: the second judges the noise of its readings by the weighted plane, not by
@@ -81,31 +81,31 @@ class FittedPlane:
             mask[self.readings.station[row], beam] = True
         return mask
 
-    def information(self, reference: Reference) -> Information:
+    def information(self, history: DriftHistory) -> Information:
         """Return what the plane knows of the beams, (n, n) and (n,), in natural units."""
         beams, sigma = self.parameters.beams, self.whitening.sigma
-        unit = np.ones(len(reference.mask))
-        unit[reference.mask] = reference.unit
-        reduced = self.normal.reduced(unit, PLANE.natural_units(reference.length), reference.mask)
-        turn = turns(beams[1], reference)
+        unit = np.ones(len(history.mask))
+        unit[history.mask] = history.unit
+        reduced = self.normal.reduced(unit, PLANE.natural_units(history.length), history.mask)
+        turn = turns(beams[1], history)
         L = turn.T @ reduced.matrix @ turn / sigma**2
         gradient = turn.T @ reduced.gradient / sigma**2
-        return Information(L, L @ reference.coordinates(beams) - gradient, np.zeros(()))
+        return Information(L, L @ history.coordinates(beams) - gradient, np.zeros(()))
 
-    def fits(self, information: Information, reference: Reference) -> bool:
+    def fits(self, information: Information, history: DriftHistory) -> bool:
         """Tell whether its readings agree with each other, whatever the beams are.
 
         Parameters
         ----------
         information : Information
             Information of this plane.
-        reference : Reference
-            Beams that it is counted from.
+        history : DriftHistory
+            Has the beams that it is counted from.
         """
         white = self.whitening.apply(self.residual) / self.whitening.sigma
         values, axes = np.linalg.eigh(information.matrix)
         keep = values > 1.0
-        here = reference.coordinates(self.parameters.beams)
+        here = history.coordinates(self.parameters.beams)
         along = axes.T @ (information.vector - information.matrix @ here)
         fall = (along[keep] ** 2 / values[keep]).sum()
         return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))

@@ -19,7 +19,7 @@ from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, Moved, Reference
+from .drift import DriftHistory, Moved
 from .fitted import FittedPlane, fit_plane
 from .integration import integrated, scaled_information
 from .joining import factors_of, fitted_planes, join_planes
@@ -168,7 +168,7 @@ class SessionState:
             changes=self.changes + 1,
             inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
             sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
-            | _sums(joined, self.history.reference),
+            | _sums(joined, self.history),
             estimate=None,
         )
         if fresh or gone:
@@ -228,7 +228,7 @@ class SessionState:
             fitted[plane] = refitted
         history = config.history(beams)
         for plane in self.history.pieces:
-            history = history.with_plane(plane, fitted[plane].information(history.reference))
+            history = history.with_plane(plane, fitted[plane].information(history))
         now = replace(self, history=history, weighed=beams)
         if not config.weights_depend:
             return now
@@ -239,7 +239,7 @@ class SessionState:
             graph=graph,
             factors=factors,
             state=state,
-            sums=_sums(fitted, history.reference),
+            sums=_sums(fitted, history),
             estimate=None,
         )
 
@@ -294,8 +294,8 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     factors = factors_of(contents, fitted)
     history, inconsistent = config.history(beams), set[str]()
     for plane, plane_fit in fitted.items():
-        information = plane_fit.information(history.reference)
-        if plane_fit.fits(information, history.reference):
+        information = plane_fit.information(history)
+        if plane_fit.fits(information, history):
             history = history.with_plane(plane, information)
         else:
             inconsistent.add(plane)
@@ -313,7 +313,7 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         history,
         frozenset(inconsistent),
         len(fitted),
-        _sums(fitted, history.reference),
+        _sums(fitted, history),
     )
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
@@ -322,10 +322,10 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     return replace(now, compared=now.state)
 
 
-def _sums(fitted: Mapping[str, FittedPlane], reference: Reference) -> dict[str, Information]:
+def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
     """Return what planes know for all scales that are learned; nothing where none are."""
     return {
-        plane: scaled_information(plane_fit, reference)
+        plane: scaled_information(plane_fit, history)
         for plane, plane_fit in fitted.items()
         if plane_fit.config.learned is not None
     }
