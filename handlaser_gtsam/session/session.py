@@ -237,7 +237,7 @@ class Session:
         A range sigma that was not given is taken from the last comparison, or from `recalibrate`.
         """
         now = self.state
-        state, config = now.integrated(), now.config
+        state, config = now.integrated, now.config
         mounts = Mounts(config.names, *state.beams, config.terms, state.covariance, config.sigma)
         return mounts if now.current == mounts.names else mounts.arranged(now.current)
 
@@ -270,7 +270,7 @@ class Session:
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        return self.state.inside().compared(self.state.integrated())
+        return self.state.inside().compared(self.state.integrated)
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was."""

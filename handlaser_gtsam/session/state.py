@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import gtsam
@@ -34,7 +35,7 @@ TRUSTED_PLANES = 4
 """With fewer planes in the graph none is excluded: the first planes may have begun with wrong beams."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SessionState:
     """The calibration of a session, and how it came about.
 
@@ -47,21 +48,18 @@ class SessionState:
         Factors of every plane in the graph, by its number.
     state : BeamState
         The beams of the graph.
-    weighed : Beams
-        The beams behind the weights and the history.
     compared : BeamState
         The beams of the last comparison with the batch solution.
     changes : int
         Number of changes since that comparison.
     history : DriftHistory
+        Counted from the beams behind the weights.
     inconsistent : frozenset of str
         Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
     sums : mapping of str to Information
         What each plane knows for all scales; empty where none are integrated over.
-    estimate : BeamState or None
-        The beams with all scales integrated over, once that has been done.
     """
 
     contents: Contents
@@ -69,19 +67,16 @@ class SessionState:
     graph: IncrementalGraph
     factors: Mapping[int, PlaneFactors]
     state: BeamState
-    weighed: Beams
     compared: BeamState
     changes: int
     history: DriftHistory
     inconsistent: frozenset[str]
     learned_with: int
     sums: Mapping[str, Information] = field(default_factory=dict)
-    estimate: BeamState | None = None
 
+    @cached_property
     def integrated(self) -> BeamState:
-        """Return the beams with all scales integrated over."""
-        if self.estimate is not None:
-            return self.estimate
+        """The beams with all scales integrated over."""
         return integrated(self.state, self.config, self.history, self.sums)
 
     @property
@@ -169,7 +164,6 @@ class SessionState:
             inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
             sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
             | _sums(joined, self.history),
-            estimate=None,
         )
         if fresh or gone:
             new = new._solved(fresh, gone)
@@ -217,7 +211,7 @@ class SessionState:
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
         limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
-        if config.apart(beams, self.weighed) < limit:
+        if config.apart(beams, self.history.beams) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
@@ -229,7 +223,7 @@ class SessionState:
         history = config.history(beams)
         for plane in self.history.pieces:
             history = history.with_plane(plane, fitted[plane].information(history))
-        now = replace(self, history=history, weighed=beams)
+        now = replace(self, history=history)
         if not config.weights_depend:
             return now
         factors = factors_of(self.contents, fitted)
@@ -240,7 +234,6 @@ class SessionState:
             factors=factors,
             state=state,
             sums=_sums(fitted, history),
-            estimate=None,
         )
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -307,7 +300,6 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         graph,
         factors,
         state,
-        beams,
         state,
         0,
         history,
