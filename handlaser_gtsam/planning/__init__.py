@@ -15,15 +15,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "blind": "blind_motion",
-            "bounds": "Bounds",
-            "goal": "Forecast Goal",
-            "plate": "Placement Plate",
-            "robot": "Robot",
-            "route": "Plan",
-            "workspace": "Workspace",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -11,11 +11,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            ".solvers.isam": "IncrementalOptions",
-            "drift": "Moved",
-            "reports": "Change Comparison Update",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

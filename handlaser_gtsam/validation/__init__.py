@@ -21,16 +21,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "cross_check": "CrossCheck",
-            "hold_out": "BeamDrift HoldOut",
-            "leave_out": "PlaneLeftOut Validation",
-            "prediction": "Prediction",
-            "runs": "Estimated calibrate_each count_warnings reduce_together summarize_runs",
-            "scenes": "Layout",
-            "simulate": "Errors",
-            "study": "Case Study",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)
