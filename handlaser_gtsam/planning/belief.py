@@ -15,7 +15,7 @@ from ..model.joint import beams_lift
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from .plate import Plate, plate_of
+from .bounds import Plate, plate_of
 
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say

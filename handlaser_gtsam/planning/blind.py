@@ -27,11 +27,10 @@ from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
-from .bounds import Bounds
+from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, value
 from .goal import Goal
 from .information import recorded_rows, station_rows, updated
-from .plate import MOST_PLACEMENTS, SIDES
 from .route import Plan, planned
 from .task import Task, goal_rows
 from .workspace import (
@@ -106,7 +105,7 @@ def blind_motion(
     require_kind("workspace", workspace, Workspace)
     if stations is not None:
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
-    require_count("planes", planes, 1, MOST_PLACEMENTS)
+    require_count("planes", planes, 1, MOST_PLANNED)
     rng = np.random.default_rng(0) if rng is None else rng
     known = assumed(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
@@ -129,11 +128,8 @@ def blind_motion(
             motion = joined([first, turns[chosen]])
             break
     if motion is None:
-        raise InputError(
-            "no motion that determines the mounts and keeps the beams of all within the bounds in range"
-            + ("" if workspace.robot is None else ", and that the arm reaches"),
-            "narrower bounds of mount and plate, a wider workspace, more stations or a sensor of "
-            "longer range",
+        raise known.refusal(
+            "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
     plates = {plane_name(p): bounds.plate for p in range(planes)}
     belief = known.belief(bounds.middle()).before(plates, only=True)
@@ -295,10 +291,14 @@ class Blind:
             )
             if len(self.safe(stations, [mounts])) == 4:
                 return stations
-        raise InputError(
-            "no translations that keep the beams of all mounts within the bounds in range"
-            + ("" if self.workspace.robot is None else ", and that the arm reaches"),
-            "narrower bounds of mount and plate, a wider workspace or a sensor of longer range",
+        raise self.refusal("no translations that keep")
+
+    def refusal(self, motion: str, remedy: str = "a wider workspace") -> InputError:
+        """Return the error that says that there is no such motion."""
+        reach = "" if self.workspace.robot is None else ", and that the arm reaches"
+        return InputError(
+            f"{motion} the beams of all mounts within the bounds in range{reach}",
+            f"narrower bounds of mount and plate, {remedy} or a sensor of longer range",
         )
 
     def turns(self, rng: np.random.Generator) -> Stations:

@@ -93,14 +93,6 @@ class Contents:
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
-    def origins(self) -> FloatArray:
-        """Return the origins (P, 3) of the planes in the graph [m], in their order."""
-        return np.array([self.planes[name].origin for name in self.numbers])
-
-    def inside(self) -> Recording:
-        """Return all of the planes that are in the graph, in their order."""
-        return join([self.planes[name].recording for name in self.numbers])
-
     def everything(self) -> Recording:
         """Return everything as it was added.
 

@@ -248,7 +248,7 @@ class Session:
         stands beside it as a further beam.
         """
         now = self.state
-        calibration = now.inside().calibration(now.contents)
+        calibration = now.inside().calibration()
         warnings = (*self._screening, *calibration.warnings)
         planes = len(now.contents.numbers)
         learns = now.config.learned is not None or self.noise.range_sigma is None
