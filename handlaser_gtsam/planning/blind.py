@@ -229,6 +229,11 @@ class Blind:
         """The middle of the sensor's range [m]."""
         return 0.5 * (self.sensor.range_min + self.sensor.range_max)
 
+    @property
+    def axis(self) -> FloatArray:
+        """The mean direction (3,) of the beams, hand frame."""
+        return model.normalized(self.bounds.directions.mean(axis=0))
+
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
@@ -258,7 +263,7 @@ class Blind:
         As far as half of the largest turn: the other half is left for the motion.
         """
         home, n = self.workspace.home, self.bounds.plate.normal
-        v = home @ model.normalized(self.bounds.directions.mean(axis=0))
+        v = home @ self.axis
         axis = np.cross(v, n)
         size = float(np.linalg.norm(axis))
         if size < SINGULAR:
@@ -273,8 +278,7 @@ class Blind:
         little.
         """
         facing, bounds = self.facing(), self.bounds
-        v = model.normalized(bounds.directions.mean(axis=0))
-        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * v)
+        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * self.axis)
         R = Rotation.from_rotvec(turns)
         t = bounds.plate.point - R.apply(lever) + shift
         return Stations(R.as_matrix() @ facing, t, np.zeros(len(t), dtype=np.intp))
@@ -304,7 +308,7 @@ class Blind:
     def turns(self, rng: np.random.Generator) -> Stations:
         """Return turns to several sides, about the beams too, each with a translation."""
         span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
-        v = self.facing() @ model.normalized(self.bounds.directions.mean(axis=0))
+        v = self.facing() @ self.axis
         across = model.tangent_basis(v[None])[0].T
         side = 2.0 * math.pi * rng.integers(SIDES, size=TRIED_TURNS) / SIDES
         size = self.workspace.largest_turn * rng.uniform(size=TRIED_TURNS)

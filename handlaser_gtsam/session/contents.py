@@ -39,18 +39,16 @@ class PlaneContents:
     origin: FloatArray | None = None
     culprit: str | None = None
 
-    def unused(self) -> BoolArray:
-        """Return which readings (M, B) are not used."""
+    def used(self) -> Recording:
+        """Return all stations with the readings that are used."""
+        if not self.rejected:
+            return self.recording
         row = {name: j for j, name in enumerate(self.recording.station_names)}
         column = {name: i for i, name in enumerate(self.recording.beam_names)}
         mask = np.zeros(self.recording.ranges.shape, dtype=bool)
         for reading in self.rejected:
             mask[row[reading.station], column[reading.beam]] = True
-        return mask
-
-    def used(self) -> Recording:
-        """Return all stations with the readings that are used."""
-        return self.recording.without(self.unused()) if self.rejected else self.recording
+        return self.recording.without(mask)
 
 
 @dataclass(frozen=True, eq=False)
