@@ -12,7 +12,7 @@ from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances
+from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .bounds import Plate, plate_of
@@ -83,10 +83,8 @@ class Belief:
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and planes drawn from the spread."""
-        values, axes = np.linalg.eigh(self.spread)
-        return self.moved(
-            axes @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(axes)))
-        )
+        (root,) = covariance_roots(self.spread[None])
+        return self.moved(root @ rng.standard_normal(len(root)))
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""

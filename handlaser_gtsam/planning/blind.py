@@ -60,8 +60,6 @@ LEAST_BLIND = 11
 """Stations before a plane, at least: four positions and seven turns."""
 MOST_BLIND = 60
 """Stations before a plane, at most: where they do not determine the mounts, the bounds are too wide."""
-ADDED = 4
-"""Stations that are added at a time, where those before do not determine the mounts."""
 COMPLETING_COUNTS = (3, 4, 5, 6, 8, 10, 12)
 """Numbers of stations that are tried, until they determine the mounts."""
 
@@ -119,7 +117,7 @@ def blind_motion(
     enough = (0.5 if stations is None else 0.8) * KNOWN
     motion: Stations | None = None
     most = MOST_BLIND if stations is None else stations
-    for number in range(stations or LEAST_BLIND, most + 1, ADDED):
+    for number in range(stations or LEAST_BLIND, most + 1, 4):
         more = number - len(first)
         if len(turns) < more:
             break

@@ -17,9 +17,6 @@ from ..results.spot_error import freedom, radius, spot_at
 from ..validation.held_out import WholeSolution
 from .goal import Forecast
 
-HISTORY_POINTS = 24
-"""Numbers of stations at which it is computed: a curve through them is smooth."""
-
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:
     """Return what was known after the first stations, at the noise estimated from all of them.
@@ -46,7 +43,8 @@ def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecas
     if joint is None:
         return None
     used = np.flatnonzero(~np.isnan(whole.recording.ranges).all(axis=1))
-    counts = np.unique(np.linspace(1, len(used), HISTORY_POINTS).round().astype(np.intp))
+    # A curve through two dozen numbers of stations is smooth.
+    counts = np.unique(np.linspace(1, len(used), 24).round().astype(np.intp))
     sigmas = np.full((len(counts), len(calibration.beams), 3), np.nan)
     for rows, count in zip(sigmas, counts.tolist(), strict=True):
         first = np.zeros(len(whole.recording.plane_labels), dtype=bool)

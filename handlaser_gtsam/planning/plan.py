@@ -29,9 +29,6 @@ REFINING_MOVES = (0.4, 0.15)
 sensor's range: about as far as candidates are apart, and then as those are."""
 NEIGHBOURS = 24
 """Moved copies of every station in each of these rounds: a few to either side of each coordinate."""
-REPLACEMENTS = 6
-"""Rounds in which others take the place of stations without a way, before fewer have to do: most plans
-need one or two."""
 
 
 def plan(
@@ -189,7 +186,7 @@ def planned_with_spare(
     belief, count = task.belief, len(stations)
     best, kept = planned(task, stations, plates=plates)
     plan = best
-    for _ in range(REPLACEMENTS - 1):
+    for _ in range(5):  # most plans need one or two, before fewer stations have to do
         missing = count - len(kept)
         if not missing or len(spare) < missing:
             break

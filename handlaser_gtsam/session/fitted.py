@@ -28,9 +28,6 @@ from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 from .drift import DriftHistory, turns
 
-WEIGHT_PASSES = 2
-"""Passes of weighing a plane: the second judges the noise of its readings by the weighted plane, not by
-the plane through the laser spots."""
 DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 SESSION_CUT = 4.5
@@ -227,7 +224,8 @@ def fit_plane(
     parameters = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
     terms = max(config.terms)
     try:
-        for _ in range(WEIGHT_PASSES if terms and config.weights_depend else 1):
+        # A second pass judges the noise of readings by the weighted plane, not by that of the spots.
+        for _ in range(2 if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
             at = linearized(parameters, corrected, 2, how)
             parameters, normal = _stepped(parameters, at, corrected)

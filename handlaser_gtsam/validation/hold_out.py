@@ -26,16 +26,13 @@ from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances, Whitening, whitening
+from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
 from ..quantities import KNOWN, MOST_ROUNDS, SINGULAR
 from ..results.mounts import Mounts
 from ..results.significance import FEW_DEGREES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
-
-SCALE_ROUNDS = 3
-"""Rounds in which the scale of the noise and the directions that it determines settle together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -197,7 +194,8 @@ def _tested(
     scale, keep = 1.0, values > KNOWN**-2
     # Few readings cannot tell their own sigma: that of the calibration stands for it.
     known = known or free - int(keep.sum()) < FEW_DEGREES
-    for _ in range(0 if known else SCALE_ROUNDS):
+    # In three rounds the scale of the noise and the directions that it determines settle together.
+    for _ in range(0 if known else 3):
         rest = cost - float((along[keep] ** 2 / values[keep]).sum())
         scale = rest / (free - int(keep.sum()))
         keep = values / scale > KNOWN**-2
@@ -224,14 +222,14 @@ def _tested(
         return float(f_sf(statistic / degrees, degrees, max(dof, 1)))
 
     n = len(unit)
-    none, own = np.empty((n, 0)), _root(covariance)
+    none, own = np.empty((n, 0)), covariance_roots(covariance[None])[0]
     held, _ = least(own, none)
     moved, _ = least(none, np.eye(n))
     chi2, drift = cost / scale - moved, moved - held
     beams = []
     for index, name in enumerate(names):
         mine = beam == index
-        others = _root((own @ own.T)[np.ix_(~mine, ~mine)])
+        (others,) = covariance_roots((own @ own.T)[np.ix_(~mine, ~mine)][None])
         root = np.zeros((n, others.shape[1]))
         root[~mine] = others
         fall, x = least(root, np.eye(n)[:, mine])
@@ -250,9 +248,3 @@ def _tested(
         p_value(drift, rank),
         tuple(beams),
     )
-
-
-def _root(P: FloatArray) -> FloatArray:
-    variances, sides = np.linalg.eigh(0.5 * (P + P.T))
-    root: FloatArray = sides * np.sqrt(np.maximum(variances, 0.0))
-    return root
