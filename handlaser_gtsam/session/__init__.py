@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..solvers.isam import IncrementalOptions as IncrementalOptions
-    from .drift import Moved as Moved
     from .reports import Change as Change
     from .reports import Comparison as Comparison
+    from .reports import Moved as Moved
     from .reports import Update as Update
 else:
     from ..lazy import lazy_names

@@ -28,6 +28,7 @@ from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
 from .config import SessionConfig
 from .contents import Contents
+from .drift import DriftHistory
 from .reports import Comparison
 
 METHOD = "incremental"
@@ -142,7 +143,7 @@ class BatchProblem:
         stations = int(readings.station.max()) + 1
         readings, _ = weighed(readings, parameters, config.variances(stations), max(config.terms))
         variances = learned.base.for_stations(stations)
-        known = config.history(parameters.beams).known[None]
+        known = DriftHistory.empty(config, parameters.beams).known[None]
         return ScaleProblem(
             parameters,
             readings,

@@ -22,41 +22,15 @@ from scipy.special import betaln, gammaln
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
-from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, MOUNT_DIM, modelled
 from ..quantities import KNOWN
+from .config import ProcessNoise, SessionConfig
+from .reports import Moved
 
 FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Moved(Value):
-    """A beam that has moved.
-
-    Attributes
-    ----------
-    beam : str
-    since : str
-        The first plane that saw it moved.
-    statistic : float
-        Fall of chi2.
-    p_value : float
-        Probability of so clear a sign if nothing has moved, all epochs and beams considered.
-    shift : (3,)
-        Move of its location [m]; NaN where it has moved so far that planes fit only without it.
-    turn : float
-        Turn of its direction [rad]; NaN likewise.
-    """
-
-    beam: str
-    since: str
-    statistic: float
-    p_value: float
-    shift: FloatArray
-    turn: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,28 +41,49 @@ class DriftHistory:
 
     Attributes
     ----------
-    names : tuple of str
+    config : SessionConfig
     beams : Beams
-    terms : tuple of int
-    length : float
-        The typical range [m].
     known : Information
         Information beside the planes.
     pieces : mapping of str to Information
         Information of each plane, by its name.
     """
 
-    names: tuple[str, ...]
+    config: SessionConfig
     beams: Beams
-    terms: tuple[int, ...]
-    length: float
     known: Information
     pieces: Mapping[str, Information] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, config: SessionConfig, beams: Beams) -> "DriftHistory":
+        """Return a history without planes, counted from these beams."""
+        size = int(modelled(config.terms).sum())
+        nothing = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
+        history = cls(config, beams, nothing)
+        for link in config.links:
+            history = replace(history, known=history.known + history.linked(link))
+        return history
+
+    def linked(self, link: ProcessNoise) -> Information:
+        """Return what process noise between two beams says of all."""
+        size, basis = len(self.unit), model.tangent_basis(self.beams[1])
+        active, a, b = self.active.tolist(), link.before, link.now
+        rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + self.config.terms[a])]
+        other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + self.config.terms[b])]
+        J = np.zeros((len(rows), size))
+        J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
+        J[3:5, other[3:5]] = basis[a].T @ basis[b]
+        shift, turn, stretch = (array[b] - array[a] for array in self.beams)
+        error = np.concatenate((shift, basis[a].T @ turn, stretch[: self.config.terms[a]]))
+        location, direction = [link.location_sigma] * 3, [link.direction_sigma] * 2
+        sigmas = np.array([*location, *direction, *link.range_error_sigmas])[: len(rows)]
+        J = J * self.unit / sigmas[:, None]
+        return Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
 
     @property
     def mask(self) -> BoolArray:
         """Whether each of 7 unknowns a beam is estimated."""
-        return modelled(self.terms).ravel()
+        return modelled(self.config.terms).ravel()
 
     @property
     def active(self) -> IntArray:
@@ -98,7 +93,7 @@ class DriftHistory:
     @property
     def unit(self) -> FloatArray:
         """Natural units of the active unknowns."""
-        return np.tile(BEAM.natural_units(self.length), len(self.terms))[self.active]
+        return np.tile(BEAM.natural_units(self.config.length), len(self.config.terms))[self.active]
 
     def moves(self) -> IntArray:
         """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
@@ -186,7 +181,7 @@ class DriftHistory:
         best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
         d = moves[best] * self.unit[beams[best[1]]]
         return Moved(
-            self.names[best[1]],
+            self.config.names[best[1]],
             list(self.pieces)[int(epochs[best[0]])],
             float(statistic[best]),
             min(float(np.exp(log_p[best])) * log_p.size, 1.0),

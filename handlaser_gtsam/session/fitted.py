@@ -83,7 +83,9 @@ class FittedPlane:
         beams, sigma = self.parameters.beams, self.whitening.sigma
         unit = np.ones(len(history.mask))
         unit[history.mask] = history.unit
-        reduced = self.normal.reduced(unit, PLANE.natural_units(history.length), history.mask)
+        reduced = self.normal.reduced(
+            unit, PLANE.natural_units(history.config.length), history.mask
+        )
         turn = turns(beams[1], history)
         L = turn.T @ reduced.matrix @ turn / sigma**2
         gradient = turn.T @ reduced.gradient / sigma**2

@@ -23,8 +23,7 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.isam import IncrementalOptions
 from .contents import Contents
-from .drift import Moved
-from .reports import Comparison, Update
+from .reports import Comparison, Moved, Update
 from .state import SessionState
 from .updating import UNKNOWN, changed, recalibrate, split_beam, started
 

@@ -20,10 +20,11 @@ from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, Moved
+from .drift import DriftHistory
 from .fitted import FittedPlane, fit_plane
 from .integration import integrated, scaled_information
 from .joining import factors_of, fitted_planes, join_planes
+from .reports import Moved
 
 REWEIGHED_MOVE = 3e-3
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -220,7 +221,7 @@ class SessionState:
             if refitted is None:
                 return self
             fitted[plane] = refitted
-        history = config.history(beams)
+        history = DriftHistory.empty(config, beams)
         for plane in self.history.pieces:
             history = history.with_plane(plane, fitted[plane].information(history))
         now = replace(self, history=history)
@@ -285,7 +286,7 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     fitted = fitted_planes(contents, config, beams)
     contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
     factors = factors_of(contents, fitted)
-    history, inconsistent = config.history(beams), set[str]()
+    history, inconsistent = DriftHistory.empty(config, beams), set[str]()
     for plane, plane_fit in fitted.items():
         information = plane_fit.information(history)
         if plane_fit.fits(information, history):
