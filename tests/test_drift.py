@@ -85,7 +85,7 @@ def test_the_statistic_is_the_fall_of_chi2():
     keep = hl.CalibrationOptions("none", outliers="keep")
     one, two = (hl.calibrate(r, NOISE, keep).fit.chi2 for r in (recording, split))
     M, s = _scores(history, 5)
-    own = history.reference.moves()[names.index("2")]
+    own = history.moves()[names.index("2")]
     statistic = s[own] @ np.linalg.solve(M[np.ix_(own, own)], s[own])
     assert one - two > 20.0
     assert statistic == pytest.approx(one - two, rel=5e-3)  # the model is not quite linear

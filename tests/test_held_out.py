@@ -9,8 +9,7 @@ from helpers import GRIPPER, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.planning.history import history
 from handlaser_gtsam.solvers.linear import LinearSystem
-from handlaser_gtsam.validation.held_out import USUAL_SPLITS, held_out
-from handlaser_gtsam.validation.parts import WholeSolution
+from handlaser_gtsam.validation.held_out import USUAL_SPLITS, WholeSolution, held_out
 from handlaser_gtsam.validation.scenes import Layout
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}

@@ -51,7 +51,7 @@ LAZY += ("session", "solvers", "validation")
 
 @pytest.mark.parametrize("module", LAZY)
 def test_type_checkers_see_the_names_that_there_are(module):
-    """Every name stands twice: in imports for type checkers, and with the home it is taken from."""
+    """What imports for type checkers say is what there is, and from where."""
     package = getattr(hl, module) if module else hl
     tree = ast.parse((ROOT / "handlaser_gtsam" / module / "__init__.py").read_text())
     seen = {

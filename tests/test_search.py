@@ -215,10 +215,10 @@ def test_a_part_of_very_many_beams_or_stations_stands_for_the_whole(layout):
     assert not part.is_whole
     assert part.readings.beams == min(layout.beams, 30)
     assert len(part.readings) <= 6000
-    e = model.residuals_or_infinite(part.restricted(truth), part.readings)
+    e = model.residuals_or_infinite(truth.part(part.beams, part.planes), part.readings)
     assert np.abs(e).max() < 1e-9
     # What is left out grows linearly from what is there: exact readings leave only rounding.
-    grown = part.extended(part.restricted(truth))
+    grown = part.extended(truth.part(part.beams, part.planes))
     assert np.abs(grown.locations - truth.locations).max() < 1e-6
 
 

@@ -15,8 +15,7 @@ from ..progress import tell
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
-from ..session.drift import Moved
-from ..session.reports import Comparison, Update
+from ..session.reports import Comparison, Moved, Update
 from ..session.session import Session
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..files.rig_toml import Rig
-    from ..planning.plate import Plate
+    from ..planning.bounds import Plate
     from ..planning.route import Plan
     from ..planning.survey import SurveyPlan
     from ..results.calibration import Calibration
@@ -176,7 +176,7 @@ def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     """Return the mounts of a result, and its planes as plates that are known as well as it says."""
     from ..errors import InputError
     from ..files.calibration_reading import read_calibration, read_mounts
-    from ..planning.plate import plate_of
+    from ..planning.bounds import plate_of
 
     mounts = read_mounts(path)
     if rig.workspace is None:

@@ -46,7 +46,7 @@ def study(
     from ..files.study_picture import write_study_picture
     from ..files.study_toml import read_study
     from ..files.writing import require_outputs
-    from ..validation.runs_table import count_warnings, summarize_runs
+    from ..validation.runs import count_warnings, summarize_runs
     from ..validation.study import run_study
     from ..validation.workers import workers
 

@@ -10,11 +10,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "parameters": "RangeErrorPrior",
-            "readings": "Readings Regressors",
-            "recording_checks": "HasMatrix",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -17,14 +17,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "estimate": "BlockProblem Estimate TestedEffect score_test",
-            "information": "NoiseSet",
-            "learned": "LearnedScales",
-            "many_recordings": "SolvedMany solve_many",
-            "range_error_grid": "RangeErrorGrid",
-            "scales": "Scale Scales",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

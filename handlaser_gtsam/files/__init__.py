@@ -16,15 +16,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "calibration_file": "CalibrationFile",
-            "logs.report": "LogReport",
-            "rig_planning": "Plans",
-            "rig_toml": "Rig",
-            "rig_survey": "SensorTable SurveyTables",
-            "runs_parquet": "read_runs write_runs",
-            "survey_json": "SurveyFile read_survey_result",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

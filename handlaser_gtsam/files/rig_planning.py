@@ -24,10 +24,9 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
 from ..model.sensor import Sensor
-from ..planning.bounds import Bounds
+from ..planning.bounds import Bounds, Placement, Plate
 from ..planning.choice import Criterion
 from ..planning.goal import Goal
-from ..planning.plate import Placement, Plate
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from ..results.limits import Limits

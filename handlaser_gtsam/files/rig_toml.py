@@ -39,9 +39,8 @@ from .rig_log import LogTable, table_of, with_stated
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
-    from ..planning.bounds import Bounds
+    from ..planning.bounds import Bounds, Placement
     from ..planning.goal import Goal
-    from ..planning.plate import Placement
     from ..planning.workspace import Workspace
     from .rig_planning import Plans
     from .rig_survey import SurveyTables
@@ -176,7 +175,7 @@ class Rig:
     @property
     def placement(self) -> "Placement":
         """How the plate can be put anew."""
-        from ..planning.plate import Placement
+        from ..planning.bounds import Placement
 
         return Placement() if self.plans is None else self.plans.placement
 

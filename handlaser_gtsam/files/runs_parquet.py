@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 
 from ..errors import InputError
-from ..validation.runs_table import RUN_SCHEMA
+from ..validation.runs import RUN_SCHEMA
 from .writing import path_of, write_bytes
 
 

@@ -34,10 +34,10 @@ from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
 from ..model.sensor import Sensor
+from ..validation.runs import calibrate_each, reduce_together
 from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors
 from ..validation.study import Case, Draw, Solve, Study
-from ..validation.treatments import calibrate_each, reduce_together
 from .checked_text import FileRecord, in_file, in_table, read_checked
 from .rig_toml import NoiseTable, noise_of, toml_value
 from .writing import path_of

@@ -9,10 +9,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "rank": "Indices ObservabilityOptions",
-            "wording": "OpenPart",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -32,8 +32,6 @@ STEPS = 12
 """Steps along the null space at most: one suffices where the solutions lie along a line."""
 SHORTEST = 0.1
 """A step that leads off the solutions is halved, down to this part."""
-UPRIGHT_STEPS = 5
-"""Steps of all unknowns but the leans, which are short from the beginning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +131,7 @@ def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
         centres = linearized(parameters, readings, 0, how).centres
         turned = ((parameters.normals - normals) * centres).sum(axis=1)
         at = replace(parameters, normals=normals, offsets=parameters.offsets + turned)
-        for _ in range(UPRIGHT_STEPS):
+        for _ in range(5):  # steps of all but the leans, which are short from the beginning
             linear = linearized(at, readings, 0, how)
             slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
             stiff = np.zeros_like(linear.normal.local)

@@ -27,8 +27,6 @@ from .wording import MIRROR, MIRROR_ADVICE, BeamAndPlaneNames, OpenPart, open_pa
 
 LEAST_NOISE = 1e-4
 """No poor motion is thought to be enough because readings err by less than this part of the range."""
-GENERAL_DRAWS = 120
-"""Draws of random beams and planes at most: the first that leaves nothing undetermined is enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +133,7 @@ def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[Open
     rng = np.random.default_rng(0)
     best: tuple[OpenPart, ...] | None = None
     least = np.inf
-    for _ in range(GENERAL_DRAWS):
+    for _ in range(120):  # the first that leaves nothing undetermined is enough
         parameters = _general_position(readings, rng)
         try:
             observed = observability(parameters, readings, 0, 0.0)

@@ -200,7 +200,7 @@ def _robust(
     """Return candidates among outliers for the whole recording, the best first."""
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
-    known = [part.restricted(parameters) for parameters in others]
+    known = [parameters.part(part.beams, part.planes) for parameters in others]
     known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
     among = _ConsensusJudge(readings, terms, sigma)
     candidates = robust_search(readings, known, sigma, terms, among.criterion, among.convinced)

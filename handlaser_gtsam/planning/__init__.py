@@ -5,25 +5,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .blind import blind_motion as blind_motion
     from .bounds import Bounds as Bounds
+    from .bounds import Placement as Placement
+    from .bounds import Plate as Plate
     from .goal import Forecast as Forecast
     from .goal import Goal as Goal
-    from .plate import Placement as Placement
-    from .plate import Plate as Plate
     from .robot import Robot as Robot
     from .route import Plan as Plan
     from .workspace import Workspace as Workspace
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "blind": "blind_motion",
-            "bounds": "Bounds",
-            "goal": "Forecast Goal",
-            "plate": "Placement Plate",
-            "robot": "Robot",
-            "route": "Plan",
-            "workspace": "Workspace",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -12,10 +12,10 @@ from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances
+from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from .plate import Plate, plate_of
+from .bounds import Plate, plate_of
 
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say
@@ -83,10 +83,8 @@ class Belief:
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and planes drawn from the spread."""
-        values, axes = np.linalg.eigh(self.spread)
-        return self.moved(
-            axes @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(axes)))
-        )
+        (root,) = covariance_roots(self.spread[None])
+        return self.moved(root @ rng.standard_normal(len(root)))
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
@@ -162,44 +160,34 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     InputError
         The calibration leaves something undetermined, so that there is no covariance.
     """
-    pose = calibration.pose_covariance
-    pose = None if pose is None else pose[None]
     if isinstance(calibration, Mounts):
         bases, nothing = model.tangent_basis(calibration.directions), np.empty((0, 3))
         lift = beams_lift(bases, [2] * len(bases))
         covariance = lift.T @ calibration.covariance @ lift
-        mean = Parameters(
-            calibration.locations,
-            calibration.directions,
-            calibration.range_errors,
-            nothing,
-            np.empty(0),
-        )
-        noise = Variances(np.full(len(bases), calibration.range_sigma), pose=pose)
-        no_bases = np.empty((0, 3, 2))
-        return Belief(mean, covariance, bases, no_bases, nothing, noise, (), covariance)
-    joint = calibration.covariance
-    if joint is None or calibration.status != "converged":
-        raise InputError(
-            f"a calibration that is {calibration.status.replace('_', ' ')}",
-            "a converged one; plan without a calibration for a first motion",
-        )
-    last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
-    names = joint.plane_names[last]
-    # Range errors that are not modelled have rows of zeros.
-    known = modelled(joint.terms)
-    rows = np.flatnonzero(np.append(known, np.ones(PLANE.dim * len(names), dtype=bool)))
-    covariance = np.zeros((known.size + PLANE.dim * len(names),) * 2)
-    covariance[np.ix_(rows, rows)] = joint.matrix(planes=names, ambient=False)
-    mean, learned = calibration.parameters(), calibration.variances
-    given = Variances(np.full(len(joint.terms), calibration.fit.range_sigma))
-    return Belief(
-        replace(mean, normals=mean.normals[last], offsets=mean.offsets[last]),
-        covariance,
-        joint.beam_bases,
-        joint.plane_bases[last],
-        joint.origins[last],
-        replace(given if learned is None else learned, pose=pose),
-        names,
-        covariance,
-    )
+        r, v, k = calibration.locations, calibration.directions, calibration.range_errors
+        mean = Parameters(r, v, k, nothing, np.empty(0))
+        noise = Variances(np.full(len(bases), calibration.range_sigma))
+        names: tuple[str, ...] = ()
+        plane_bases, origins = np.empty((0, 3, 2)), nothing
+    else:
+        joint = calibration.covariance
+        if joint is None or calibration.status != "converged":
+            raise InputError(
+                f"a calibration that is {calibration.status.replace('_', ' ')}",
+                "a converged one; plan without a calibration for a first motion",
+            )
+        last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
+        names, bases = joint.plane_names[last], joint.beam_bases
+        plane_bases, origins = joint.plane_bases[last], joint.origins[last]
+        # Range errors that are not modelled have rows of zeros.
+        known = modelled(joint.terms)
+        rows = np.flatnonzero(np.append(known, np.ones(PLANE.dim * len(names), dtype=bool)))
+        covariance = np.zeros((known.size + PLANE.dim * len(names),) * 2)
+        covariance[np.ix_(rows, rows)] = joint.matrix(planes=names, ambient=False)
+        mean = calibration.parameters()
+        mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
+        given = Variances(np.full(len(joint.terms), calibration.fit.range_sigma))
+        noise = calibration.variances or given
+    pose = calibration.pose_covariance
+    noise = replace(noise, pose=None if pose is None else pose[None])
+    return Belief(mean, covariance, bases, plane_bases, origins, noise, names, covariance)

@@ -27,11 +27,10 @@ from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
-from .bounds import Bounds
+from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, value
 from .goal import Goal
 from .information import recorded_rows, station_rows, updated
-from .plate import MOST_PLACEMENTS, SIDES
 from .route import Plan, planned
 from .task import Task, goal_rows
 from .workspace import (
@@ -61,8 +60,6 @@ LEAST_BLIND = 11
 """Stations before a plane, at least: four positions and seven turns."""
 MOST_BLIND = 60
 """Stations before a plane, at most: where they do not determine the mounts, the bounds are too wide."""
-ADDED = 4
-"""Stations that are added at a time, where those before do not determine the mounts."""
 COMPLETING_COUNTS = (3, 4, 5, 6, 8, 10, 12)
 """Numbers of stations that are tried, until they determine the mounts."""
 
@@ -106,7 +103,7 @@ def blind_motion(
     require_kind("workspace", workspace, Workspace)
     if stations is not None:
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
-    require_count("planes", planes, 1, MOST_PLACEMENTS)
+    require_count("planes", planes, 1, MOST_PLANNED)
     rng = np.random.default_rng(0) if rng is None else rng
     known = assumed(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
@@ -120,7 +117,7 @@ def blind_motion(
     enough = (0.5 if stations is None else 0.8) * KNOWN
     motion: Stations | None = None
     most = MOST_BLIND if stations is None else stations
-    for number in range(stations or LEAST_BLIND, most + 1, ADDED):
+    for number in range(stations or LEAST_BLIND, most + 1, 4):
         more = number - len(first)
         if len(turns) < more:
             break
@@ -129,11 +126,8 @@ def blind_motion(
             motion = joined([first, turns[chosen]])
             break
     if motion is None:
-        raise InputError(
-            "no motion that determines the mounts and keeps the beams of all within the bounds in range"
-            + ("" if workspace.robot is None else ", and that the arm reaches"),
-            "narrower bounds of mount and plate, a wider workspace, more stations or a sensor of "
-            "longer range",
+        raise known.refusal(
+            "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
     plates = {plane_name(p): bounds.plate for p in range(planes)}
     belief = known.belief(bounds.middle()).before(plates, only=True)
@@ -233,6 +227,11 @@ class Blind:
         """The middle of the sensor's range [m]."""
         return 0.5 * (self.sensor.range_min + self.sensor.range_max)
 
+    @property
+    def axis(self) -> FloatArray:
+        """The mean direction (3,) of the beams, hand frame."""
+        return model.normalized(self.bounds.directions.mean(axis=0))
+
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
@@ -262,7 +261,7 @@ class Blind:
         As far as half of the largest turn: the other half is left for the motion.
         """
         home, n = self.workspace.home, self.bounds.plate.normal
-        v = home @ model.normalized(self.bounds.directions.mean(axis=0))
+        v = home @ self.axis
         axis = np.cross(v, n)
         size = float(np.linalg.norm(axis))
         if size < SINGULAR:
@@ -277,8 +276,7 @@ class Blind:
         little.
         """
         facing, bounds = self.facing(), self.bounds
-        v = model.normalized(bounds.directions.mean(axis=0))
-        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * v)
+        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * self.axis)
         R = Rotation.from_rotvec(turns)
         t = bounds.plate.point - R.apply(lever) + shift
         return Stations(R.as_matrix() @ facing, t, np.zeros(len(t), dtype=np.intp))
@@ -295,16 +293,20 @@ class Blind:
             )
             if len(self.safe(stations, [mounts])) == 4:
                 return stations
-        raise InputError(
-            "no translations that keep the beams of all mounts within the bounds in range"
-            + ("" if self.workspace.robot is None else ", and that the arm reaches"),
-            "narrower bounds of mount and plate, a wider workspace or a sensor of longer range",
+        raise self.refusal("no translations that keep")
+
+    def refusal(self, motion: str, remedy: str = "a wider workspace") -> InputError:
+        """Return the error that says that there is no such motion."""
+        reach = "" if self.workspace.robot is None else ", and that the arm reaches"
+        return InputError(
+            f"{motion} the beams of all mounts within the bounds in range{reach}",
+            f"narrower bounds of mount and plate, {remedy} or a sensor of longer range",
         )
 
     def turns(self, rng: np.random.Generator) -> Stations:
         """Return turns to several sides, about the beams too, each with a translation."""
         span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
-        v = self.facing() @ model.normalized(self.bounds.directions.mean(axis=0))
+        v = self.facing() @ self.axis
         across = model.tangent_basis(v[None])[0].T
         side = 2.0 * math.pi * rng.integers(SIDES, size=TRIED_TURNS) / SIDES
         size = self.workspace.largest_turn * rng.uniform(size=TRIED_TURNS)

@@ -1,4 +1,4 @@
-"""What is known of the mounts and of a plate before any reading: bounds."""
+"""What is known of mounts and of a plate before any reading, and how a person can move the plate."""
 
 import math
 from dataclasses import dataclass
@@ -8,12 +8,100 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_number
+from ..checks import number_array, require_count, require_number
 from ..data.parameters import Parameters
 from ..data.value import Value
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
 from ..quantities import LARGEST_LENGTH
-from .plate import STEEPEST_TILT, Plate, directions, vectors
+
+STEEPEST_TILT = math.pi / 3.0
+"""Nobody tilts a plate further, nor knows its direction worse."""
+MOST_PLANNED = 1000
+"""Nobody drives to more stations, nor puts up a plate more often: a larger number is a slip."""
+TILT_SHARES = (0.5, 1.0)
+"""Of the largest tilt: how far a plate is turned in the orientations that are compared. The largest
+are the best ones for a workspace that reaches them, half of it for others."""
+PLACED_WITHIN = 0.002
+"""How far off in distance a person puts a plate, where nothing else is stated [m]."""
+PLACED_TILT = math.radians(2.0)
+"""How far off in orientation [rad]."""
+SIDES = 8
+"""Number of sides to which a plate, or a hand, is turned: neighbours have a cosine of 0.7."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plate(Value):
+    """Where a plate roughly stands, world frame.
+
+    Attributes
+    ----------
+    point : (3,)
+        A point of the plate [m], amid the part that the beams are to meet.
+    normal : (3,)
+        Its normal, away from the sensor; scaled to a length of one.
+    within : float
+        By how much it is nearer or farther at most [m].
+    tilt : float
+        By how much it is tilted to any side at most [rad].
+
+    Raises
+    ------
+    InputError
+        Numbers that are not finite, a normal without a length, or bounds beyond sense.
+    """
+
+    point: FloatArray
+    normal: FloatArray
+    within: float = PLACED_WITHIN
+    tilt: float = PLACED_TILT
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", vectors("point", self.point, 1)[0])
+        object.__setattr__(self, "normal", directions("normal", self.normal, 1)[0])
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
+        require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How a person can move the plate: its orientations are part of the plan.
+
+    Attributes
+    ----------
+    count : int
+        How many times.
+    largest_tilt : float
+        How far it can be turned from where it stands, to any side [rad].
+    within, tilt : float
+        By how much it is then off at most, in distance [m] and in orientation [rad].
+
+    Raises
+    ------
+    InputError
+        Numbers beyond sense.
+    """
+
+    count: int = 1
+    largest_tilt: float = math.radians(25.0)
+    within: float = PLACED_WITHIN
+    tilt: float = PLACED_TILT
+
+    def __post_init__(self) -> None:
+        require_count("planes", self.count, 1, MOST_PLANNED)
+        require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
+        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
+        require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
+
+    def orientations(self, plate: Plate) -> list[Plate]:
+        """Return the plates that are compared: as it stands, and turned about its point."""
+        across = model.tangent_basis(plate.normal[None])[0]
+        normals = [plate.normal]
+        if self.largest_tilt > 0.0:
+            for tilt in self.largest_tilt * np.array(TILT_SHARES):
+                for side in 2.0 * math.pi * np.arange(SIDES) / SIDES:
+                    toward = across @ np.array([math.cos(side), math.sin(side)])
+                    normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
+        return [Plate(plate.point, n, self.within, self.tilt) for n in normals]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -89,3 +177,55 @@ def tilted(axes: FloatArray, most: float, rng: np.random.Generator) -> FloatArra
     side = rng.uniform(0.0, 2.0 * np.pi, len(axes))
     turn = angle[:, None] * np.stack((np.cos(side), np.sin(side)), axis=1)
     return Rotation.from_rotvec(np.einsum("nij,nj->ni", basis, turn)).apply(axes)
+
+
+def plate_of(
+    normal: object,
+    offset: float,
+    near: FloatArray,
+    sigma: tuple[float | None, float | None] = (None, None),
+) -> Plate:
+    """Return a plane n . x + b = 0 as a plate, about the foot of a point (3,) on it.
+
+    Parameters
+    ----------
+    normal : (3,)
+    offset : float
+        b [m].
+    near : (3,)
+    sigma : (float or None, float or None), optional
+        Standard deviations of b [m] and of the normal [rad]; None for what is not known, which counts
+        as for a plate that a person has put there.
+    """
+    n = directions("a normal", normal, 1)[0]
+    within = PLACED_WITHIN if sigma[0] is None else 2.0 * sigma[0]
+    tilt = PLACED_TILT if sigma[1] is None else min(2.0 * sigma[1], STEEPEST_TILT)
+    return Plate(near - (n @ near + offset) * n, n, within, tilt)
+
+
+def vectors(name: str, values: object, count: int | None = None) -> FloatArray:
+    """Return rows of three finite numbers (count, 3).
+
+    Raises
+    ------
+    InputError
+    """
+    rows = np.atleast_2d(number_array(name, values))  # type: ignore[arg-type]
+    if rows.ndim != 2 or rows.shape[1] != 3 or (count is not None and len(rows) != count):
+        raise InputError(f"{name} of shape {rows.shape}", "three numbers each")
+    if not (np.abs(rows) <= LARGEST_LENGTH).all():
+        raise InputError(f"{name} with numbers that are not finite", "finite numbers")
+    return rows
+
+
+def directions(name: str, values: object, count: int | None = None) -> FloatArray:
+    """Return rows of unit vectors (count, 3).
+
+    Raises
+    ------
+    InputError
+    """
+    rows = vectors(name, values, count)
+    if not np.linalg.norm(rows, axis=1).all():
+        raise ArgumentError(name, "without a length", "a direction")
+    return model.normalized(rows)

@@ -20,8 +20,6 @@ Criterion = Literal["A", "D", "E", "spot"]
 CRITERIA: tuple[Criterion, ...] = ("A", "D", "E", "spot")
 LEAST_GAIN = 1e-3
 """A round of exchanges that lowers the criterion by less than this part is the last."""
-MOST_EXCHANGES = 3
-"""Rounds of exchanges over all chosen stations: the first brings nearly all of the gain."""
 SHORTLIST = 60
 """Candidates that are compared at the draws of the belief, too: draws hardly bring up one beyond."""
 SHARPNESS = 8
@@ -70,7 +68,7 @@ def choose(
     search = _Search(rows, covariance, weight, criterion)
     for step in range(min(count, rows.shape[1])):
         search.take(search.best() if start is None else int(start[step]))
-    for _ in range(MOST_EXCHANGES if exchange else 0):
+    for _ in range(3 if exchange else 0):  # the first brings nearly all of the gain
         before = search.value()
         for place in range(len(search.chosen)):
             search.drop(place)

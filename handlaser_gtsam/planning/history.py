@@ -14,11 +14,8 @@ from ..errors import GrazingBeamError, InputError, SolverError
 from ..model.joint import JointCovariance
 from ..results.calibration import Calibration
 from ..results.spot_error import freedom, radius, spot_at
-from ..validation.parts import WholeSolution
+from ..validation.held_out import WholeSolution
 from .goal import Forecast
-
-HISTORY_POINTS = 24
-"""Numbers of stations at which it is computed: a curve through them is smooth."""
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:
@@ -36,7 +33,7 @@ def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecas
         How many, ascending, in the order of the recording; the last is all of them.
     known : Forecast
         The largest of all beams, (K,) each; NaN where something is still undetermined. None in place of
-        both where `parts.WholeSolution.of` refuses the calibration, or it has no covariance.
+        both where `WholeSolution.of` refuses the calibration, or it has no covariance.
     """
     joint = calibration.covariance
     try:
@@ -46,7 +43,8 @@ def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecas
     if joint is None:
         return None
     used = np.flatnonzero(~np.isnan(whole.recording.ranges).all(axis=1))
-    counts = np.unique(np.linspace(1, len(used), HISTORY_POINTS).round().astype(np.intp))
+    # A curve through two dozen numbers of stations is smooth.
+    counts = np.unique(np.linspace(1, len(used), 24).round().astype(np.intp))
     sigmas = np.full((len(counts), len(calibration.beams), 3), np.nan)
     for rows, count in zip(sigmas, counts.tolist(), strict=True):
         first = np.zeros(len(whole.recording.plane_labels), dtype=bool)

@@ -20,7 +20,7 @@ from ..data.recording import Readings, Recording
 from ..model.effects import OF_READINGS
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, PLANE
-from ..model.weighting import reading_sigmas, whitening
+from ..model.weighting import covariance_roots, reading_sigmas, whitening
 from ..validation.simulate import Stations, predicted_readings
 from .belief import Belief
 
@@ -135,9 +135,9 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
     columns = first + np.arange(count)
     A, J = rows[:, columns], np.delete(rows, columns, axis=1)
     response = C @ (J.T @ A)
-    values, axes = np.linalg.eigh(A.T @ A - (J.T @ A).T @ response)  # rounding apart, not negative
-    shown = (axes * np.maximum(values, 0.0)) @ axes.T
-    V = np.linalg.inv(shown + np.diag([3.0 / size**2 for size in plausible.values()]))
+    # What was shown of the errors: but for rounding, which the root cuts off, it is not negative.
+    (root,) = covariance_roots((A.T @ A - (J.T @ A).T @ response)[None])
+    V = np.linalg.inv(root @ root.T + np.diag([3.0 / size**2 for size in plausible.values()]))
     move = np.insert(-response, [first] * count, np.eye(count), axis=0)
     covariance = wide + move @ V @ move.T
     return replace(joint, covariance=covariance, spread=covariance)

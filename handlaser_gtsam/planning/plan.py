@@ -14,26 +14,21 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations, plane_name
 from .belief import COMPARED_DRAWS
+from .bounds import MOST_PLANNED, Placement, Plate
 from .choice import value
 from .goal import Goal
 from .information import station_rows, updated
-from .plate import Placement, Plate
 from .route import Plan, planned
 from .task import Task, planning_task
 from .workspace import Workspace, candidates, inside, joined, reachable, safe, within_reach
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
-MOST_PLANNED = 1000
-"""Nobody drives to more stations: a larger number is a slip."""
 REFINING_MOVES = (0.4, 0.15)
 """Sizes of the moves by which chosen stations are refined, as parts of the largest turn and of the
 sensor's range: about as far as candidates are apart, and then as those are."""
 NEIGHBOURS = 24
 """Moved copies of every station in each of these rounds: a few to either side of each coordinate."""
-REPLACEMENTS = 6
-"""Rounds in which others take the place of stations without a way, before fewer have to do: most plans
-need one or two."""
 
 
 def plan(
@@ -191,7 +186,7 @@ def planned_with_spare(
     belief, count = task.belief, len(stations)
     best, kept = planned(task, stations, plates=plates)
     plan = best
-    for _ in range(REPLACEMENTS - 1):
+    for _ in range(5):  # most plans need one or two, before fewer stations have to do
         missing = count - len(kept)
         if not missing or len(spare) < missing:
             break

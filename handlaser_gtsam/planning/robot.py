@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..model.robots.arm import Arm
 from ..model.robots.scene import Scene
 from ..quantities import LARGEST_LENGTH
-from .plate import Plate, vectors
+from .bounds import Plate, vectors
 
 STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near: about one pose in two

@@ -12,9 +12,9 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..validation.simulate import Stations
+from .bounds import Plate
 from .goal import Forecast
 from .information import outlook, station_rows
-from .plate import Plate
 from .task import Task
 from .way import divided, driven, shortest
 

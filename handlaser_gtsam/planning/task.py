@@ -15,10 +15,10 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spot_error import radius
 from .belief import Belief, belief_of
+from .bounds import Plate
 from .choice import choose
 from .goal import Forecast, Goal
 from .information import updated, with_errors
-from .plate import Plate
 from .workspace import Workspace, workspace_of
 
 

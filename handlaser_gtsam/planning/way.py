@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..validation.simulate import Stations
-from .plate import Plate
+from .bounds import Plate
 from .robot import Robot
 from .workspace import Workspace, inside, joined
 

@@ -19,8 +19,8 @@ from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, ROUNDING
 from ..validation.simulate import Stations
 from .belief import Belief
+from .bounds import vectors
 from .information import outlook
-from .plate import vectors
 from .robot import Robot
 
 SAFE_SIGMAS = 4.0

@@ -31,19 +31,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "correlations": "Coordinate Correlation",
-            "improvement": "Improvement",
-            "limits": "LimitCheck",
-            "measuring": "MeasuredPlane Spot",
-            "reports": "Beam BeamMixture Determined Fit NoiseComponent"
-            " Plane RangeErrorScales ScaledSolution StartReport",
-            "spot_error": "VarianceShares",
-            "survey": "BeamMount RelationTest RejectedShot SensorError SensorMount"
-            " SurveyCalibration SurveyTarget",
-            "systematic": "SystematicError",
-            "verdict": "Verdict",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -4,18 +4,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..solvers.isam import IncrementalOptions as IncrementalOptions
-    from .drift import Moved as Moved
     from .reports import Change as Change
     from .reports import Comparison as Comparison
+    from .reports import Moved as Moved
     from .reports import Update as Update
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            ".solvers.isam": "IncrementalOptions",
-            "drift": "Moved",
-            "reports": "Change Comparison Update",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Beams, Parameters
-from ..data.recording import Readings, Recording
+from ..data.recording import Readings, Recording, join
 from ..estimation.covariance import covariance, covariance_by_gtsam
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import posterior
@@ -28,6 +28,7 @@ from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
 from .config import SessionConfig
 from .contents import Contents
+from .drift import DriftHistory
 from .reports import Comparison
 
 METHOD = "incremental"
@@ -39,26 +40,25 @@ class BatchProblem:
 
     Attributes
     ----------
+    contents : Contents
     config : SessionConfig
+    parameters : Parameters
+        Beams and planes, each plane in its frame.
     recording : Recording
         Planes in the order of the contents, beams in the order of the config, with rejected readings.
     readings : Readings
         All readings, in the world frame.
     used : (N,) of bool
-    origins : (P, 3)
-        Origins of the planes' frames in the world [m].
-    parameters : Parameters
-        Beams and planes, each plane in its frame.
     poses : gtsam.Values or None
         Hand poses that are variables, by station of the recording.
     """
 
+    contents: Contents
     config: SessionConfig
+    parameters: Parameters
     recording: Recording
     readings: Readings
     used: BoolArray
-    origins: FloatArray
-    parameters: Parameters
     poses: gtsam.Values | None = None
 
     @classmethod
@@ -66,14 +66,18 @@ class BatchProblem:
         cls, contents: Contents, config: SessionConfig, parameters: Parameters
     ) -> "BatchProblem":
         """Return the problem of `contents`; the planes of `at` in their order."""
-        whole = contents.inside()
+        whole = join([contents.planes[name].recording for name in contents.numbers])
         columns = [whole.beam_names.index(name) for name in config.names]
         whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=config.names)
         readings = config.readings(whole)
-        problem = cls(
-            config, whole, readings, np.empty(0, dtype=bool), contents.origins(), parameters
-        )
-        return replace(problem, used=~problem.rejected(contents))
+        everything = np.ones(len(readings), dtype=bool)
+        problem = cls(contents, config, parameters, whole, readings, everything)
+        return replace(problem, used=~problem.rejected())
+
+    @property
+    def origins(self) -> FloatArray:
+        """Origins (P, 3) of the planes' frames in the world [m]."""
+        return np.array([self.contents.planes[name].origin for name in self.contents.numbers])
 
     def local_readings(self) -> Readings:
         """Return the readings that are used, every plane in its frame."""
@@ -139,7 +143,7 @@ class BatchProblem:
         stations = int(readings.station.max()) + 1
         readings, _ = weighed(readings, parameters, config.variances(stations), max(config.terms))
         variances = learned.base.for_stations(stations)
-        known = config.history(parameters.beams).known[None]
+        known = DriftHistory.empty(config, parameters.beams).known[None]
         return ScaleProblem(
             parameters,
             readings,
@@ -177,7 +181,7 @@ class BatchProblem:
         prior = self.config.prior
         return observability(self.parameters, graph.readings, terms, how.sigma, options, how, prior)
 
-    def calibration(self, contents: Contents) -> Calibration:
+    def calibration(self) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved again."""
         graph, marginal = self.problem(self.parameters, self.poses)
         result = evaluated(graph, "the incremental estimate")
@@ -194,8 +198,8 @@ class BatchProblem:
         rms = float(np.sqrt(np.mean(result.residual**2)))
         selection = Selection(
             self.used,
-            self.rejected(contents, OUTSIDE),
-            self.rejected(contents, FLAT),
+            self.rejected(OUTSIDE),
+            self.rejected(FLAT),
             METHOD,
             ((METHOD, rms),),
             solution,
@@ -204,9 +208,9 @@ class BatchProblem:
         problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise, sensor)
         return assemble(problem, selection)
 
-    def rejected(self, contents: Contents, reason: str | None = None) -> BoolArray:
+    def rejected(self, reason: str | None = None) -> BoolArray:
         """Return which readings (N,) are rejected, for any reason or for one."""
         names, beams = self.recording.station_names, self.config.names
-        out = {(r.station, r.beam) for r in contents.rejected if reason in (None, r.reason)}
+        out = {(r.station, r.beam) for r in self.contents.rejected if reason in (None, r.reason)}
         pairs = zip(self.readings.station.tolist(), self.readings.beam.tolist(), strict=True)
         return np.array([(names[j], beams[i]) in out for j, i in pairs], dtype=bool)

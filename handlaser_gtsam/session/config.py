@@ -7,25 +7,21 @@ from typing import Literal
 import gtsam
 import numpy as np
 
-from .. import model
 from ..arrays import IntArray
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..errors import InputError
-from ..estimation.information import Information
 from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions
 from ..factors import beam_drift
 from ..factors.keys import BeamKeys, beam_keys
-from ..model.families import BEAM, MOUNT_DIM
 from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..results.calibration import Calibration
 from ..solvers.beam_state import BeamStart, BeamState
 from ..solvers.graph import range_error_priors, start_values
 from ..solvers.isam import IncrementalOptions
-from .drift import DriftHistory, Reference
 from .reports import Change
 
 SCALES_KEPT = 0.02
@@ -78,22 +74,6 @@ class ProcessNoise:
             self.direction_sigma,
             self.range_error_sigmas[: terms[self.now]],
         )
-
-    def information(self, reference: Reference) -> Information:
-        """Return what the link says of the beams, in the unknowns of the reference."""
-        size, basis = len(reference.unit), model.tangent_basis(reference.beams[1])
-        active, a, b = reference.active.tolist(), self.before, self.now
-        rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + reference.terms[a])]
-        other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + reference.terms[b])]
-        J = np.zeros((len(rows), size))
-        J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
-        J[3:5, other[3:5]] = basis[a].T @ basis[b]
-        shift, turn, stretch = (array[b] - array[a] for array in reference.beams)
-        error = np.concatenate((shift, basis[a].T @ turn, stretch[: reference.terms[a]]))
-        location, direction = [self.location_sigma] * 3, [self.direction_sigma] * 2
-        sigmas = np.array([*location, *direction, *self.range_error_sigmas])[: len(rows)]
-        J = J * reference.unit / sigmas[:, None]
-        return Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
 
 
 @dataclass(frozen=True)
@@ -248,12 +228,3 @@ class SessionConfig:
         """Return the beams as the start of a graph, with their links."""
         beams = Parameters(*start, np.empty((0, 3)), np.empty(0))
         return BeamStart(start_values(beams, self.beams, (), self.terms), self.known)
-
-    def history(self, origin: Beams) -> DriftHistory:
-        """Return a history without planes, counted from these beams."""
-        reference = Reference(self.names, origin, self.terms, self.length)
-        size = len(reference.unit)
-        known = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
-        for link in self.links:
-            known = known + link.information(reference)
-        return DriftHistory(reference, known)

@@ -39,18 +39,16 @@ class PlaneContents:
     origin: FloatArray | None = None
     culprit: str | None = None
 
-    def unused(self) -> BoolArray:
-        """Return which readings (M, B) are not used."""
+    def used(self) -> Recording:
+        """Return all stations with the readings that are used."""
+        if not self.rejected:
+            return self.recording
         row = {name: j for j, name in enumerate(self.recording.station_names)}
         column = {name: i for i, name in enumerate(self.recording.beam_names)}
         mask = np.zeros(self.recording.ranges.shape, dtype=bool)
         for reading in self.rejected:
             mask[row[reading.station], column[reading.beam]] = True
-        return mask
-
-    def used(self) -> Recording:
-        """Return all stations with the readings that are used."""
-        return self.recording.without(self.unused()) if self.rejected else self.recording
+        return self.recording.without(mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +90,6 @@ class Contents:
         """Planes that fit no beams as they are, with the beam without which they would, if any."""
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
-
-    def origins(self) -> FloatArray:
-        """Return the origins (P, 3) of the planes in the graph [m], in their order."""
-        return np.array([self.planes[name].origin for name in self.numbers])
-
-    def inside(self) -> Recording:
-        """Return all of the planes that are in the graph, in their order."""
-        return join([self.planes[name].recording for name in self.numbers])
 
     def everything(self) -> Recording:
         """Return everything as it was added.

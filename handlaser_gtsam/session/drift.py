@@ -22,65 +22,68 @@ from scipy.special import betaln, gammaln
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
-from ..data.value import Value
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, MOUNT_DIM, modelled
 from ..quantities import KNOWN
+from .config import ProcessNoise, SessionConfig
+from .reports import Moved
 
 FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Moved(Value):
-    """A beam that has moved.
-
-    Attributes
-    ----------
-    beam : str
-    since : str
-        The first plane that saw it moved.
-    statistic : float
-        Fall of chi2.
-    p_value : float
-        Probability of so clear a sign if nothing has moved, all epochs and beams considered.
-    shift : (3,)
-        Move of its location [m]; NaN where it has moved so far that planes fit only without it.
-    turn : float
-        Turn of its direction [rad]; NaN likewise.
-    """
-
-    beam: str
-    since: str
-    statistic: float
-    p_value: float
-    shift: FloatArray
-    turn: float
-
-
 @dataclass(frozen=True, slots=True)
-class Reference:
-    """Beams that unknowns are counted from, in natural units: the typical range, 1 rad.
+class DriftHistory:
+    """Beams that unknowns are counted from, and what the planes know of them, in their order.
+
+    Unknowns are in natural units: the typical range, 1 rad.
 
     Attributes
     ----------
-    names : tuple of str
+    config : SessionConfig
     beams : Beams
-    terms : tuple of int
-    length : float
-        [m]
+    known : Information
+        Information beside the planes.
+    pieces : mapping of str to Information
+        Information of each plane, by its name.
     """
 
-    names: tuple[str, ...]
+    config: SessionConfig
     beams: Beams
-    terms: tuple[int, ...]
-    length: float
+    known: Information
+    pieces: Mapping[str, Information] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, config: SessionConfig, beams: Beams) -> "DriftHistory":
+        """Return a history without planes, counted from these beams."""
+        size = int(modelled(config.terms).sum())
+        nothing = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
+        history = cls(config, beams, nothing)
+        for link in config.links:
+            history = replace(history, known=history.known + history.linked(link))
+        return history
+
+    def linked(self, link: ProcessNoise) -> Information:
+        """Return what process noise between two beams says of all."""
+        size, basis = len(self.unit), model.tangent_basis(self.beams[1])
+        active, a, b = self.active.tolist(), link.before, link.now
+        rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + self.config.terms[a])]
+        other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + self.config.terms[b])]
+        J = np.zeros((len(rows), size))
+        J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
+        J[3:5, other[3:5]] = basis[a].T @ basis[b]
+        shift, turn, stretch = (array[b] - array[a] for array in self.beams)
+        error = np.concatenate((shift, basis[a].T @ turn, stretch[: self.config.terms[a]]))
+        location, direction = [link.location_sigma] * 3, [link.direction_sigma] * 2
+        sigmas = np.array([*location, *direction, *link.range_error_sigmas])[: len(rows)]
+        J = J * self.unit / sigmas[:, None]
+        return Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
 
     @property
     def mask(self) -> BoolArray:
         """Whether each of 7 unknowns a beam is estimated."""
-        return modelled(self.terms).ravel()
+        return modelled(self.config.terms).ravel()
 
     @property
     def active(self) -> IntArray:
@@ -90,7 +93,7 @@ class Reference:
     @property
     def unit(self) -> FloatArray:
         """Natural units of the active unknowns."""
-        return np.tile(BEAM.natural_units(self.length), len(self.terms))[self.active]
+        return np.tile(BEAM.natural_units(self.config.length), len(self.config.terms))[self.active]
 
     def moves(self) -> IntArray:
         """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
@@ -109,24 +112,6 @@ class Reference:
         )
         coordinates: FloatArray = x.ravel()[self.active] / self.unit
         return coordinates
-
-
-@dataclass(frozen=True, slots=True)
-class DriftHistory:
-    """The information of the planes, in the order in which they came.
-
-    Attributes
-    ----------
-    reference : Reference
-    known : Information
-        Information beside the planes.
-    pieces : mapping of str to Information
-        Information of each plane, by its name.
-    """
-
-    reference: Reference
-    known: Information
-    pieces: Mapping[str, Information] = field(default_factory=dict)
 
     def with_plane(self, name: str, piece: Information) -> "DriftHistory":
         """Return the history with one more plane, or with more known of one."""
@@ -184,7 +169,7 @@ class DriftHistory:
         return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
 
     def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
-        beams = self.reference.moves()
+        beams = self.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
         keep = values > KNOWN**-2
@@ -194,9 +179,9 @@ class DriftHistory:
         moves = np.einsum("ebij,ebj->ebi", axes, np.where(keep, along / safe, 0.0))
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-        d = moves[best] * self.reference.unit[beams[best[1]]]
+        d = moves[best] * self.unit[beams[best[1]]]
         return Moved(
-            self.reference.names[best[1]],
+            self.config.names[best[1]],
             list(self.pieces)[int(epochs[best[0]])],
             float(statistic[best]),
             min(float(np.exp(log_p[best])) * log_p.size, 1.0),
@@ -219,14 +204,14 @@ def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
     return np.where(np.isfinite(log_p), log_p, tail)
 
 
-def turns(directions: FloatArray, reference: Reference) -> FloatArray:
-    """Return the matrix from unknowns in the bases of the reference to unknowns in the bases here."""
-    here, there = model.tangent_basis(directions), model.tangent_basis(reference.beams[1])
+def turns(directions: FloatArray, history: DriftHistory) -> FloatArray:
+    """Return the matrix from unknowns in the bases of a history to unknowns in the bases here."""
+    here, there = model.tangent_basis(directions), model.tangent_basis(history.beams[1])
     turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
     turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
     whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
     each = np.arange(len(directions))
     whole[each, :, each, :] = turns
-    size, active = BEAM.dim * len(directions), reference.active
+    size, active = BEAM.dim * len(directions), history.active
     matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
     return matrix

@@ -24,12 +24,10 @@ from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, mov
 from ..solvers.beam_state import BeamState, PlaneFactors
 from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
+from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
-from .drift import Reference, turns
+from .drift import DriftHistory, turns
 
-WEIGHT_PASSES = 2
-"""Passes of weighing a plane: the second judges the noise of its readings by the weighted plane, not by
-the plane through the laser spots."""
 DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 SESSION_CUT = 4.5
@@ -80,31 +78,33 @@ class FittedPlane:
             mask[self.readings.station[row], beam] = True
         return mask
 
-    def information(self, reference: Reference) -> Information:
+    def information(self, history: DriftHistory) -> Information:
         """Return what the plane knows of the beams, (n, n) and (n,), in natural units."""
         beams, sigma = self.parameters.beams, self.whitening.sigma
-        unit = np.ones(len(reference.mask))
-        unit[reference.mask] = reference.unit
-        reduced = self.normal.reduced(unit, PLANE.natural_units(reference.length), reference.mask)
-        turn = turns(beams[1], reference)
+        unit = np.ones(len(history.mask))
+        unit[history.mask] = history.unit
+        reduced = self.normal.reduced(
+            unit, PLANE.natural_units(history.config.length), history.mask
+        )
+        turn = turns(beams[1], history)
         L = turn.T @ reduced.matrix @ turn / sigma**2
         gradient = turn.T @ reduced.gradient / sigma**2
-        return Information(L, L @ reference.coordinates(beams) - gradient, np.zeros(()))
+        return Information(L, L @ history.coordinates(beams) - gradient, np.zeros(()))
 
-    def fits(self, information: Information, reference: Reference) -> bool:
+    def fits(self, information: Information, history: DriftHistory) -> bool:
         """Tell whether its readings agree with each other, whatever the beams are.
 
         Parameters
         ----------
         information : Information
             Information of this plane.
-        reference : Reference
-            Beams that it is counted from.
+        history : DriftHistory
+            Has the beams that it is counted from.
         """
         white = self.whitening.apply(self.residual) / self.whitening.sigma
         values, axes = np.linalg.eigh(information.matrix)
         keep = values > 1.0
-        here = reference.coordinates(self.parameters.beams)
+        here = history.coordinates(self.parameters.beams)
         along = axes.T @ (information.vector - information.matrix @ here)
         fall = (along[keep] ** 2 / values[keep]).sum()
         return self._likely(float(white @ white - fall), len(white) - 3 - int(keep.sum()))
@@ -225,9 +225,13 @@ def fit_plane(
         origin = readings.plane_means(readings.world_t_hand)[0]
     readings = readings.seen_from(origin[None])
     variances = config.variances(len(recording.plane_labels))
-    parameters, terms = _through_spots(beams, readings), max(config.terms)
+    r, v, k = beams
+    # The plane through the laser spots by total least squares, facing away from the beams.
+    parameters = grow(PartialStart.of(readings, r=r, v=v, k=k), readings)
+    terms = max(config.terms)
     try:
-        for _ in range(WEIGHT_PASSES if terms and config.weights_depend else 1):
+        # A second pass judges the noise of readings by the weighted plane, not by that of the spots.
+        for _ in range(2 if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
             at = linearized(parameters, corrected, 2, how)
             parameters, normal = _stepped(parameters, at, corrected)
@@ -235,17 +239,6 @@ def fit_plane(
     except GrazingBeamError:
         return None
     return FittedPlane(config, corrected, parameters, e, how, normal, origin)
-
-
-def _through_spots(beams: Beams, readings: Readings) -> Parameters:
-    """Return the plane through the laser spots by total least squares, facing away from the beams."""
-    r, v, k = (array[readings.beam] for array in beams)
-    d, R = readings.distance, readings.world_R_hand
-    spots = model.spots(R, readings.world_t_hand, r, v, model.corrected(d, k))
-    axes, centre, _ = model.plane_through(spots)
-    n = axes[2]
-    n = n if np.einsum("nij,nj->i", R, v) @ n > 0.0 else -n
-    return Parameters(*beams, n[None], np.array([-n @ centre]))
 
 
 def _stepped(

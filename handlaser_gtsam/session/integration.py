@@ -18,12 +18,12 @@ from ..estimation.mixture import BeamPosterior
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
-from .drift import DriftHistory, Reference, turns
+from .drift import DriftHistory, turns
 from .fitted import FittedPlane
 
 
-def scaled_information(fitted: FittedPlane, reference: Reference) -> Information:
-    """Return what a plane knows of the beams for all sets of noise scales, counted from a reference."""
+def scaled_information(fitted: FittedPlane, history: DriftHistory) -> Information:
+    """Return what a plane knows of the beams for all sets of noise scales, counted as in a history."""
     learned, readings = fitted.config.learned, fitted.readings
     if learned is None:
         raise ValueError("no scales are learned")
@@ -32,8 +32,8 @@ def scaled_information(fitted: FittedPlane, reference: Reference) -> Information
     points = [learned.mode, *learned.points]
     information, _ = rows.information([learned.scales.noise(u) for u in points])
     # The unknowns there are turn (x - shift).
-    turn = turns(fitted.parameters.directions, reference)
-    shift = reference.coordinates(fitted.parameters.beams)
+    turn = turns(fitted.parameters.directions, history)
+    shift = history.coordinates(fitted.parameters.beams)
     matrix = turn.T @ information.matrix @ turn
     vector = information.vector @ turn
     constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
@@ -57,27 +57,27 @@ def integrated(
     pieces : mapping of str to Information
         `scaled_information` by plane.
     """
-    learned, reference, members = config.learned, history.reference, config.members
+    learned, members = config.learned, config.members
     if learned is None or not pieces:
         return state
     total = history.known[None]
     for piece in pieces.values():
         total = total + piece
-    k = reference.beams[2][:, : learned.terms]
+    k = history.beams[2][:, : learned.terms]
     k = k * np.array([1.0, learned.length])[: learned.terms]
     here = BeamPosterior(total[:1], k, learned.widest, members)
     both = BeamPosterior(total[1:], k, learned.widest, members)
     mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
     mean, covariance = here.conditional(learned.range_error)
-    unit = reference.unit
+    unit = history.unit
     step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
     change = (mixture.covariance - covariance) * np.outer(unit, unit)
-    bases = model.tangent_basis(reference.beams[1])
+    bases = model.tangent_basis(history.beams[1])
     lift = beams_lift(bases, [learned.terms] * len(bases))
     k = state.range_errors.copy()
     k[:, : learned.terms] += step[:, 5:]
     turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
-    # The reference has other tangents than the state, which has the tangents of a batch solution:
+    # The history has other tangents than the state, which has the tangents of a batch solution:
     # project along every beam out of the coordinates (8,).
     across = np.tile(np.eye(8), (len(state.directions), 1, 1))
     across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]

@@ -67,8 +67,8 @@ def join_planes(
         contents, fitted = _within_incidence(fitted, contents, plane, state)
         if reject:
             contents, fitted = _screened(fitted, contents, plane, state, history)
-        known = fitted.information(history.reference)
-        if fitted.fits(known, history.reference):
+        known = fitted.information(history)
+        if fitted.fits(known, history):
             history = history.with_plane(plane, known)
         else:
             history = history.without_plane(plane)
@@ -171,7 +171,7 @@ def _rather_moved(
     anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
     of its unknowns, both twice the logarithm of how rare they are.
     """
-    whole = known.with_plane(plane, fitted.information(known.reference))
+    whole = known.with_plane(plane, fitted.information(known))
     moved = whole.search(fitted.config.sigma_dof, whole.recent())
     if moved is None:
         return False

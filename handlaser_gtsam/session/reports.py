@@ -6,7 +6,6 @@ from typing import Literal
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.sensor import Rejected
-from .drift import Moved
 
 ChangeCode = Literal[
     "scales", "range-sigma", "outliers", "excluded-planes", "from-batch", "not-converged"
@@ -56,6 +55,33 @@ class Comparison(Value):
     def message(self) -> str:
         """The changes in words; empty where there are none."""
         return "; ".join(change.message for change in self.changes)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Moved(Value):
+    """A beam that has moved.
+
+    Attributes
+    ----------
+    beam : str
+    since : str
+        The first plane that saw it moved.
+    statistic : float
+        Fall of chi2.
+    p_value : float
+        Probability of so clear a sign if nothing has moved, all epochs and beams considered.
+    shift : (3,)
+        Move of its location [m]; NaN where it has moved so far that planes fit only without it.
+    turn : float
+        Turn of its direction [rad]; NaN likewise.
+    """
+
+    beam: str
+    since: str
+    statistic: float
+    p_value: float
+    shift: FloatArray
+    turn: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -23,8 +23,7 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.isam import IncrementalOptions
 from .contents import Contents
-from .drift import Moved
-from .reports import Comparison, Update
+from .reports import Comparison, Moved, Update
 from .state import SessionState
 from .updating import UNKNOWN, changed, recalibrate, split_beam, started
 
@@ -237,7 +236,7 @@ class Session:
         A range sigma that was not given is taken from the last comparison, or from `recalibrate`.
         """
         now = self.state
-        state, config = now.integrated(), now.config
+        state, config = now.integrated, now.config
         mounts = Mounts(config.names, *state.beams, config.terms, state.covariance, config.sigma)
         return mounts if now.current == mounts.names else mounts.arranged(now.current)
 
@@ -248,7 +247,7 @@ class Session:
         stands beside it as a further beam.
         """
         now = self.state
-        calibration = now.inside().calibration(now.contents)
+        calibration = now.inside().calibration()
         warnings = (*self._screening, *calibration.warnings)
         planes = len(now.contents.numbers)
         learns = now.config.learned is not None or self.noise.range_sigma is None
@@ -270,7 +269,7 @@ class Session:
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        return self.state.inside().compared(self.state.integrated())
+        return self.state.inside().compared(self.state.integrated)
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was."""

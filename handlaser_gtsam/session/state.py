@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import gtsam
@@ -19,10 +20,11 @@ from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, Moved, Reference
+from .drift import DriftHistory
 from .fitted import FittedPlane, fit_plane
 from .integration import integrated, scaled_information
 from .joining import factors_of, fitted_planes, join_planes
+from .reports import Moved
 
 REWEIGHED_MOVE = 3e-3
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -34,7 +36,7 @@ TRUSTED_PLANES = 4
 """With fewer planes in the graph none is excluded: the first planes may have begun with wrong beams."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SessionState:
     """The calibration of a session, and how it came about.
 
@@ -47,21 +49,18 @@ class SessionState:
         Factors of every plane in the graph, by its number.
     state : BeamState
         The beams of the graph.
-    weighed : Beams
-        The beams behind the weights and the history.
     compared : BeamState
         The beams of the last comparison with the batch solution.
     changes : int
         Number of changes since that comparison.
     history : DriftHistory
+        Counted from the beams behind the weights.
     inconsistent : frozenset of str
         Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
     sums : mapping of str to Information
         What each plane knows for all scales; empty where none are integrated over.
-    estimate : BeamState or None
-        The beams with all scales integrated over, once that has been done.
     """
 
     contents: Contents
@@ -69,19 +68,16 @@ class SessionState:
     graph: IncrementalGraph
     factors: Mapping[int, PlaneFactors]
     state: BeamState
-    weighed: Beams
     compared: BeamState
     changes: int
     history: DriftHistory
     inconsistent: frozenset[str]
     learned_with: int
     sums: Mapping[str, Information] = field(default_factory=dict)
-    estimate: BeamState | None = None
 
+    @cached_property
     def integrated(self) -> BeamState:
-        """Return the beams with all scales integrated over."""
-        if self.estimate is not None:
-            return self.estimate
+        """The beams with all scales integrated over."""
         return integrated(self.state, self.config, self.history, self.sums)
 
     @property
@@ -168,8 +164,7 @@ class SessionState:
             changes=self.changes + 1,
             inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
             sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
-            | _sums(joined, self.history.reference),
-            estimate=None,
+            | _sums(joined, self.history),
         )
         if fresh or gone:
             new = new._solved(fresh, gone)
@@ -217,7 +212,7 @@ class SessionState:
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
         limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
-        if config.apart(beams, self.weighed) < limit:
+        if config.apart(beams, self.history.beams) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
@@ -226,10 +221,10 @@ class SessionState:
             if refitted is None:
                 return self
             fitted[plane] = refitted
-        history = config.history(beams)
+        history = DriftHistory.empty(config, beams)
         for plane in self.history.pieces:
-            history = history.with_plane(plane, fitted[plane].information(history.reference))
-        now = replace(self, history=history, weighed=beams)
+            history = history.with_plane(plane, fitted[plane].information(history))
+        now = replace(self, history=history)
         if not config.weights_depend:
             return now
         factors = factors_of(self.contents, fitted)
@@ -239,8 +234,7 @@ class SessionState:
             graph=graph,
             factors=factors,
             state=state,
-            sums=_sums(fitted, history.reference),
-            estimate=None,
+            sums=_sums(fitted, history),
         )
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -292,10 +286,10 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     fitted = fitted_planes(contents, config, beams)
     contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
     factors = factors_of(contents, fitted)
-    history, inconsistent = config.history(beams), set[str]()
+    history, inconsistent = DriftHistory.empty(config, beams), set[str]()
     for plane, plane_fit in fitted.items():
-        information = plane_fit.information(history.reference)
-        if plane_fit.fits(information, history.reference):
+        information = plane_fit.information(history)
+        if plane_fit.fits(information, history):
             history = history.with_plane(plane, information)
         else:
             inconsistent.add(plane)
@@ -307,13 +301,12 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         graph,
         factors,
         state,
-        beams,
         state,
         0,
         history,
         frozenset(inconsistent),
         len(fitted),
-        _sums(fitted, history.reference),
+        _sums(fitted, history),
     )
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
@@ -322,10 +315,10 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     return replace(now, compared=now.state)
 
 
-def _sums(fitted: Mapping[str, FittedPlane], reference: Reference) -> dict[str, Information]:
+def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
     """Return what planes know for all scales that are learned; nothing where none are."""
     return {
-        plane: scaled_information(plane_fit, reference)
+        plane: scaled_information(plane_fit, history)
         for plane, plane_fit in fitted.items()
         if plane_fit.config.learned is not None
     }

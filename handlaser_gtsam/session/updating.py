@@ -53,12 +53,11 @@ def started(
         return None, Update((), contents.waiting, UNKNOWN, None, None, batch.message)
     config = SessionConfig.of(batch, noise, options, incremental)
     new = _begun_from(batch, contents, config)
-    new = replace(new, estimate=new.integrated())
     return new, Update(
         tuple(new.contents.numbers),
         new.contents.waiting,
         UNKNOWN,
-        new.integrated().sigmas(),
+        new.integrated.sigmas(),
         None,
         rejected=new.contents.rejected,
         moved=new.moved(),
@@ -84,14 +83,13 @@ def changed(
     new, comparison = compare_if_due(new)
     if restarted or (comparison is not None and comparison.changes):
         gain = UNKNOWN
-    new = replace(new, estimate=new.integrated())
     old = set(now.contents.rejected)
     return new, Update(
         tuple(new.contents.numbers) if restarted else joined,
         new.contents.waiting,
         gain,
-        new.integrated().sigmas(),
-        now.integrated().sigmas() if new.config.names == now.config.names else None,
+        new.integrated.sigmas(),
+        now.integrated.sigmas() if new.config.names == now.config.names else None,
         RESTARTED if restarted else "",
         tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),
@@ -116,7 +114,7 @@ def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
         if excluded:  # they may fit beside the new scales
             now, _, _ = now.changed(now.contents.included(excluded), excluded)
     inside = now.inside()
-    comparison = inside.compared(now.integrated())
+    comparison = inside.compared(now.integrated)
     if max(comparison.largest, comparison.largest_sigma) > AGREED:
         words = "restarted from the batch solution, which it had left"
         changes = (*changes, Change("from-batch", words))
@@ -146,11 +144,11 @@ def _learned(now: SessionState) -> SessionConfig:
 def recalibrate(now: SessionState) -> tuple[SessionState, Comparison]:
     """Calibrate everything at once and compare; take over scales and outliers that differ."""
     if now.config.links:
-        return now, now.inside().compared(now.integrated())
+        return now, now.inside().compared(now.integrated)
     batch, config = _batch(now)
     if batch.status != "converged":
         words = f"everything together does not converge: {batch.message}"
-        found = now.inside().compared(now.integrated())
+        found = now.inside().compared(now.integrated)
         return now, replace(found, changes=(Change("not-converged", words),))
     changes = config.changes(now.config)
     contents = now.contents.restarted(batch.fit.rejected)
@@ -166,7 +164,7 @@ def recalibrate(now: SessionState) -> tuple[SessionState, Comparison]:
         now = begin(contents, config, (r, v, k))
     now = replace(now, learned_with=len(now.contents.numbers))
     sigmas = np.array([batch.beams[name].sigma for name in now.config.names])
-    apart = now.integrated().apart(_beams_of(batch, now.config.names), sigmas)
+    apart = now.integrated.apart(_beams_of(batch, now.config.names), sigmas)
     return now, Comparison(*apart, changes)
 
 

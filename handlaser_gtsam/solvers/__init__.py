@@ -15,13 +15,4 @@ if TYPE_CHECKING:
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "graph": "CalibrationGraph build_graph read_parameters",
-            "levenberg": "LevenbergResult",
-            "poses": "PosePriors pose_priors",
-            ".progress": "Progress Trial",
-            ".model.search": "LevenbergOptions",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

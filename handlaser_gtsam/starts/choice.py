@@ -4,7 +4,7 @@ Cheap starts come first. The search ends early only on evidence: when the residu
 the given range sigma says, or, where no sigma is given, when several starts agree on the optimum.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -121,13 +121,15 @@ def find_start(
     part = excerpt_of(readings)
     some = part.readings
     last_steps = 0 if effort == "glance" else LAST_STEPS
-    rounds, before = _later_rounds(some, effort), () if earlier is None else earlier.candidates
+    rounds: Iterable[Round] = _later_rounds(some, effort)
+    if earlier is None:
+        rounds = chain(_first_rounds(some, terms), rounds)
     candidates, believed = search(
-        rounds if earlier is not None else chain(_first_rounds(some, terms), rounds),
+        rounds,
         lambda latest: refined_starts(latest, some, terms, last_steps),
         lambda refined: refined.squares,
         partial(_convinced, some, range_sigma, terms, certain, accepts),
-        earlier=before,
+        earlier=() if earlier is None else earlier.candidates,
     )
     if not candidates:
         lost = grow(PartialStart.of(readings), readings)

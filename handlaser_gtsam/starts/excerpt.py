@@ -39,10 +39,6 @@ class Excerpt:
         """Whether the excerpt holds all readings."""
         return len(self.readings) == len(self.whole)
 
-    def restricted(self, parameters: Parameters) -> Parameters:
-        """Return the parameters of the part."""
-        return parameters.part(self.beams, self.planes)
-
     def extended(self, parameters: Parameters) -> Parameters:
         """Return the parameters of the whole: the others grow from the spots of the beams."""
         if self.is_whole:

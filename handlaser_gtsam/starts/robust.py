@@ -35,8 +35,6 @@ GOOD_SHARES = (0.5, 0.25, 0.0)
 """Parts of the redundant readings that must be good, besides as many as there are unknowns."""
 SAME_CRITERION = 0.5
 """Candidates whose evidence, twice a logarithm, differs by less than this are one solution."""
-
-
 TRIPLES = 60
 """Draws of three spots a plane: all but 1e-4 of the cases hold three good ones where half are."""
 FAR_SCALES = 4.0

@@ -9,29 +9,16 @@ if TYPE_CHECKING:
     from .leave_out import PlaneLeftOut as PlaneLeftOut
     from .leave_out import Validation as Validation
     from .prediction import Prediction as Prediction
-    from .runs_table import count_warnings as count_warnings
-    from .runs_table import summarize_runs as summarize_runs
+    from .runs import Estimated as Estimated
+    from .runs import calibrate_each as calibrate_each
+    from .runs import count_warnings as count_warnings
+    from .runs import reduce_together as reduce_together
+    from .runs import summarize_runs as summarize_runs
     from .scenes import Layout as Layout
     from .simulate import Errors as Errors
     from .study import Case as Case
     from .study import Study as Study
-    from .treatments import Estimated as Estimated
-    from .treatments import calibrate_each as calibrate_each
-    from .treatments import reduce_together as reduce_together
 else:
     from ..lazy import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "cross_check": "CrossCheck",
-            "hold_out": "BeamDrift HoldOut",
-            "leave_out": "PlaneLeftOut Validation",
-            "prediction": "Prediction",
-            "runs_table": "count_warnings summarize_runs",
-            "scenes": "Layout",
-            "simulate": "Errors",
-            "study": "Case Study",
-            "treatments": "Estimated calibrate_each reduce_together",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
@@ -26,16 +26,13 @@ from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances, Whitening, whitening
+from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
 from ..quantities import KNOWN, MOST_ROUNDS, SINGULAR
 from ..results.mounts import Mounts
 from ..results.significance import FEW_DEGREES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
-
-SCALE_ROUNDS = 3
-"""Rounds in which the scale of the noise and the directions that it determines settle together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -135,10 +132,8 @@ def hold_out(
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
-    e = model.residuals(model.scene(at, readings), readings.distance)
-    known = noise.range_sigma is not None
-    names = mounts.names if each_beam else ()
-    return _tested(_Quadratic.of(at, readings, how, mounts, known=known), e, names)
+    names, known = mounts.names if each_beam else (), noise.range_sigma is not None
+    return _tested(at, readings, how, mounts, names, known=known)
 
 
 def fit_planes(
@@ -159,130 +154,97 @@ def fit_planes(
     return at, whitening(at, readings, variances)
 
 
-@dataclass(frozen=True, slots=True)
-class _Quadratic:
-    """chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of beams, planes fitted.
+def _tested(
+    at: Parameters,
+    readings: Readings,
+    how: Whitening,
+    mounts: Mounts,
+    names: tuple[str, ...],
+    *,
+    known: bool,
+) -> HoldOut:
+    """Test the beams as calibrated against readings whose planes were fitted to them.
 
-    Only along what the recording determines; in natural units and sigmas.
-
-    Attributes
+    Parameters
     ----------
-    cost : float
-    gradient : (n,), information : (n, n)
-    root : (n, n)
-        Of the covariance of the beams as calibrated.
-    unit : (n,)
-        Natural units.
-    beam : (n,)
-        Index of the beam of each unknown.
-    rank : int
-    dof : int
-        Degrees of freedom of the noise, the beams free.
+    at : Parameters
+        The beams as calibrated, and the planes.
+    readings : Readings
+    how : Whitening
+    mounts : Mounts
+    names : tuple of str
+        Of all beams, where each is to be tested alone.
     known : bool
-        Whether the range sigma was given.
+        Whether the range sigma was given; else it is what the readings show.
     """
+    # chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of the beams, planes
+    # fitted, along what the recording determines; in natural units and sigmas.
+    normal = linearized(at, readings, 2, how).normal
+    length = readings.typical_range()
+    active = modelled(mounts.terms).ravel()
+    every = np.tile(BEAM.natural_units(length), readings.beams)
+    unit, beam = every[active], np.repeat(np.arange(readings.beams), BEAM.dim)[active]
+    reduced = normal.reduced(every, PLANE.natural_units(length), active)
+    e = model.residuals(model.scene(at, readings), readings.distance)
+    white = how.apply(e)
+    cost = float(white @ white) / how.sigma**2
+    values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
+    free = len(readings) - 3 * readings.planes
+    along = axes.T @ reduced.gradient / how.sigma**2
+    scale, keep = 1.0, values > KNOWN**-2
+    # Few readings cannot tell their own sigma: that of the calibration stands for it.
+    known = known or free - int(keep.sum()) < FEW_DEGREES
+    # In three rounds the scale of the noise and the directions that it determines settle together.
+    for _ in range(0 if known else 3):
+        rest = cost - float((along[keep] ** 2 / values[keep]).sum())
+        scale = rest / (free - int(keep.sum()))
+        keep = values / scale > KNOWN**-2
+    axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
+    information, gradient = (axes * values) @ axes.T, axes @ along
+    rank, dof = int(keep.sum()), free - int(keep.sum())
+    lift = beams_lift(model.tangent_basis(mounts.directions), mounts.terms)
+    covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
 
-    cost: float
-    gradient: FloatArray
-    information: FloatArray
-    root: FloatArray
-    unit: FloatArray
-    beam: IntArray
-    rank: int
-    dof: int
-    known: bool
-
-    @classmethod
-    def of(
-        cls, at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, *, known: bool
-    ) -> "_Quadratic":
-        """Return the costs near `at`, for the sigmas behind `how`, or those the readings show."""
-        normal = linearized(at, readings, 2, how).normal
-        length = readings.typical_range()
-        active = modelled(mounts.terms).ravel()
-        every = np.tile(BEAM.natural_units(length), readings.beams)
-        unit = every[active]
-        reduced = normal.reduced(every, PLANE.natural_units(length), active)
-        e = how.apply(model.residuals(model.scene(at, readings), readings.distance))
-        cost = float(e @ e) / how.sigma**2
-        values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
-        free = len(readings) - 3 * readings.planes
-        along = axes.T @ reduced.gradient / how.sigma**2
-        scale, keep = 1.0, values > KNOWN**-2
-        # Few readings cannot tell their own sigma: that of the calibration stands for it.
-        known = known or free - int(keep.sum()) < FEW_DEGREES
-        for _ in range(0 if known else SCALE_ROUNDS):
-            rest = cost - float((along[keep] ** 2 / values[keep]).sum())
-            scale = rest / (free - int(keep.sum()))
-            keep = values / scale > KNOWN**-2
-        axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
-        bases = model.tangent_basis(mounts.directions)
-        lift = beams_lift(bases, mounts.terms)
-        P = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
-        return cls(
-            cost / scale,
-            axes @ along,
-            (axes * values) @ axes.T,
-            _root(P),
-            unit,
-            np.repeat(np.arange(readings.beams), BEAM.dim)[active],
-            int(keep.sum()),
-            free - int(keep.sum()),
-            known,
-        )
-
-    def least(self, root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
-        """Return by how much chi2 falls, and for which x.
-
-        x is `root` z + `free` y, with z' z added to chi2.
-        """
+    def least(root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
+        """Return by how much chi2 falls, and for which x = root z + free y; z' z adds to chi2."""
         A = np.hstack((root, free))
-        Q = A.T @ self.information @ A
+        Q = A.T @ information @ A
         Q[: root.shape[1], : root.shape[1]] += np.eye(root.shape[1])
-        b = A.T @ self.gradient
+        b = A.T @ gradient
         z = -np.linalg.pinv(Q, rcond=SINGULAR, hermitian=True) @ b
         return float(-b @ z), A @ z
 
-    def p_value(self, statistic: float, dof: int) -> float:
-        """Return the probability of a larger statistic; NaN without degrees of freedom."""
-        if dof == 0:
+    def p_value(statistic: float, degrees: int) -> float:
+        if degrees == 0:
             return float("nan")
-        if self.known:
-            return float(chi2_sf(statistic, dof))
-        return float(f_sf(statistic / dof, dof, max(self.dof, 1)))
+        if known:
+            return float(chi2_sf(statistic, degrees))
+        return float(f_sf(statistic / degrees, degrees, max(dof, 1)))
 
-
-def _tested(of: _Quadratic, e: FloatArray, names: tuple[str, ...]) -> HoldOut:
-    n = len(of.unit)
-    none = np.empty((n, 0))
-    held, _ = of.least(of.root, none)
-    moved, _ = of.least(none, np.eye(n))
-    chi2, drift = of.cost - moved, moved - held
+    n = len(unit)
+    none, own = np.empty((n, 0)), covariance_roots(covariance[None])[0]
+    held, _ = least(own, none)
+    moved, _ = least(none, np.eye(n))
+    chi2, drift = cost / scale - moved, moved - held
     beams = []
     for index, name in enumerate(names):
-        mine = of.beam == index
-        others = _root((of.root @ of.root.T)[np.ix_(~mine, ~mine)])
+        mine = beam == index
+        (others,) = covariance_roots((own @ own.T)[np.ix_(~mine, ~mine)][None])
         root = np.zeros((n, others.shape[1]))
         root[~mine] = others
-        fall, x = of.least(root, np.eye(n)[:, mine])
-        statistic, dx = max(fall - held, 0.0), (x * of.unit)[mine]
-        p_value = of.p_value(statistic, min(int(mine.sum()), of.rank))
-        beams.append(BeamDrift(name, statistic, p_value, dx[:3], float(np.linalg.norm(dx[3:5]))))
+        fall, x = least(root, np.eye(n)[:, mine])
+        statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
+        p = p_value(statistic, min(int(mine.sum()), rank))
+        beams.append(BeamDrift(name, statistic, p, dx[:3], float(np.linalg.norm(dx[3:5]))))
     return HoldOut(
         len(e),
         float(np.sqrt(np.mean(e**2))),
         float(np.abs(e).max()),
         chi2,
-        of.dof,
-        float(chi2_sf(chi2, of.dof)) if of.known and of.dof > 0 else float("nan"),
+        dof,
+        float(chi2_sf(chi2, dof)) if known and dof > 0 else float("nan"),
         drift,
-        of.rank,
-        of.p_value(drift, of.rank),
+        rank,
+        p_value(drift, rank),
         tuple(beams),
     )
-
-
-def _root(P: FloatArray) -> FloatArray:
-    variances, sides = np.linalg.eigh(0.5 * (P + P.T))
-    root: FloatArray = sides * np.sqrt(np.maximum(variances, 0.0))
-    return root

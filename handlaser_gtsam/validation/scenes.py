@@ -12,7 +12,7 @@ with an orientation of its own: no pure translations at all.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -55,8 +55,8 @@ Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Reach:
-    """Distances of a scene [m], and how far the hand and the planes tilt [rad]."""
+class _Kind:
+    """Distances of a scene [m], how far the hand and the planes tilt [rad], and what is usual in it."""
 
     working: tuple[float, float]
     beam_circle: float
@@ -64,39 +64,82 @@ class _Reach:
     plane_tilt: float
     hand_tilt: float
     base: tuple[float, float, float]
+    turns: Callable[[int, float, np.random.Generator], FloatArray]
+    errors: Errors
+    sensor: Sensor
 
 
-_PAPER = _Reach((0.003, 0.029), 0.015, 0.20, 0.35, 0.25, (0.6, 0.1, 0.4))
-"""The scene of the paper: a small hand a few millimetres to three centimetres before its planes."""
-_ARM = _Reach((0.15, 0.45), 0.050, 0.25, 0.50, 0.40, (0.5, 0.2, 0.5))
-"""Distance sensors on an arm: beams 15 to 45 cm long."""
+def _designed_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
+    """Four translations in one orientation, two in each of two more, then free turns."""
+    vectors = tilt * _tilted(count, rng)
+    vectors[: min(4, count)] = 0.0
+    for first in (4, 6):
+        if first + 1 < count:
+            vectors[first + 1] = vectors[first]
+    return Rotation.from_rotvec(vectors).as_matrix()
+
+
+def _free_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
+    return Rotation.from_rotvec(tilt * _tilted(count, rng)).as_matrix()
+
+
+def _tilted(count: int, rng: np.random.Generator) -> FloatArray:
+    """Rotation vectors: tilts of 0.5 to 1 in any direction, and turns about the hand's z."""
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    size = rng.uniform(0.5, 1.0, count)
+    spin = rng.uniform(-1.0, 1.0, count)
+    return np.stack((size * np.cos(angle), size * np.sin(angle), spin), axis=1)
+
+
+_PAPER = _Kind(
+    working=(0.003, 0.029),
+    beam_circle=0.015,
+    beam_tilt=0.20,
+    plane_tilt=0.35,
+    hand_tilt=0.25,
+    base=(0.6, 0.1, 0.4),
+    turns=_designed_turns,
+    errors=Errors(3e-5, 5e-5, math.radians(0.03), (1,)),
+    sensor=Sensor(0.0, 0.030),
+)
+_KINDS = {
+    "paper": _PAPER,
+    "unplanned": replace(_PAPER, turns=_free_turns),
+    "arm": _Kind(
+        working=(0.15, 0.45),
+        beam_circle=0.050,
+        beam_tilt=0.25,
+        plane_tilt=0.50,
+        hand_tilt=0.40,
+        base=(0.5, 0.2, 0.5),
+        turns=_free_turns,
+        errors=Errors(1e-3, 1e-4, math.radians(0.02), (0, 1, 2)),
+        sensor=Sensor(0.05, 0.60),
+    ),
+}
+"""A small hand a few millimetres to three centimetres before its planes, which errs as in the paper's
+simulation; and distance sensors on an arm, 15 to 45 cm before large planes."""
 
 
 def paper(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
     """Return the scene of the paper's simulation."""
-    return _scene(layout, _PAPER, _designed_turns, rng)
+    return _scene(layout, _KINDS["paper"], rng)
 
 
 def unplanned(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
     """Return the beams and planes of the paper's simulation before stations that nobody planned."""
-    return _scene(layout, _PAPER, _free_turns, rng)
+    return _scene(layout, _KINDS["unplanned"], rng)
 
 
 def arm(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
     """Return a scene of time-of-flight sensors on an arm in any motion."""
-    return _scene(layout, _ARM, _free_turns, rng)
+    return _scene(layout, _KINDS["arm"], rng)
 
 
 SCENES: dict[str, Scene] = {"paper": paper, "unplanned": unplanned, "arm": arm}
-_PAPER_ERRORS = Errors(3e-5, 5e-5, math.radians(0.03), (1,))
-"""The standard deviations of the paper's simulation."""
-ERRORS = {
-    "paper": _PAPER_ERRORS,
-    "unplanned": _PAPER_ERRORS,
-    "arm": Errors(1e-3, 1e-4, math.radians(0.02), (0, 1, 2)),
-}
-"""What each scene errs by where nothing else is said; the first as in the paper."""
-SENSORS = {"paper": Sensor(0.0, 0.030), "unplanned": Sensor(0.0, 0.030), "arm": Sensor(0.05, 0.60)}
+ERRORS = {name: kind.errors for name, kind in _KINDS.items()}
+"""What each scene errs by where nothing else is said."""
+SENSORS = {name: kind.sensor for name, kind in _KINDS.items()}
 
 
 def draw_scene(
@@ -137,63 +180,40 @@ def draw_scene(
 
 def _scene(
     layout: Layout,
-    reach: _Reach,
-    turns: Callable[[int, float, np.random.Generator], FloatArray],
+    kind: _Kind,
     rng: np.random.Generator,
 ) -> tuple[Parameters, Stations]:
-    r, v = _beams(layout.beams, reach, rng)
+    r, v = _beams(layout.beams, kind, rng)
     R, t, planes = [], [], []
     for p in range(layout.planes):
-        planes.append(_plane(p, layout.planes, reach, rng))
-        R.append(turns(layout.stations, reach.hand_tilt, rng))
-        t.append(_positions(R[p], *planes[p], (r, v), reach, rng))
+        planes.append(_plane(p, layout.planes, kind, rng))
+        R.append(kind.turns(layout.stations, kind.hand_tilt, rng))
+        t.append(_positions(R[p], *planes[p], (r, v), kind, rng))
     n, b = (np.array(column) for column in zip(*planes, strict=True))
     k = np.tile([layout.k1, layout.k2], (layout.beams, 1))
     label = np.repeat(np.arange(layout.planes), layout.stations)
     return Parameters(r, v, k, n, b), Stations(np.concatenate(R), np.concatenate(t), label)
 
 
-def _beams(count: int, reach: _Reach, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _beams(count: int, kind: _Kind, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Beams on a circle in the front of the hand (its +z), each tilted a little."""
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     circle = np.stack((np.cos(angle), np.sin(angle), np.zeros(count)), axis=1)
-    r = reach.beam_circle * (circle + rng.uniform(-0.2, 0.2, (count, 3)))
-    tilt = reach.beam_tilt * rng.uniform(-1.0, 1.0, (count, 2))
+    r = kind.beam_circle * (circle + rng.uniform(-0.2, 0.2, (count, 3)))
+    tilt = kind.beam_tilt * rng.uniform(-1.0, 1.0, (count, 2))
     v = model.normalized(np.column_stack((tilt, np.ones(count))))
     return r, v
 
 
 def _plane(
-    index: int, count: int, reach: _Reach, rng: np.random.Generator
+    index: int, count: int, kind: _Kind, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
     """Return a plane above the hand, tilted to its own side, through a point near the base."""
     angle = 2.0 * np.pi * index / count + rng.uniform(-0.3, 0.3)
-    tilt = reach.plane_tilt * rng.uniform(0.6, 1.0)
+    tilt = kind.plane_tilt * rng.uniform(0.6, 1.0)
     n = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
-    point = np.array(reach.base) + rng.uniform(-0.05, 0.05, 3)
+    point = np.array(kind.base) + rng.uniform(-0.05, 0.05, 3)
     return n, float(-n @ point)
-
-
-def _designed_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
-    """Four translations in one orientation, two in each of two more, then free turns."""
-    vectors = tilt * _tilted(count, rng)
-    vectors[: min(4, count)] = 0.0
-    for first in (4, 6):
-        if first + 1 < count:
-            vectors[first + 1] = vectors[first]
-    return Rotation.from_rotvec(vectors).as_matrix()
-
-
-def _free_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
-    return Rotation.from_rotvec(tilt * _tilted(count, rng)).as_matrix()
-
-
-def _tilted(count: int, rng: np.random.Generator) -> FloatArray:
-    """Rotation vectors: tilts of 0.5 to 1 in any direction, and turns about the hand's z."""
-    angle = rng.uniform(0.0, 2.0 * np.pi, count)
-    size = rng.uniform(0.5, 1.0, count)
-    spin = rng.uniform(-1.0, 1.0, count)
-    return np.stack((size * np.cos(angle), size * np.sin(angle), spin), axis=1)
 
 
 def _positions(
@@ -201,15 +221,15 @@ def _positions(
     n: FloatArray,
     b: float,
     beams: tuple[FloatArray, FloatArray],
-    reach: _Reach,
+    kind: _Kind,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Hand positions at which the readings of all beams lie in the working range, if they fit."""
     r, v = beams
-    low, high = reach.working
+    low, high = kind.working
     count = len(R)
     wander = rng.uniform(-1.0, 1.0, (count, 3)) * (high - low)
-    t = np.array(reach.base) + wander
+    t = np.array(kind.base) + wander
     t -= (t @ n + b)[:, None] * n
     n_hand = np.einsum("mji,j->mi", R, n)
     cosine = n_hand @ v.T

@@ -21,8 +21,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import HandlaserError, InputError
 from ..progress import Listener, tell, told_to
-from .runs_table import RUN_SCHEMA, run_row
-from .treatments import Estimated
+from .runs import RUN_SCHEMA, Estimated, run_row
 from .workers import run_blocks
 
 BLOCK = 20

@@ -20,8 +20,7 @@ from ..report.options import ReportOptions
 from ..report.page import Content, content_of
 from ..report.subject import subject_of
 from ..rig_toml import Rig, known_rig
-from .snapshot import FileContent, content, file_content, read_contents
-from .watched import Watched
+from .watched import FileContent, Watched, content, file_content, read_contents
 
 
 @dataclass(frozen=True, slots=True)
