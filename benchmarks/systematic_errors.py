@@ -153,7 +153,7 @@ def of_member(
         return math.inf, np.full((2, scene.beams, 3), np.nan)
     member = np.flatnonzero(chosen)[:1]
     size = every.detectable[member]
-    return float(size[0]), np.concatenate(every.shifts(member, size))
+    return float(size[0]), np.concatenate(every.moves(member, size)[:2])
 
 
 def linearization(

@@ -199,7 +199,7 @@ class Detectable:
             "strained",
         ):
             setattr(self, name, getattr(found, name)[members])
-        self.location_shift, self.direction_shift = found.shifts(members, self.detectable)
+        self.location_shift, self.direction_shift = found.moves(members, self.detectable)[:2]
 
 
 # Two ways to one number

@@ -25,14 +25,13 @@ them without simulation.
 Systematic errors that were found make neighbouring residuals alike, too: they are taken out before.
 """
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import nnls
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
@@ -105,7 +104,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     found : (N, q), optional
         Columns of systematic errors that were found.
     """
-    chains = _Chains.of(rows.readings, rows.position)
+    chains = _Chains(rows.readings, rows.position)
     if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
     residuals = _Residuals(rows, found)
@@ -119,7 +118,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
     if not (share > shares.mean(axis=1) + FAR_SIGMAS * shares.std(axis=1))[1:].any():
         return INDEPENDENT
-    lengths = chains.lengths()
+    lengths = chains.lengths
     drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
     spread = quiet.std(axis=1)
@@ -127,7 +126,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     # An estimated size of the noise lacks what the unknowns took of it.
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
-    growth = max(_growths(rows, residuals.projection, chains, parts))
+    growth = _growth(rows, residuals.projection, chains, parts)
     means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
     if max(growth, plane_growth) < LEAST_GROWTH:
@@ -152,7 +151,7 @@ class _Residuals:
 
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Return what is left of columns (N, q) of residuals."""
-        w = self.how.apply_rows(self.projection.perpendicular(columns).rest)
+        w = self.how.apply_rows(self.projection.perpendicular(columns)[0])
         return np.asarray(w - self.found @ (self.found.T @ w))
 
     def of_noise(self, noise: FloatArray) -> FloatArray:
@@ -160,63 +159,53 @@ class _Residuals:
         return self.whitened(self.how.coloured(noise))
 
 
-def _growths(
+def _growth(
     rows: LinearRows, projection: Projection, chains: "_Chains", parts: FloatArray
-) -> Iterator[float]:
-    """Yield of every beam the largest ratio of a variance to that with independent noise."""
-    planes = projection.response.reshape(-1, projection.beam_inverse.shape[0])
+) -> float:
+    """Return the largest ratio of a variance of any beam to that with independent noise."""
+    planes, growth = projection.response.reshape(-1, projection.beam_inverse.shape[0]), 0.0
     for beam in range(rows.readings.beams):
         x = projection.beam_inverse[:, BEAM.dim * beam : BEAM.dim * (beam + 1)]
         x = x[:, x.any(axis=0)]
         gain = rows.how.apply_rows(projection.J @ np.concatenate((x, -planes @ x)))
         alone = (gain**2).sum(axis=0)
-        variances = [alone, *(chains.variances(gain, length) for length in chains.lengths())]
-        yield float((parts @ variances / alone).max())
+        variances = [alone, *(chains.variances(gain, length) for length in chains.lengths)]
+        growth = max(growth, float((parts @ variances / alone).max()))
+    return growth
 
 
-@dataclass(frozen=True, slots=True)
 class _Chains:
     """Readings as chains in time, one a beam and plane.
 
     Attributes
     ----------
     order : (N,)
-        LinearRows by plane, beam and time.
+        Rows by plane, beam and time.
     joined : (N - 1,) of bool
         Which neighbours in that order are of one chain.
+    bounds : (chains + 1,)
+        The first row of every chain, and the end of the last.
+    longest : int
+        Readings of the longest chain.
+    lengths : (l,)
+        Lengths of correlation that are tried [stations]: powers of two.
     """
 
-    order: IntArray
-    joined: BoolArray
-
-    @classmethod
-    def of(cls, readings: Readings, position: IntArray) -> "_Chains":
-        """Return the chains of some readings."""
-        order = np.lexsort((position, readings.beam, readings.plane)).astype(np.intp)
+    def __init__(self, readings: Readings, position: IntArray) -> None:
+        order = np.lexsort((position, readings.beam, readings.plane))
         same = np.diff(readings.plane[order]) == 0
-        return cls(order, same & (np.diff(readings.beam[order]) == 0))
-
-    @property
-    def bounds(self) -> IntArray:
-        """The first row of every chain, and the end of the last."""
-        return np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
-
-    @property
-    def longest(self) -> int:
-        """Readings of the longest chain."""
-        return int(np.diff(self.bounds).max())
-
-    def lengths(self) -> FloatArray:
-        """Return the lengths of correlation that are tried [stations]: powers of two."""
+        self.order, self.joined = order, same & (np.diff(readings.beam[order]) == 0)
+        self.bounds = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(order)]))
+        self.longest = int(np.diff(self.bounds).max())
         most = max(self.longest / CHAINS_IN_LENGTH, 2.0)
-        return np.exp2(np.arange(int(np.log2(most)) + 1))
+        self.lengths = np.exp2(np.arange(int(np.log2(most)) + 1))
 
     def squares(self, w: FloatArray) -> FloatArray:
         """Return the squares of sums of 1, 2, 4 ... neighbours of columns (N, q), (s, q)."""
         sums = np.concatenate((np.zeros((1, w.shape[1])), np.cumsum(w[self.order], axis=0)))
         chain = np.concatenate(([0], np.cumsum(~self.joined)))
         squares = []
-        for m in (1, *(2 * self.lengths()).astype(int).tolist()):
+        for m in (1, *(2 * self.lengths).astype(int).tolist()):
             whole = chain[m - 1 :] == chain[: len(chain) - m + 1]
             if whole.any():
                 squares.append(((sums[m:] - sums[:-m])[whole] ** 2).sum(axis=0))

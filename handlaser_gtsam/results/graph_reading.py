@@ -25,14 +25,12 @@ from .correlations import strong_correlations
 from .graph_variables import OwnGraph, Variable, fit_of_graph
 from .problem import named_estimates
 from .reports import Determined, Fit, StartReport
+from .significance import SINGLE_LEVEL
 
-METHOD = "graph"
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
 NAMED = 0.1
 """Variables are named that have such a part of what the one has that is left open most."""
-UNLIKELY = 1e-6
-"""A chi2 of the graph that is less probable contradicts its noise models."""
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"
@@ -76,38 +74,29 @@ def read_graph(
     require_values(values)
     require_names("the name of a beam", beams)
     require_names("the name of a plane", planes)
-    return _read(OwnGraph(graph, values, beams, planes))
-
-
-def _read(own: OwnGraph) -> Calibration:
-    """Eliminate everything but beams and planes, and judge what is left."""
+    own = OwnGraph(graph, values, beams, planes)
     wanted = own.variables()
-    linear = own.graph.linearize(own.values)
+    linear = graph.linearize(values)
     fit = fit_of_graph(own, linear.gradientAtZero().vector().size)
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
     joint = None if covariance is None else _joint(covariance, wanted, own)
-    at = parameters_of(own.values, list(own.beams.values()), list(own.planes.values()))
+    at = parameters_of(values, list(beams.values()), list(planes.values()))
+    warnings: tuple[CalibrationWarning, ...] = ()
+    if fit.p_value < SINGLE_LEVEL:
+        words = f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for its noise"
+        warnings = (CalibrationWarning("sigmas-too-small", words),)
     return Calibration(
         status,
         message,
-        _warnings(fit),
-        *named_estimates(tuple(own.beams), tuple(own.planes), at, own.terms(), joint),
+        warnings,
+        *named_estimates(tuple(beams), tuple(planes), at, own.terms(), joint),
         fit,
         determined,
-        StartReport(METHOD, ()),
+        StartReport("graph", ()),
         iterations=0,
         covariance=joint,
         correlations=() if joint is None else strong_correlations(joint),
     )
-
-
-def _warnings(fit: Fit) -> tuple[CalibrationWarning, ...]:
-    if not fit.p_value < UNLIKELY:
-        return ()
-    words = (
-        f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for the graph's noise"
-    )
-    return (CalibrationWarning("sigmas-too-small", words),)
 
 
 def _information(
@@ -132,15 +121,6 @@ def _information(
     return np.asarray(matrix), np.asarray(vector).ravel()
 
 
-def _left_to_go(linear: gtsam.GaussianFactorGraph) -> float:
-    """Return how far the optimum of all variables is: the length of a step, in standard deviations."""
-    try:
-        decrement = -linear.gradientAtZero().dot(linear.optimize())
-    except RuntimeError:
-        return float("inf")
-    return float(np.sqrt(max(decrement, 0.0))) if np.isfinite(decrement) else float("inf")
-
-
 def _judged(
     own: OwnGraph, linear: gtsam.GaussianFactorGraph, wanted: list[Variable], fit: Fit
 ) -> tuple[Status, str, Determined, FloatArray | None]:
@@ -148,14 +128,15 @@ def _judged(
 
     The covariance is None unless the values are the optimum and everything is determined.
     """
-    unknowns, information = wanted[-1].columns.stop, _information(own, linear, wanted)
+    powers = np.array([power for one in wanted for power in one.powers], dtype=float)
+    unknowns, information = len(powers), _information(own, linear, wanted)
     if information is None:
         words = "the graph leaves variables undetermined"
         found = Determined(0, unknowns, None, (words,), (ANCHOR,))
         return "unobservable", f"{words}: {ANCHOR}", found, None
     matrix, vector = information
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
-    unit = length ** np.array([power for one in wanted for power in one.powers], dtype=float)
+    unit = length**powers
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
     block = np.repeat(np.arange(len(wanted)), [len(one.powers) for one in wanted])
     weak = open_axes(values, axes, block, ObservabilityOptions().most_sigma ** -2)
@@ -172,7 +153,11 @@ def _judged(
     if not away <= OPTIMAL:
         words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
         return "not_converged", words, found, None
-    if not _left_to_go(linear) <= OPTIMAL:
+    try:  # the squared length of the step to the optimum of all variables, in standard deviations
+        decrement = -linear.gradientAtZero().dot(linear.optimize())
+    except RuntimeError:
+        decrement = np.inf
+    if not max(decrement, 0.0) <= OPTIMAL**2:
         words = "the values are not at the optimum of the graph: optimise further"
         return "not_converged", words, found, None
     return "converged", "the values are the optimum of the graph", found, S
@@ -180,7 +165,9 @@ def _judged(
 
 def _joint(S: FloatArray, wanted: list[Variable], own: OwnGraph) -> JointCovariance:
     """Return the covariance in the order of the names; shared variables stand once for every beam."""
-    columns = {one.key: np.arange(one.columns.start, one.columns.stop) for one in wanted}
+    counts = [len(one.powers) for one in wanted]
+    parts = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
+    columns = {one.key: part for one, part in zip(wanted, parts, strict=True)}
     of_beams = [np.concatenate([columns[k] for k in b.variables]) for b in own.beams.values()]
     at = np.concatenate(of_beams)
     p = np.array([columns[key] for key in own.planes.values()], dtype=np.intp).ravel()

@@ -1,7 +1,7 @@
 """Somebody else's graph: the variables of beams and planes in it, and how its range factors fit."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -9,49 +9,33 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..factors.keys import BeamKeys
+from ..quantities import NEGLIGIBLE
 from .fit import fit_of_rows
 from .reports import Fit
 
-LEAST_OBLIQUE = 1e-6
-"""Squared sine of the incidence below which a row says nothing of its range."""
-
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of variable: how it is read, its type in words, and its natural units.
+class Variable:
+    """A variable that is read, or a kind of them: what it is, how it is read, and its type in words.
 
-    The units are powers of the typical range.
+    `powers` are the natural units of its columns, as powers of the typical range.
     """
 
     words: str
     read: Callable[[gtsam.Values, int], object]
     expected: str
     powers: tuple[int, ...]
+    key: int = 0
 
 
-LOCATION = Kind("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1))
-"""Three lengths."""
-DIRECTION = Kind("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0))
-"""Two angles, along the tangent plane."""
-RANGE_ERROR = Kind(
-    "range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)
+KINDS = (
+    Variable("location of beam", gtsam.Values.atPoint3, "Point3", (1, 1, 1)),
+    Variable("direction of beam", gtsam.Values.atUnit3, "Unit3", (0, 0)),
+    Variable("range error of beam", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)),
+    Variable("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1)),
 )
-"""k1 is a number, and k2 is per length."""
-PLANE = Kind("plane", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1))
-"""Two angles of the normal, and the offset, which is a length."""
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """A variable that is read: what it is, its key, and its columns among all that are read.
-
-    `powers` are the natural units of the columns, as powers of the typical range.
-    """
-
-    words: str
-    key: int
-    columns: slice
-    powers: tuple[int, ...]
+"""Kinds of variables: of a beam three lengths; two angles; a number k1, and k2 per length; of a plane
+two angles of the normal, and the offset, which is a length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,33 +72,31 @@ class OwnGraph:
                 expected = "one for every variable of the graph"
                 raise InputError(f"no value of {key_name(key)}", expected)
         asked = [
-            (kind, f"{kind.words} {name}", key)
+            replace(kind, words=f"{kind.words} {name}", key=key)
             for name, beam in self.beams.items()
-            for kind, key in zip((LOCATION, DIRECTION, RANGE_ERROR), beam.variables, strict=False)
+            for kind, key in zip(KINDS, beam.variables, strict=False)
         ]
-        asked += [(PLANE, f"{PLANE.words} {name}", key) for name, key in self.planes.items()]
+        asked += [
+            replace(KINDS[-1], words=f"plane {name}", key=key) for name, key in self.planes.items()
+        ]
         found: dict[int, Variable] = {}
-        first = 0
-        for kind, words, key in asked:
-            if key not in inside:
-                raise InputError(f"{words} under {key_name(key)}", "a variable of the graph")
-            dim = self._dimension(kind, words, key)
-            if key not in found:
-                found[key] = Variable(words, key, slice(first, first + dim), kind.powers[:dim])
-                first += dim
+        for one in asked:
+            if one.key not in inside:
+                raise InputError(
+                    f"{one.words} under {key_name(one.key)}", "a variable of the graph"
+                )
+            try:
+                value = one.read(self.values, one.key)
+            except RuntimeError as error:
+                other = f"another type under {key_name(one.key)}, {one.words}"
+                raise InputError(other, f"a {one.expected}") from error
+            dim = len(one.powers)
+            if one.read is gtsam.Values.atVector:
+                dim = np.asarray(value).size
+                if not 1 <= dim <= len(one.powers):
+                    raise InputError(f"{dim} numbers as {one.words}", f"a {one.expected}")
+            found.setdefault(one.key, replace(one, powers=one.powers[:dim]))
         return list(found.values())
-
-    def _dimension(self, kind: Kind, words: str, key: int) -> int:
-        """Return the dimension of a variable; raises InputError where it is of another type."""
-        try:
-            value = kind.read(self.values, key)
-        except RuntimeError as error:
-            found = f"another type under {key_name(key)}, {words}"
-            raise InputError(found, f"a {kind.expected}") from error
-        dim = np.asarray(value).size if kind is RANGE_ERROR else len(kind.powers)
-        if not 1 <= dim <= len(kind.powers):
-            raise InputError(f"{dim} numbers as {words}", f"a {kind.expected}")
-        return dim
 
 
 def key_name(key: int) -> str:
@@ -194,7 +176,8 @@ def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
     by_location, by_direction = jacobian[:, :3], jacobian[:, 3:5]
     across = by_location @ values.atUnit3(list(factor.keys())[1]).basis()
     square = (across**2).sum(axis=1)
-    seen = square > LEAST_OBLIQUE * (by_location**2).sum(axis=1)
+    # Squares of the sine of the incidence; a row at right angles says nothing of its range.
+    seen = square > NEGLIGIBLE * (by_location**2).sum(axis=1)
     product = (by_direction * across).sum(axis=1)
     found: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
     return found

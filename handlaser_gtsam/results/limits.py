@@ -1,6 +1,7 @@
 """Pass or fail: a calibration against the limits its user set."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -105,21 +106,34 @@ def checked(calibration: CalibrationData, limits: Limits) -> tuple[LimitCheck, .
     """
     found, hidden = list(rms_checked("", calibration.fit.rms, limits)), hidden_errors(calibration)
     for number, beam in enumerate(calibration.beams.values()):
-        location, direction, owner = beam.location_sigma, beam.direction_sigma, f"beam {beam.name}"
+        if beam.location_sigma is None or beam.direction_sigma is None:
+            continue
         shifts = np.nan_to_num([one.location_shift[number] for one in hidden]).reshape(-1, 3)
         turns = np.nan_to_num([one.direction_shift[number] for one in hidden]).reshape(-1, 3)
-        if location is not None and limits.location_sigma is not None:
-            noise, square = float(location.max()), location**2 + (shifts**2).sum(axis=0) / 3.0
-            value = math.sqrt(float(square.max()))
-            random = noise if value > noise else math.nan
-            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma, random))
-        if direction is not None and limits.direction_sigma is not None:
-            value = math.hypot(direction, float(np.linalg.norm(turns)) / math.sqrt(3.0))
-            random = direction if value > direction else math.nan
-            found.append(
-                LimitCheck("direction_sigma", owner, value, limits.direction_sigma, random)
-            )
+        square = beam.location_sigma**2 + (shifts**2).sum(axis=0) / 3.0
+        turn = math.hypot(beam.direction_sigma, float(np.linalg.norm(turns)) / math.sqrt(3.0))
+        found += sigmas_checked(
+            f"beam {beam.name}",
+            (math.sqrt(float(square.max())), turn),
+            (float(beam.location_sigma.max()), beam.direction_sigma),
+            limits,
+        )
     return tuple(found)
+
+
+def sigmas_checked(
+    owner: str, values: tuple[float, float], noise: tuple[float, float], limits: Limits
+) -> Iterator[LimitCheck]:
+    """Compare standard deviations of location [m] and direction [rad] with the limits there are.
+
+    `noise` is the part of each `values` that the noise makes.
+    """
+    quantities: tuple[Quantity, Quantity] = ("location_sigma", "direction_sigma")
+    for quantity, value, alone in zip(quantities, values, noise, strict=True):
+        limit = getattr(limits, quantity)
+        if limit is not None:
+            random = alone if value > alone else math.nan
+            yield LimitCheck(quantity, owner, value, limit, random)
 
 
 def hidden_errors(calibration: CalibrationData) -> list[SystematicError]:

@@ -87,28 +87,6 @@ def linear_rows(
     return LinearRows(at, readings, how, prior, position, channel, J, columns[-1], normal)
 
 
-@dataclass(frozen=True, slots=True)
-class Adjusted:
-    """Columns without the part that the unknowns explain.
-
-    Attributes
-    ----------
-    rest : (N, q)
-        What is left of the columns.
-    heavy : (N, q)
-        Times sigma^2 inv(C).
-    squares : (q,)
-        Of the whitened columns, rows of the prior included.
-    moved : (7 B, q)
-        The beams' part of the unknowns that explain the rest.
-    """
-
-    rest: FloatArray
-    heavy: FloatArray
-    squares: FloatArray
-    moved: FloatArray
-
-
 class Projection:
     """Takes out of columns what the unknowns explain; planes are eliminated before beams.
 
@@ -137,10 +115,23 @@ class Projection:
         self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
         self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
 
-    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
-        """Return columns (N, q), and `pulled` (7 B, q) in the prior, without what the unknowns explain.
+    def perpendicular(
+        self, columns: FloatArray, pulled: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Take what the unknowns explain out of columns (N, q), and of `pulled` (7 B, q) in the prior.
 
         They are projected twice, which removes what rounding leaves of the first projection.
+
+        Returns
+        -------
+        rest : (N, q)
+            What is left of the columns.
+        heavy : (N, q)
+            Times sigma^2 inv(C).
+        squares : (q,)
+            Of the whitened columns, rows of the prior included.
+        moved : (7 B, q)
+            The beams' part of the unknowns that explain the rest.
         """
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
@@ -158,7 +149,7 @@ class Projection:
             moved += x
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return Adjusted(rest, heavy, squares, moved)
+        return rest, heavy, squares, moved
 
     def members(
         self, products: FloatArray, squares: FloatArray, plane: IntArray

@@ -16,9 +16,6 @@ from ..model.sensor import BY_LIMITS, Rejected
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 
-POOR_SIGMA = 0.5
-"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Beam(Value):
@@ -212,8 +209,8 @@ class NoiseComponent(Value):
 
     @property
     def prior_carries(self) -> bool:
-        """Whether the sigma is hardly determined by the recording."""
-        return self.error >= POOR_SIGMA * self.sigma
+        """Whether the recording hardly determines the sigma: its own error is half of it or more."""
+        return self.error >= 0.5 * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -56,8 +56,8 @@ class CommonErrors:
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
-        rest = projection.perpendicular(self.columns)
-        return (rest.moved @ self.mix).T, self._squares(rest.heavy)
+        _, heavy, _, moved = projection.perpendicular(self.columns)
+        return (moved @ self.mix).T, self._squares(heavy)
 
     def _squares(self, heavy: FloatArray) -> FloatArray:
         """Return the squares (m,) of the members, given their weighed columns (N, c)."""

@@ -8,10 +8,11 @@ import numpy as np
 from ..errors import CalibrationWarning
 from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM
+from ..text import count, some
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
-from .lines import NAMES_IN_LINE, count, some
+from .lines import NAMES_IN_LINE
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
 
@@ -135,7 +136,9 @@ def verdict(
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
     shares = variance_shares(calibration, beam, reading) if beam else None
-    hidden, beyond = _most_hidden(calibration, reading)
+    hiding = hidden_errors(calibration)  # where a plausible size is known
+    hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
+    beyond = None if hidden is None else hidden.moved(reading, unnoticed=True)
     doubtful = hidden if (beyond or 0.0) > max(radii.values(), default=np.inf) else None
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
@@ -168,21 +171,6 @@ def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[Calibrati
         values = {"subject": error.subject, "size": error.size, "p_value": error.p_value}
         yield CalibrationWarning(error.code, error.message, values)
     yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
-
-
-def _most_hidden(
-    calibration: CalibrationData, reading: float
-) -> tuple[SystematicError | None, float | None]:
-    """Return the systematic error that may hide and moves a laser spot most, and how far [m].
-
-    Nothing where no plausible size is known.
-    """
-    worst, most = None, None
-    for one in hidden_errors(calibration):
-        shift = float(np.nan_to_num(one.spots(reading, unnoticed=True)).max())
-        if most is None or shift > most:
-            worst, most = one, shift
-    return worst, most
 
 
 def _most_harmful(

@@ -85,11 +85,16 @@ def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float
     ]
 
 
-def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Record:
-    """Return the layout that all flat figures share: thin lines, no frame, the page's font."""
+def layout(
+    x: str, y: str, height: int = 320, more: Record | None = None, *, legend: bool = False
+) -> Record:
+    """Return the layout that all flat figures share: thin lines, no frame, the page's font.
+
+    A legend stands above a figure.
+    """
     shared: Record = {
         "height": height,
-        "margin": {"l": 58, "r": 14, "t": 12, "b": 48},
+        "margin": {"l": 58, "r": 14, "t": 34 if legend else 12, "b": 48},
         "font": {"family": FONT, "size": 12, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
@@ -104,7 +109,7 @@ def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Rec
         },
         "hoverlabel": {"font": {"size": 12}, "align": "left"},
         "dragmode": False,
-        "showlegend": False,
+        "showlegend": legend,
     }
     return shared | (more or {})
 

@@ -18,22 +18,8 @@ AXIS_SIZE = 0.05
 """Length of the axes of a hand, as a part of the extent of the picture: many hands do not cover it."""
 
 
-@dataclass(frozen=True, slots=True)
-class BeamSegments:
-    """The segments of one beam, from the sensor to its spots.
-
-    Attributes
-    ----------
-    name : str
-    segments : (N, 2, 3)
-        [mm]
-    words : tuple of str
-        What a segment is.
-    """
-
-    name: str
-    segments: FloatArray
-    words: tuple[str, ...]
+Segments = tuple[str, FloatArray, tuple[str, ...]]
+"""A beam from the sensor to its spots: its name, segments (N, 2, 3) [mm], and what each of them is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +32,7 @@ class Geometry:
         `world` or `hand`.
     planes : tuple of (str, (4, 3))
         Name and corners of every plane [mm].
-    beams : tuple of BeamSegments
+    beams : tuple of Segments
     hands : (M, 4, 3)
         Origin of the hand and the ends of its x, y and z axis [mm].
     hand_names : tuple of str
@@ -54,7 +40,7 @@ class Geometry:
 
     frame: str
     planes: tuple[tuple[str, FloatArray], ...]
-    beams: tuple[BeamSegments, ...]
+    beams: tuple[Segments, ...]
     hands: FloatArray
     hand_names: tuple[str, ...]
 
@@ -62,7 +48,7 @@ class Geometry:
     def points(self) -> FloatArray:
         """Everything that is drawn (N, 3)."""
         parts = [corners for _, corners in self.planes] + [self.hands.reshape(-1, 3)]
-        parts += [beam.segments.reshape(-1, 3) for beam in self.beams]
+        parts += [segments.reshape(-1, 3) for _, segments, _ in self.beams]
         return np.concatenate(parts)
 
 
@@ -77,7 +63,7 @@ def in_world(subject: Subject) -> Geometry | None:
     recording = rows.recording
     R, t = recording.world_R_hand, recording.world_t_hand * IN_MM
     shown = evenly(len(t), MOST_POINTS)
-    beams: tuple[BeamSegments, ...] = ()
+    beams: tuple[Segments, ...] = ()
     planes: tuple[tuple[str, FloatArray], ...] = ()
     everything = t
     if subject.solved:
@@ -107,18 +93,16 @@ def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry
     """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
     if not np.isfinite(reach).all():
         return None
-    found = []
-    for name, r, v, k, most in zip(names, *beams, reach, strict=True):
-        g = float(model.corrected(most[None], k[None])[0])
-        ends = np.stack((r, r + g * v)) * IN_MM
-        found.append(BeamSegments(name, ends[None], (f"beam {short(name)}",)))
-    extent = np.concatenate([beam.segments.reshape(-1, 3) for beam in found] + [np.zeros((1, 3))])
-    length = 4.0 * AXIS_SIZE * max(float(np.ptp(extent, axis=0).max()), 1.0)
+    r, v, k = beams
+    ends = np.stack((r, r + model.corrected(reach, k)[:, None] * v), axis=1) * IN_MM
+    extent = np.ptp(np.concatenate((ends.reshape(-1, 3), np.zeros((1, 3)))), axis=0)
+    length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
     hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
-    return Geometry("hand", (), tuple(found), hand[None], ("the hand",))
+    drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
+    return Geometry("hand", (), tuple(drawn), hand[None], ("the hand",))
 
 
-def _beams(subject: Subject, rows: ReadingRows) -> tuple[BeamSegments, ...]:
+def _beams(subject: Subject, rows: ReadingRows) -> tuple[Segments, ...]:
     calibration, recording = subject.calibration, rows.recording
     used = np.flatnonzero(rows.used)
     used = used[evenly(len(used), MOST_POINTS)]
@@ -132,9 +116,7 @@ def _beams(subject: Subject, rows: ReadingRows) -> tuple[BeamSegments, ...]:
             f"plane {short(recording.plane_labels[j])}, reading {d * IN_MM:.3f} mm"
             for j, d in zip(rows.station[mine].tolist(), rows.reading[mine].tolist(), strict=True)
         )
-        found.append(
-            BeamSegments(beam.name, np.stack((start, rows.spot[mine]), axis=1) * IN_MM, words)
-        )
+        found.append((beam.name, np.stack((start, rows.spot[mine]), axis=1) * IN_MM, words))
     return tuple(found)
 
 

@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 from ... import __version__
 from ...quantities import IN_MM
 from ...results.description.evidence import rejected_words
-from ...results.description.tables import Column, Facts, Table, concise, number, sentence, text
+from ...results.description.tables import (
+    Facts,
+    Table,
+    concise,
+    number,
+    of_numbers,
+    of_words,
+    sentence,
+    text,
+)
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
 from .options import changed_on, sha256
@@ -132,8 +141,7 @@ def plan_table(subject: Subject) -> Table | None:
         for j in range(len(stations.plane_labels))
         if not np.isnan(plan.ranges[j]).all()
     )
-    titles = ("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw")
-    columns = (Column("plane", number=False), *map(Column, titles))
+    columns = (*of_words("plane"), *of_numbers("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw"))
     return Table("next", "Hand poses world_T_hand.", columns, rows)
 
 

@@ -14,12 +14,10 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
-from ...results.correlations import CorrelationMatrix
 from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
-from .correlations import correlation_figure
 from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
-from .figures import flat_figures
+from .figures import correlation_figure, flat_figures
 from .geometry import Geometry, in_hand, in_world, of_hand
 from .options import ReportOptions
 from .subject import subject_of
@@ -135,8 +133,8 @@ def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
     S = np.array(calibration.beam_covariance)[: 8 * LEGEND, : 8 * LEGEND]
-    correlations = CorrelationMatrix.of(names[:LEGEND], v[:LEGEND], S)
-    return [of_hand(names, (r, v, k), reach)], [correlation_figure(correlations)]
+    map_ = correlation_figure(names[:LEGEND], v[:LEGEND], S)
+    return [of_hand(names, (r, v, k), reach)], [map_]
 
 
 def _flat(figure: Figure) -> "Drawing":
@@ -250,10 +248,10 @@ def _in_space(geometry: Geometry) -> "Drawing":
     if corners:
         axes.add_collection3d(Poly3DCollection(corners, facecolors="#8aa0b4", alpha=0.25))
     shown = []
-    for index, one in enumerate(geometry.beams):
+    for index, (_, segments, _) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
-        axes.add_collection3d(Line3DCollection(one.segments, colors=shade, lw=0.8, alpha=0.6))
-        shown.append(axes.scatter(*one.segments[:, 1].T, color=shade, s=7))
+        axes.add_collection3d(Line3DCollection(segments, colors=shade, lw=0.8, alpha=0.6))
+        shown.append(axes.scatter(*segments[:, 1].T, color=shade, s=7))
     for axis, shade in enumerate(AXIS_COLOURS):
         axes.add_collection3d(
             Line3DCollection(geometry.hands[:, [0, 1 + axis]], colors=shade, lw=1)
@@ -271,7 +269,7 @@ def _in_space(geometry: Geometry) -> "Drawing":
     axes.view_init(elev=24, azim=-48)
     if 0 < len(shown) <= LEGEND:
         legend = axes.legend(
-            shown, [f"beam {short(one.name)}" for one in geometry.beams], fontsize=8
+            shown, [f"beam {short(name)}" for name, *_ in geometry.beams], fontsize=8
         )
         for text in legend.get_texts():
             text.set_parse_math(False)

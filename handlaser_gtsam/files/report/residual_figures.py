@@ -34,8 +34,6 @@ from .subject import ReadingRows, Subject
 BESIDE = 0.7
 """The part of the distance between two planes that their beams take up: a gap tells the planes
 apart."""
-UPPER_MARGIN: Record = {"l": 58, "r": 14, "t": 34, "b": 48}
-"""Room for a legend above a figure."""
 
 
 def residual_figures(subject: Subject) -> list[Figure]:
@@ -159,9 +157,9 @@ def _figure(
     sigma = subject.calibration.fit.range_sigma * IN_MM
     known = subject.solved and math.isfinite(sigma)
     shared: Record = {"shapes": [_band("x", y0=-sigma, y1=sigma)] if known else []}
-    if 1 < len(names) <= LEGEND:
-        shared |= {"showlegend": True, "margin": UPPER_MARGIN}
-    return Figure(name, caption, traces, layout(title, "residual, mm", more=shared | more))
+    legend = 1 < len(names) <= LEGEND
+    drawn_in = layout(title, "residual, mm", more=shared | more, legend=legend)
+    return Figure(name, caption, traces, drawn_in)
 
 
 def _band(across: str, **edges: float) -> Record:

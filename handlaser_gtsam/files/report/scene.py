@@ -26,17 +26,15 @@ EYE = (1.15, -1.3, 0.75)
 SIZE = (760, 520)
 """Width and height of the still picture: on paper two stand side by side, half as large."""
 MARGIN = 28
-"""Room around the still picture, and the height of a row of its legend."""
-LETTERS = 19
-"""Height of letters in the still picture, which is readable at half the size."""
+"""Room around the still picture, and the height of a row of its legend; letters of two thirds of it are
+readable at half the size."""
 
 
 def scene_figure(geometry: Geometry) -> Figure:
     """Return a picture in space that can be turned."""
     traces: list[Record] = [_plane(name, corners) for name, corners in geometry.planes]
-    for index, one in enumerate(geometry.beams):
-        shade = colour(index, len(geometry.beams))
-        traces += _beam(one.name, one.segments, one.words, shade)
+    for index, (name, segments, words) in enumerate(geometry.beams):
+        traces += _beam(name, segments, words, colour(index, len(geometry.beams)))
     traces += _hands(geometry)
     sides: Record = {}
     for name in "xyz":
@@ -84,13 +82,10 @@ def _caption(geometry: Geometry) -> str:
 
 
 def _plane(name: str, corners: FloatArray) -> Record:
-    x, y, z = (numbers(corners[:, axis]) for axis in range(3))
     return {
         "type": "mesh3d",
         "name": f"plane {label(name)}",
-        "x": x,
-        "y": y,
-        "z": z,
+        **_xyz(corners),
         "i": [0, 0],
         "j": [1, 2],
         "k": [2, 3],
@@ -113,14 +108,10 @@ def _beam(name: str, segments: FloatArray, words: tuple[str, ...], shade: str) -
         "hoverinfo": "skip",
         "showlegend": False,
     }
-    x, y, z = (numbers(segments[:, 1, axis]) for axis in range(3))
-    said = [harmless(one) for one in words]
     yield shared | {
         "mode": "markers",
-        "x": x,
-        "y": y,
-        "z": z,
-        "text": said,
+        **_xyz(segments[:, 1]),
+        "text": [harmless(one) for one in words],
         "marker": {"color": shade, "size": 2.5},
         "hovertemplate": "%{text}<br>(%{x:.2f}, %{y:.2f}, %{z:.2f}) mm<extra></extra>",
     }
@@ -139,16 +130,12 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
             "hoverinfo": "skip",
             "showlegend": False,
         }
-    x, y, z = (numbers(hands[:, 0, axis]) for axis in range(3))
-    said = [harmless(one) for one in geometry.hand_names]
     yield {
         "type": "scatter3d",
         "mode": "markers",
         "name": "hand",
-        "x": x,
-        "y": y,
-        "z": z,
-        "text": said,
+        **_xyz(hands[:, 0]),
+        "text": [harmless(one) for one in geometry.hand_names],
         "marker": {"color": INK, "size": 2},
         "hovertemplate": "hand at %{text}<extra></extra>"
         if geometry.frame == "world"
@@ -160,8 +147,11 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
 def _lines(segments: FloatArray) -> Record:
     """Return segments (N, 2, 3) as one line with gaps."""
     gaps = np.full((len(segments), 1, 3), np.nan)
-    path = np.concatenate((segments, gaps), axis=1).reshape(-1, 3)
-    return {name: numbers(path[:, axis]) for axis, name in enumerate("xyz")}
+    return _xyz(np.concatenate((segments, gaps), axis=1).reshape(-1, 3))
+
+
+def _xyz(points: FloatArray) -> Record:
+    return {name: numbers(points[:, axis]) for axis, name in enumerate("xyz")}
 
 
 def still_picture(geometry: Geometry) -> str:
@@ -184,9 +174,9 @@ def still_picture(geometry: Geometry) -> str:
     nearness = {name: float(_projected(c)[1].mean()) for name, c in geometry.planes}
     for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]]):
         parts.append(f'<path d="{_path(place(corners))}Z" fill="#8aa0b4" fill-opacity="0.28"/>')
-    for index, one in enumerate(geometry.beams):
+    for index, (_, segments, _) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
-        ends = [place(segment) for segment in one.segments]
+        ends = [place(segment) for segment in segments]
         lines = "".join(map(_path, ends))
         parts.append(
             f'<path d="{lines}" fill="none" stroke="{shade}" stroke-opacity="0.6" stroke-width="1.4"/>'
@@ -217,11 +207,11 @@ def _key(geometry: Geometry) -> Iterable[str]:
     """Yield the names of the beams with their colours."""
     if len(geometry.beams) > LEGEND:
         return
-    for index, one in enumerate(geometry.beams):
+    for index, (name, _, _) in enumerate(geometry.beams):
         y, shade = 18 + MARGIN * index, colour(index, len(geometry.beams))
         yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
-        words = f"beam {label(one.name)}"
-        yield f'<text x="26" y="{y + 6}" font-size="{LETTERS}" fill="{INK}">{words}</text>'
+        words = f"beam {label(name)}"
+        yield f'<text x="26" y="{y + 6}" font-size="{2 * MARGIN // 3}" fill="{INK}">{words}</text>'
 
 
 def _ruler(scale: float) -> Iterable[str]:
@@ -230,7 +220,5 @@ def _ruler(scale: float) -> Iterable[str]:
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power * scale <= 0.25 * SIZE[0])
     x, y = SIZE[0] - 12.0, SIZE[1] - 12.0
     yield f'<path d="M{x:.1f} {y:.1f}h{-length * scale:.1f}" stroke="{GREY}" stroke-width="2"/>'
-    yield (
-        f'<text x="{x:.1f}" y="{y - 6.0:.1f}" font-size="{LETTERS}" text-anchor="end" fill="{INK}">'
-        f"{length:g} mm</text>"
-    )
+    style = f'font-size="{2 * MARGIN // 3}" text-anchor="end" fill="{INK}"'
+    yield f'<text x="{x:.1f}" y="{y - 6.0:.1f}" {style}>{length:g} mm</text>'

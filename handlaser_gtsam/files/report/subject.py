@@ -54,11 +54,6 @@ class Subject:
         return self.described.solved
 
     @property
-    def reading(self) -> float:
-        """The working distance [m]."""
-        return self.described.reading
-
-    @property
     def contradicting(self) -> tuple[str, ...]:
         """The planes that contradict the beams found without them."""
         p = {one.plane: one.result.p_value for one in self.held_out.planes if one.result}

@@ -12,11 +12,9 @@ from ...model.sensors.kinds import KINDS
 from ...quantities import IN_MM
 from ...results.description.survey import beams_table, facts, sensors_table, targets_table
 from ...results.description.tables import (
-    ROWS_ON_PAGE,
-    Column,
-    Table,
-    more,
+    listed,
     name_cell,
+    of_words,
     sentence,
     text,
 )
@@ -25,6 +23,7 @@ from ...results.survey import SurveyCalibration
 from ..json_text import Record
 from .figure import (
     MOST_POINTS,
+    MOST_SHAPES,
     SYMBOLS,
     Figure,
     axis,
@@ -34,8 +33,8 @@ from .figure import (
     layout,
     numbers,
 )
-from .geometry import BeamSegments, Geometry, plate
-from .page import page_of, script_of, templates
+from .geometry import Geometry, plate
+from .page import page_of, script_of, sections_of
 from .scene import scene_figure
 
 SECTIONS = {
@@ -47,8 +46,6 @@ SECTIONS = {
     "made": "How it was made",
 }
 """The sections of the page in their order, each with its name in the list of links."""
-PROFILES = 40
-"""Profiles that are drawn: more cover each other."""
 POINTS_OF_PROFILE = 60
 """Points that a drawn profile has at most."""
 
@@ -105,27 +102,33 @@ def survey_report(
     made += [("date", day)] if day else []
     mark = "good" if result.usable and not result.warnings else "care" if result.usable else "bad"
     opening, _, words = result.verdict.partition(": ")
-    module = (
-        templates()
-        .get_template("survey.html.j2")
-        .make_module(
-            {
-                "title": source,
-                "mark": mark,
-                "opening": opening,
-                "findings": [sentence(part) for part in words.split("; ")],
-                "counts": _counts(result, survey),
-                "warnings": [one.message for one in result.warnings],
-                "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
-                "targets": targets_table(result),
-                "rows": facts(result, checks),
-                "rejected": _rejected(result),
-                "made": made,
-                "figures": figures,
-            }
-        )
-    )
-    sections = {name: getattr(module, f"section_{name}")() for name in SECTIONS}
+    values = {
+        "title": source,
+        "shown": {
+            "mark": mark,
+            "opening": opening,
+            "findings": [sentence(part) for part in words.split("; ")],
+            "counts": _counts(result, survey),
+        },
+        "warnings": [one.message for one in result.warnings],
+        "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
+        "targets": targets_table(result),
+        "rows": facts(result, checks),
+        "rejected": listed(
+            "rejected",
+            "Shots that were left out",
+            of_words("sensor", "station", "target", "reason"),
+            result.rejected,
+            lambda one: (
+                *map(name_cell, (one.sensor, one.station, one.target)),
+                text(one.reason),
+            ),
+            "shot",
+        ),
+        "made": made,
+        "figures": figures,
+    }
+    sections = sections_of("survey.html.j2", SECTIONS, values)
     return page_of(
         f"{opening} · {source}", sections, figures, script=script_of("page.js"), labels=SECTIONS
     )
@@ -140,16 +143,6 @@ def _counts(result: SurveyCalibration, survey: Survey) -> tuple[tuple[str, int],
         ("points", points),
         ("rejected", len(result.rejected)),
     )
-
-
-def _rejected(result: SurveyCalibration) -> Table:
-    columns = tuple(Column(n, number=False) for n in ("sensor", "station", "target", "reason"))
-    rows = tuple(
-        (name_cell(one.sensor), name_cell(one.station), name_cell(one.target), text(one.reason))
-        for one in result.rejected[:ROWS_ON_PAGE]
-    )
-    note = more(len(result.rejected) - len(rows), "shot")
-    return Table("rejected", "Shots that were left out", columns, rows, note)
 
 
 def _spots(result: SurveyCalibration, survey: Survey) -> Iterator[_Spots]:
@@ -222,7 +215,7 @@ def _scene(result: SurveyCalibration, survey: Survey, spots: list[_Spots]) -> Fi
             ]
         )
         names = tuple(survey.stations.station_names[s] for s in stations)
-        beams.append(BeamSegments(one.name, segments * IN_MM, names))
+        beams.append((one.name, segments * IN_MM, names))
     of = survey.stations
     some = evenly(len(of), MOST_POINTS // 4)
     extent = float(np.ptp(np.concatenate([s.place for s in spots]), axis=0).max())
@@ -303,7 +296,7 @@ def _profiles(survey: Survey) -> Figure | None:
 
 def _drawn_profiles(shots: Shots) -> Iterator[tuple[int, FloatArray, FloatArray]]:
     stations = np.unique(shots.station)
-    for station in stations[evenly(len(stations), PROFILES)]:
+    for station in stations[evenly(len(stations), MOST_SHAPES)]:
         rows = np.flatnonzero(shots.station == station)
         rows = rows[np.argsort(shots.across[rows, 0], kind="stable")]
         rows = rows[evenly(len(rows), POINTS_OF_PROFILE)]

@@ -7,22 +7,23 @@ it. What has not changed is the same text, and is sent to nobody again.
 import hashlib
 import json
 
-from ..report.page import Content
+from ..report.page import content_of
+from ..report.subject import Subject
 
 
-def messages_of(content: Content) -> dict[str, str]:
+def messages_of(subject: Subject) -> dict[str, str]:
     """Return messages by topic: an event's name, and after a colon what it is about."""
+    sections, figures, result = content_of(subject)
     found = {
         f"figure:{name}": _line({"name": name, "figure": figure.json()})
-        for name, figure in content.figures.items()
+        for name, figure in figures.items()
     }
     found |= {
-        f"section:{name}": _line({"name": name, "html": html})
-        for name, html in content.sections.items()
+        f"section:{name}": _line({"name": name, "html": html}) for name, html in sections.items()
     }
-    found["result"] = content.result or "null"
+    found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
-    return found | {"state": _line({"opening": content.opening, "digest": digest})}
+    return found | {"state": _line({"opening": subject.described.opening, "digest": digest})}
 
 
 def _line(value: object) -> str:

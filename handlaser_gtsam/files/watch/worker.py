@@ -15,7 +15,6 @@ from ...pipeline import calibrate
 from ...text import printable
 from ..logs.report import LogReport
 from ..report.options import ReportOptions
-from ..report.page import content_of
 from ..report.subject import subject_of
 from ..rig_toml import Rig, known_rig
 from .messages import messages_of
@@ -127,7 +126,7 @@ class Calibrator:
         options = replace(self._watched.options, sensor=rig.sensor)
         calibration = calibrate(report.recording, rig.noise, options)
         subject = subject_of(calibration, ReportOptions(rig, self._watched.reading))
-        return messages_of(content_of(subject))
+        return messages_of(subject)
 
 
 def _noted(answer: FileAnswer, found: Snapshot, settled: bool) -> FileAnswer:

@@ -7,10 +7,8 @@ plates, robots and converters do not depend on the sensor. All are half widths: 
 from dataclasses import dataclass, fields
 
 from ...checks import require_number
+from ...quantities import LARGEST_LENGTH
 from . import EFFECTS
-
-LARGEST_SIZE = 1e3
-"""No plausible size is larger [m, or as a part]: it would be a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,7 @@ class Plausible:
         for code, name in CODES.items():
             size = getattr(self, name)
             if size is not None:
-                require_number(name, size, 0.0, LARGEST_SIZE, unit=EFFECTS[code].unit)
+                require_number(name, size, 0.0, LARGEST_LENGTH, unit=EFFECTS[code].unit)
 
 
 CODES = {field.name.replace("_", "-"): field.name for field in fields(Plausible)}

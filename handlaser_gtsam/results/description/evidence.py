@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from ...model.effects.effect import size_in_words
 from ...quantities import IN_MM
@@ -16,15 +15,15 @@ from ..systematic import SystematicError
 from .noise import noise_words, range_error_words
 from .tables import (
     NONE,
-    ROWS_ON_PAGE,
     Cell,
-    Column,
     Facts,
     Table,
     concise,
-    more,
+    listed,
     name_cell,
     number,
+    of_numbers,
+    of_words,
     sentence,
     significant,
     text,
@@ -148,13 +147,20 @@ def correlations_table(described: "Description") -> Table | None:
     if calibration.covariance is None or not described.solved:
         return None
     pairs = calibration.correlations
-    rows = tuple(
-        (text(str(pair.first)), text(str(pair.second)), number(pair.coefficient, 3, "care"))
-        for pair in pairs[:ROWS_ON_PAGE]
+    table = listed(
+        "correlations",
+        "",
+        (*of_words("unknown", "and"), *of_numbers("correlation")),
+        pairs,
+        lambda pair: (
+            text(str(pair.first)),
+            text(str(pair.second)),
+            number(pair.coefficient, 3, "care"),
+        ),
+        "pair",
     )
-    columns = (Column("unknown", number=False), Column("and", number=False), Column("correlation"))
-    notes = f"{count(len(pairs), 'pair')} above {STRONG}.", more(len(pairs) - len(rows), "pair")
-    return Table("correlations", "", columns, rows, " ".join(filter(None, notes)))
+    note = f"{count(len(pairs), 'pair')} above {STRONG}. {table.note}"
+    return replace(table, note=note.rstrip())
 
 
 def systematic_table(described: "Description") -> Table | None:
@@ -167,13 +173,12 @@ def systematic_table(described: "Description") -> Table | None:
         "Found where p is below 0.01 after Holm's correction. What is not found may still be as large "
         "as the size given; the last column says how far it would then move a laser spot.",
         (
-            Column("error", number=False),
-            Column("result", number=False),
-            Column("p"),
-            Column("unnoticed below", number=False),
-            Column("spot moves mm"),
+            *of_words("error", "result"),
+            *of_numbers("p"),
+            *of_words("unnoticed below"),
+            *of_numbers("spot moves mm"),
         ),
-        tuple(_systematic(error, described.reading) for error in tested),
+        tuple(_systematic(error, described.verdict.reading) for error in tested),
     )
 
 
@@ -190,25 +195,18 @@ def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
         return name, state, *[Cell(NONE)] * 3
     size = error.size if error.found else error.unnoticed
     below = Cell(size_in_words(size, error.unit), size) if math.isfinite(size) else Cell(NONE)
-    shift = moved(error, reading, unnoticed=not error.found)
+    shift = error.moved(reading, unnoticed=not error.found)
     return name, state, significant(error.p_value, 2), below, significant(shift * IN_MM, 2)
-
-
-def _name(error: SystematicError) -> str:
-    return f"{error.code}, {error.subject}" if error.subject else error.code
-
-
-def moved(error: SystematicError, reading: float, *, unnoticed: bool) -> float:
-    """Return how far a systematic error moves the laser spot that it moves most [m]; NaN if unknown."""
-    shift = error.spots(reading, unnoticed=unnoticed)
-    return float(np.nan_to_num(shift).max()) if shift.size else math.nan
 
 
 def systematic_facts(described: "Description") -> Facts:
     """Return the errors that were found or are confounded, each with its remedy in words."""
     tested = described.calibration.systematic if described.solved else ()
     return tuple(
-        (_name(error), sentence(f"{error.message}; {error.remedy}"))
+        (
+            f"{error.code}, {error.subject}".rstrip(", "),
+            sentence(f"{error.message}; {error.remedy}"),
+        )
         for error in tested
         if error.confounded or (error.found and not error.explained_by)
     )
@@ -219,24 +217,16 @@ def rejected_table(described: "Description") -> Table | None:
     rejected = described.calibration.fit.rejected
     if not rejected:
         return None
-    rows = tuple(
-        (
+    return listed(
+        "rejected",
+        "",
+        (*of_words("station", "beam", "reason"), *of_numbers("residual mm")),
+        rejected,
+        lambda reading: (
             name_cell(reading.station),
             name_cell(reading.beam),
             text(reading.reason),
             significant(None if reading.residual is None else reading.residual * IN_MM),
-        )
-        for reading in rejected[:ROWS_ON_PAGE]
-    )
-    return Table(
-        "rejected",
-        "",
-        (
-            Column("station", number=False),
-            Column("beam", number=False),
-            Column("reason", number=False),
-            Column("residual mm"),
         ),
-        rows,
-        more(len(rejected) - ROWS_ON_PAGE, "reading"),
+        "reading",
     )

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from ...quantities import IN_DEG, IN_MM
+from ...text import some
 from ..calibration_fields import CalibrationData
-from ..lines import NAMES_IN_LINE, small_mm, some
+from ..lines import NAMES_IN_LINE, small_mm
 from ..reports import NoiseComponent
 
 PRIOR = "the prior decides"
