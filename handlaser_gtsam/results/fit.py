@@ -40,8 +40,8 @@ def fit_of_rows(
     standard deviations, and `ranges` the readings [m], NaN where they are not known.
     """
     far, known = np.abs(standardized), ranges[~np.isnan(ranges)]
-    table = np.full((len(names[0]), len(names[1])), np.nan)
-    table[at] = e
+    tables = np.full((2, len(names[0]), len(names[1])), np.nan)
+    tables[:, *at] = e, standardized
     worst, farthest = int(np.abs(e).argmax()), int(far.argmax())
     pairs = [(int(at[0][row]), int(at[1][row])) for row in (worst, farthest)]
     places = [(names[0][station], names[1][beam]) for station, beam in pairs]
@@ -61,7 +61,8 @@ def fit_of_rows(
         typical_range=typical_range(known) if known.size else np.nan,
         max_standardized_residual=float(far[farthest]),
         max_standardized_residual_at=places[1],
-        residuals=table,
+        residuals=tables[0],
+        standardized=tables[1],
         rejected=(),
     )
 

@@ -80,8 +80,7 @@ def spot(calibration: CalibrationData, beam: str, reading: float) -> Spot:
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
     (one,), joint = _known(calibration, [beam])
-    if one.direction_sigma is None:
-        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
+    assert one.direction_sigma is not None  # known wherever there is a covariance
     x, J, slope = spot_at(calibration, one, reading)
     S = J @ joint.matrix([beam], []) @ J.T
     v = one.direction

@@ -150,11 +150,14 @@ class Fit(Value):
     loss : str
         `gaussian`, or the robust loss of the estimate.
     max_standardized_residual : float
-        Largest residual in its own standard deviation, the errors of reading and pose included.
+        Largest residual in its own standard deviation, the errors of reading and pose included; zero
+        where all fit exactly.
     max_standardized_residual_at : (str, str)
         Station and beam of it.
     residuals : (M, B)
         Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
+    standardized : (M, B)
+        The same in their own standard deviations.
     rejected : readings that were rejected, each with its reason
     """
 
@@ -174,6 +177,7 @@ class Fit(Value):
     max_standardized_residual: float
     max_standardized_residual_at: tuple[str, str]
     residuals: FloatArray
+    standardized: FloatArray
     rejected: tuple[Rejected, ...]
 
     @property

@@ -147,7 +147,17 @@ def verdict(
         code = "systematic-error"
     best = improvement(calibration, shares, harmful, failed, doubtful)
     found = Verdict(
-        *(code, (), best, reading, beam, radii.get(beam), harmful, hidden, beyond, checks, shares)
+        code,
+        (),
+        best,
+        reading,
+        spot_beam=beam,
+        spot_error=radii.get(beam),
+        harmful=harmful,
+        hidden=hidden,
+        hidden_error=beyond,
+        limits=checks,
+        shares=shares,
     )
     named = [warning for warning in calibration.warnings if warning.code == CAUSE]
     words = (_clause(warning.message) for warning in named)
@@ -204,7 +214,11 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         at += RANDOM_ONLY if calibration.sensor_kind is None else ""
         yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
         if found.hidden is not None and found.hidden_error is not None:
-            yield hidden_words(found.hidden, found.spot_error + found.hidden_error)
+            error = EFFECTS[found.hidden.code].with_size(found.hidden.unnoticed)
+            yield (
+                f"up to {_mm(found.spot_error + found.hidden_error)} mm if there is {error}, which is "
+                "plausible and this recording would not show"
+            )
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         others = f" ({may_also_be(one.alike)})" if one.alike else ""
@@ -215,15 +229,6 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
     yield best_improvement(found.best)
-
-
-def hidden_words(one: SystematicError, whole: float) -> str:
-    """Say how far a spot may be off [m] if a systematic error is there unnoticed."""
-    words = EFFECTS[one.code]
-    return (
-        f"up to {_mm(whole)} mm if there is {words.with_size(one.unnoticed)}, which is plausible and "
-        "this recording would not show"
-    )
 
 
 def best_improvement(best: Improvement) -> str:

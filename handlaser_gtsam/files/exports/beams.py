@@ -19,7 +19,7 @@ from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
 from ...text import shown
 from ..survey_json import SurveyFile
-from .names import comment_text, identifiers
+from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]
 Placed = tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]

@@ -15,8 +15,7 @@ from ...data.station_list import StationList
 from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
-from .names import comment_text
-from .rendering import REMARK, fixed, number, rendered
+from .rendering import REMARK, comment_text, fixed, number, rendered
 
 CONVENTION = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
 """Of the poses of each language."""

@@ -1,12 +1,10 @@
 """All figures of a subject, in the order of the report: a further one is a line of `flat_figures`."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ...planning.picture import NICE
 from ...quantities import IN_DEG, IN_MM
 from ...results.correlations import LABELS, STRONG, correlation_matrix
 from ..json_text import Record
@@ -23,11 +21,6 @@ from .figure import (
 )
 from .residual_figures import qq_figure, residual_figures
 from .subject import Subject
-
-LABELS_ABOVE = 7
-"""Labels of an axis that fit above one another."""
-CLEAR = 0.06
-"""Room above and below a logarithmic curve, in decades: its line stands clear of the edge."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
@@ -102,7 +95,7 @@ def stations_figure(subject: Subject) -> Figure | None:
     past, plan = subject.history, subject.plan
     if past is None or not np.isfinite(past.known.spot).any():
         return None
-    spot = f"95 % spot at {subject.described.verdict.reading * IN_MM:.3g} mm, mm"
+    spot = f"95 % spot at {subject.verdict.reading * IN_MM:.3g} mm, mm"
     traces: list[Record] = []
     for index, (name, quantity, unit) in enumerate(
         (
@@ -111,9 +104,17 @@ def stations_figure(subject: Subject) -> Figure | None:
             ("direction, deg (right)", "direction_sigma", IN_DEG),
         )
     ):
-        curve = _curve(
-            name, index, past.stations.astype(np.float64), getattr(past.known, quantity) * unit
-        )
+        curve: Record = {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": name,
+            "x": numbers(past.stations.astype(np.float64)),
+            "y": numbers(getattr(past.known, quantity) * unit),
+            "yaxis": "y2" if index == 2 else "y",
+            "line": {"color": COLOURS[index], "width": 2},
+            "marker": {"size": 4},
+            "hovertemplate": "%{y:.3g} after %{x} stations",
+        }
         traces.append(curve)
         if plan is not None:
             ahead = getattr(plan.forecast, quantity) * unit
@@ -125,46 +126,10 @@ def stations_figure(subject: Subject) -> Figure | None:
     caption += "stations of the recording, at the noise found from all."
     if plan is not None:
         caption += " Dotted: what the next best stations promise."
+    scale = "log" if past.known.spot.any() else "linear"  # of readings without noise
     more: Record = {
-        "yaxis": axis("mm", **_logarithmic(traces, "y")),
-        "yaxis2": axis(
-            "deg", **_logarithmic(traces, "y2"), overlaying="y", side="right", showgrid=False
-        ),
-        "showlegend": True,
+        "yaxis": axis("mm", type=scale),
+        "yaxis2": axis("deg", type=scale, overlaying="y", side="right", showgrid=False),
         "margin": {"l": 58, "r": 58, "t": 34, "b": 48},
     }
-    return Figure("by-count", caption, traces, layout("stations", "mm", more=more))
-
-
-def _curve(name: str, index: int, x: FloatArray, y: FloatArray) -> Record:
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "name": name,
-        "x": numbers(x),
-        "y": numbers(y),
-        "yaxis": "y2" if index == 2 else "y",
-        "line": {"color": COLOURS[index], "width": 2},
-        "marker": {"size": 4},
-        "hovertemplate": "%{y:.3g} after %{x} stations",
-    }
-
-
-def _logarithmic(traces: list[Record], side: str) -> Record:
-    """Return the type, the range and round ticks of an axis, for what stands on its `side`."""
-    values: list[float] = [
-        y
-        for trace in traces
-        if trace["yaxis"] == side and isinstance(trace["y"], list)
-        for y in trace["y"]
-        if y
-    ]
-    if not values:  # of readings without noise
-        return {"type": "linear"}
-    low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    ticks = [step * 10.0**power for power in powers for step in NICE]
-    inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
-    inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
-    words = [f"{tick:g}" for tick in inside]
-    return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}
+    return Figure("by-count", caption, traces, layout("stations", "mm", more=more, legend=True))

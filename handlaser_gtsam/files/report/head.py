@@ -44,7 +44,7 @@ def warnings_of(subject: Subject) -> tuple[str, ...]:
     contradicting = (
         f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
     )
-    return tuple(map(sentence, (*subject.described.warnings, *contradicting)))
+    return tuple(map(sentence, (*subject.warnings, *contradicting)))
 
 
 def head_facts(subject: Subject) -> Facts:
@@ -67,7 +67,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         read = np.atleast_1d((~np.isnan(recording.ranges)).any(axis=1))
         merged = "" if read.all() else f" with readings, of {len(read)}"
         yield "stations", f"{read.sum()}{merged}"
-    yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject.described)}"
+    yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, NAMES_ON_PAGE)
     yield "frames and units", FRAMES

@@ -22,9 +22,8 @@ from ..writing import path_of, require_writable, write_text
 from . import head, tables
 from .figure import Figure
 from .figures import flat_figures
-from .geometry import in_hand, in_world
 from .options import ReportOptions
-from .scene import scene_figure, still_picture
+from .scene import in_hand, in_world, scene_figure, still_picture
 from .subject import Subject, subject_of
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
     require_kind("options", options, ReportOptions)
     subject = subject_of(calibration, options)
     sections, figures, result = content_of(subject)
-    title = f"{subject.described.opening} · {head.title_of(subject)}"
+    title = f"{subject.opening} · {head.title_of(subject)}"
     return page_of(title, sections, figures, result=result, script=script_of("page.js"))
 
 
@@ -102,12 +101,11 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
     """
     spaces = [space for space in (in_world(subject), in_hand(subject)) if space is not None]
     drawn = [scene_figure(space) for space in spaces] + flat_figures(subject)
-    result = calibration_text(subject.calibration, subject.described.verdict)
+    result = calibration_text(subject.calibration, subject.verdict)
     result = safe_json(json.loads(result)) if len(result) <= MOST_JSON else ""
     figures = {figure.name: figure for figure in drawn}
     values = {
-        "subject": subject,
-        "shown": subject.described,
+        "shown": subject,
         "status": subject.calibration.status,
         "title": head.title_of(subject),
         "warnings": head.warnings_of(subject),

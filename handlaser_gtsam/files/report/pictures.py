@@ -18,8 +18,8 @@ from ..calibration_file import CalibrationFile
 from ..writing import path_of, write_bytes
 from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
 from .figures import correlation_figure, flat_figures
-from .geometry import Geometry, in_hand, in_world, of_hand
 from .options import ReportOptions
+from .scene import Geometry, in_hand, in_world, of_hand
 from .subject import subject_of
 
 if TYPE_CHECKING:
@@ -217,15 +217,15 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
 
 def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import LogFormatter
 
     drawn = axes.xaxis if side == "x" else axes.yaxis
     drawn.set_label_text(axis["title"]["text"], fontsize=9)
     drawn.set_tick_params(labelsize=8)
     if axis["type"] == "log":
         axes.set_yscale("log")
-        axes.set_ylim(*(10.0 ** np.array(axis["range"])))
-        drawn.set_minor_locator(NullLocator())
+        drawn.set_major_formatter(LogFormatter())  # 0.6, not a power of ten
+        drawn.set_minor_formatter(LogFormatter())
     elif "range" in axis:
         (axes.set_xlim if side == "x" else axes.set_ylim)(*axis["range"])
     if "tickvals" in axis:

@@ -183,7 +183,7 @@ def qq_figure(subject: Subject) -> Figure | None:
         return None
     z = np.sort(rows.standardized[rows.used & np.isfinite(rows.standardized)])
     count = len(z)
-    if count < 3:
+    if count < 3 or not z.any():  # of an exact fit
         return None
     rank = np.arange(1, count + 1)
     expected = gaussian_quantile((rank - 0.5) / count)

@@ -33,9 +33,8 @@ from .figure import (
     layout,
     numbers,
 )
-from .geometry import Geometry, plate
 from .page import page_of, script_of, sections_of
-from .scene import scene_figure
+from .scene import Geometry, plate, scene_figure
 
 SECTIONS = {
     "verdict": "",

@@ -23,7 +23,7 @@ def messages_of(subject: Subject) -> dict[str, str]:
     }
     found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
-    return found | {"state": _line({"opening": subject.described.opening, "digest": digest})}
+    return found | {"state": _line({"opening": subject.opening, "digest": digest})}
 
 
 def _line(value: object) -> str:
