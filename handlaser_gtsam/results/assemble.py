@@ -95,9 +95,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         growth = together.growth
         joint = joint_covariance(problem, solution, fit).grown(growth, together.plane_growth)
     signs: tuple[CalibrationWarning, ...] = ()
-    if (
-        not mistaken
-    ):  # what single readings, and residuals of all, show where the file is read rightly
+    if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
         of_fit = fit_warnings(used, fit, problem.noise, solution, beams, together)
         signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)

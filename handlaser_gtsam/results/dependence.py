@@ -93,7 +93,7 @@ class Dependence:
 INDEPENDENT = Dependence()
 
 
-def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None) -> Dependence:
+def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
     Parameters
@@ -101,32 +101,41 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     rows : LinearRows
     known : bool
         Whether the size of the noise was given.
-    found : (N, q), optional
+    found : (N, q)
         Columns of systematic errors that were found.
     """
     chains = _Chains(rows.readings, rows.position)
     if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    residuals = _Residuals(rows, found)
+    projection, how = Projection(rows), rows.how
+
+    def left(columns: FloatArray) -> FloatArray:
+        """Whiten what unknowns and systematic errors that were found leave of columns (N, q)."""
+        w = how.apply_rows(projection.perpendicular(columns)[0])
+        return np.asarray(w - explained @ (explained.T @ w))
+
+    explained = np.empty((len(rows.readings), 0))
+    if found.size:
+        explained = np.linalg.qr(left(found))[0]
     count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
     # A fixed seed: the same recording gives the same result each time.
     white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
-    quiet = chains.squares(residuals.of_noise(white))
-    seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
+    quiet = chains.squares(left(how.coloured(white)))
+    seen = chains.squares(left(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
     shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
     if not (share > shares.mean(axis=1) + FAR_SIGMAS * shares.std(axis=1))[1:].any():
         return INDEPENDENT
     lengths = chains.lengths
-    drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
+    drawn = [left(how.coloured(chains.coloured(white, length))) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
     spread = quiet.std(axis=1)
     parts, _ = nnls(means / spread[:, None], seen / spread, maxiter=MOST_STEPS)
     # An estimated size of the noise lacks what the unknowns took of it.
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
-    growth = _growth(rows, residuals.projection, chains, parts)
+    growth = _growth(rows, projection, chains, parts)
     means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
     if max(growth, plane_growth) < LEAST_GROWTH:
@@ -138,25 +147,6 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
         max(1.0, growth),
         max(1.0, plane_growth, growth),
     )
-
-
-class _Residuals:
-    """Whitened residuals, less what the unknowns and the systematic errors that were found explain."""
-
-    def __init__(self, rows: LinearRows, found: FloatArray | None) -> None:
-        self.projection, self.how = Projection(rows), rows.how
-        self.found = np.empty((len(rows.readings), 0))
-        if found is not None and found.size:
-            self.found = np.linalg.qr(self.whitened(found))[0]
-
-    def whitened(self, columns: FloatArray) -> FloatArray:
-        """Return what is left of columns (N, q) of residuals."""
-        w = self.how.apply_rows(self.projection.perpendicular(columns)[0])
-        return np.asarray(w - self.found @ (self.found.T @ w))
-
-    def of_noise(self, noise: FloatArray) -> FloatArray:
-        """Return what is left of whitened noise (N, q)."""
-        return self.whitened(self.how.coloured(noise))
 
 
 def _growth(

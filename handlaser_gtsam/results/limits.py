@@ -76,24 +76,26 @@ class LimitCheck:
     def failure(self) -> str:
         """The words for a limit that is exceeded."""
         owner = f"{self.subject}: " if self.subject else ""
-        scale, unit = self._unit
+        scale, unit = self.unit
         value, limit = self.value * scale, self.limit * scale
         noise = self.random * scale
         of_noise = "" if math.isnan(noise) else f" ({noise:.4g} {unit} of it random errors)"
-        return f"{owner}{self._name} {value:.4g} {unit}{of_noise} above {limit:.4g} {unit}"
+        return f"{owner}{self.name} {value:.4g} {unit}{of_noise} above {limit:.4g} {unit}"
 
     @property
     def comparison(self) -> str:
         """The value beside its limit, in words: "rms 0.11 of 0.2 mm"."""
-        scale, unit = self._unit
-        return f"{self._name} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
+        scale, unit = self.unit
+        return f"{self.name} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
 
     @property
-    def _name(self) -> str:
+    def name(self) -> str:
+        """The quantity in words."""
         return self.quantity.replace("_", " ")
 
     @property
-    def _unit(self) -> tuple[float, str]:
+    def unit(self) -> tuple[float, str]:
+        """The unit in which people read the value, with the factor from SI."""
         return (IN_DEG, "deg") if self.quantity == "direction_sigma" else (IN_MM, "mm")
 
 

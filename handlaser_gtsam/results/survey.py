@@ -314,7 +314,8 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     x = found.estimate.values[SENSOR.name][member]
     R = x[:9].reshape(3, 3)
     own = found.estimate.marginal(SENSOR.name, member)
-    names = _free_names(found, member)
+    first = f"{SENSOR.name}[{member}]."
+    names = [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
     kept = [i for i, name in enumerate(names) if name not in ERRORS or name in shots.free]
     C = own[np.ix_(kept, kept)]
     reading = float(np.median(shots.reading))
@@ -336,11 +337,6 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         *_taken(found, SENSOR.name, member),
         errors,
     )
-
-
-def _free_names(found: SurveyEstimate, member: int) -> list[str]:
-    first = f"{SENSOR.name}[{member}]."
-    return [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
 
 
 def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:

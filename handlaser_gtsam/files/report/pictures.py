@@ -15,6 +15,7 @@ from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
 from ..calibration_file import CalibrationFile
+from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
 from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
 from .figures import correlation_figure, flat_figures
@@ -123,18 +124,14 @@ def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[
     """Return what the file of a calibration tells: its beams, and their correlations."""
     if calibration.status != "converged" or calibration.beam_covariance is None:
         return [], []
-    names = tuple(beam.name for beam in calibration.beams)
-    r, v = (
-        np.array([getattr(beam, n) for beam in calibration.beams])
-        for n in ("location_m", "direction")
-    )
-    k = np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in calibration.beams])
+    mounts = mounts_of(calibration)
+    beams = mounts.locations, mounts.directions, mounts.range_errors
     reach = np.array(
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
-    S = np.array(calibration.beam_covariance)[: 8 * LEGEND, : 8 * LEGEND]
-    map_ = correlation_figure(names[:LEGEND], v[:LEGEND], S)
-    return [of_hand(names, (r, v, k), reach)], [map_]
+    S = mounts.covariance[: 8 * LEGEND, : 8 * LEGEND]
+    flat = correlation_figure(mounts.names[:LEGEND], mounts.directions[:LEGEND], S)
+    return [of_hand(mounts.names, beams, reach)], [flat]
 
 
 def _flat(figure: Figure) -> "Drawing":

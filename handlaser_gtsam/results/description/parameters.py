@@ -251,8 +251,8 @@ def limits_table(described: "Description") -> Table | None:
         return None
 
     def row(one: LimitCheck) -> tuple[Cell, ...]:
-        scale, unit = (IN_DEG, "deg") if one.quantity == "direction_sigma" else (IN_MM, "mm")
-        words = one.quantity.replace("_", " ").replace("sigma", "std dev")
+        scale, unit = one.unit
+        words = one.name.replace("sigma", "std dev")
         state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
         value, limit = significant(one.value * scale), significant(one.limit * scale)
         return text(words), text(one.subject or "all"), value, limit, text(unit), state
