@@ -121,13 +121,11 @@ def implausible_mounts(
     ahead = cosines(scene(parameters, readings)) > 0.0
     for plane, name in enumerate(names.sorted_planes()):
         here = readings.plane == plane
-        sides = {
-            bool(side): np.unique(readings.beam[here & (ahead == side)]) for side in (True, False)
-        }
-        if min(len(beams) for beams in sides.values()) == 0:
+        sides = [np.unique(readings.beam[here & side]) for side in (ahead, ~ahead)]
+        if not all(map(len, sides)):
             continue
         labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
-        first, second = (int(max(beams, key=lambda i: distance[i])) for beams in sides.values())
+        first, second = (int(max(beams, key=lambda i: distance[i])) for beams in sides)
         culprit = labels[max(first, second, key=lambda i: distance[i])]
         return CalibrationWarning(
             "two-sides",
