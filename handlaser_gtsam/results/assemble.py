@@ -34,7 +34,7 @@ from .dependence import INDEPENDENT, Dependence
 from .fit import fit_of
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
-from .projection import linear_rows
+from .projection import LinearRows
 from .reports import Beam, Determined, Fit, Plane, StartReport
 from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
@@ -157,7 +157,7 @@ def _tested(
         how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
     prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
-    rows = linear_rows(
+    rows = LinearRows(
         at,
         solution.at.readings,
         how,

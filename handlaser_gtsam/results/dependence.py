@@ -107,7 +107,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependenc
     chains = _Chains(rows.readings, rows.position)
     if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    projection, how = Projection(rows), rows.how
+    projection, how = Projection(rows, rows.prior), rows.how
 
     def left(columns: FloatArray) -> FloatArray:
         """Whiten what unknowns and systematic errors that were found leave of columns (N, q)."""

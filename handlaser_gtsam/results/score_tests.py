@@ -6,7 +6,7 @@ a strained member is judged as if range errors had no prior.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -87,16 +87,16 @@ class ScoreTests:
         plausible: Mapping[str, float] | None = None,
         growth: float = 1.0,
     ) -> None:
-        self.rows, self.dof, self.growth, prior = rows, dof, growth, rows.prior
+        self.rows, self.dof, self.growth = rows, dof, growth
         self.kinds = score_members(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
         self.position = np.concatenate([kind.position for kind in self.kinds])
-        self._bound = self._loose = self._adjusted(Projection(rows))
+        self._bound = self._loose = self._adjusted(Projection(rows, rows.prior))
         if self._bound.projection.pull.any():
-            free = replace(rows, prior=np.where(prior > 0.0, np.inf, 0.0))
-            self._loose = self._adjusted(Projection(free))
+            free = np.where(rows.prior > 0.0, np.inf, 0.0)
+            self._loose = self._adjusted(Projection(rows, free))
         bound, loose = self._bound, self._loose
         scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
         scale *= growth
