@@ -131,6 +131,12 @@ def axis(title: str, **more: object) -> Record:
     return shared | more
 
 
+def marker(index: int, count: int) -> Record:
+    """Return the marker of one of `count` beams: the same for all where there are more than colours."""
+    symbol = SYMBOLS[index] if count <= LEGEND else SYMBOLS[0]
+    return {"color": colour(index, count), "symbol": symbol, "size": 6}
+
+
 def colour(index: int, count: int) -> str:
     """Return the colour of one of `count` beams: the same for all where there are more than colours."""
-    return COLOURS[index] if count <= len(COLOURS) else COLOURS[0]
+    return COLOURS[index] if count <= LEGEND else COLOURS[0]

@@ -19,13 +19,12 @@ from .figure import (
     MOST_POINTS,
     MOST_SHAPES,
     SHORTEST_LABEL,
-    SYMBOLS,
     Figure,
     axis,
-    colour,
     evenly,
     label,
     layout,
+    marker,
     numbers,
     tick_labels,
 )
@@ -144,12 +143,7 @@ def _figure(
                 "x": numbers(x[mine]),
                 "y": numbers(rows.residual[mine] * IN_MM),
                 "text": words,
-                "marker": {
-                    "color": colour(index, len(names)),
-                    "symbol": SYMBOLS[index] if len(names) <= LEGEND else SYMBOLS[0],
-                    "size": 6,
-                    "opacity": 0.8,
-                },
+                "marker": marker(index, len(names)) | {"opacity": 0.8},
                 "hovertemplate": "%{y:.4f} mm<br>%{text}",
             }
         )

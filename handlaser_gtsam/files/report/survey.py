@@ -25,13 +25,13 @@ from ..json_text import Record
 from .figure import (
     MOST_POINTS,
     MOST_SHAPES,
-    SYMBOLS,
     Figure,
     axis,
     colour,
     evenly,
     label,
     layout,
+    marker,
     numbers,
 )
 from .page import page_of, script_of, sections_of
@@ -223,11 +223,7 @@ def _by_station(result: SurveyCalibration, survey: Survey, spots: list[Spots]) -
                 "y": numbers(np.array(mean) * IN_MM, 4),
                 "text": [label(names[s]) for s in stations],
                 "hovertemplate": "%{text}: %{y} mm<extra></extra>",
-                "marker": {
-                    "color": colour(index, len(spots)),
-                    "symbol": SYMBOLS[index % len(SYMBOLS)],
-                    "size": 6,
-                },
+                "marker": marker(index, len(spots)),
             }
         )
     shown = layout("station", "mean distance from the target, mm", legend=len(spots) > 1)

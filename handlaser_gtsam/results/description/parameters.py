@@ -84,18 +84,16 @@ def beams_table(described: "Description") -> Table | None:
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    place = digits_of((sigma[:3] * IN_MM).tolist(), 5)
-    towards = digits_of(sigma[3:6].tolist(), 7)
-    coordinates = [
-        determined(value * scale, known, digits, NONE)
-        for value, known, scale, digits in zip(
-            beam.coordinates[:6].tolist(),
-            sigma[:6].tolist(),
-            [IN_MM] * 3 + [1.0] * 3,
-            [place] * 3 + [towards] * 3,
-            strict=True,
+    location, direction = (
+        [
+            determined(x, s, digits_of(sigmas, most), NONE)
+            for x, s in zip(values.tolist(), sigmas, strict=True)
+        ]
+        for values, sigmas, most in (
+            (beam.location * IN_MM, (sigma[:3] * IN_MM).tolist(), 5),
+            (beam.direction, sigma[3:6].tolist(), 7),
         )
-    ]
+    )
     errors = [
         _concise(value, known, most) if term < beam.terms else Cell("0", 0.0)
         for term, (value, known, most) in enumerate(
@@ -104,9 +102,9 @@ def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     ]
     return (
         name_cell(beam.name),
-        *coordinates[:3],
+        *location,
         significant(float(sigma[:3].max()) * IN_MM, 2),
-        *coordinates[3:],
+        *direction,
         significant(turn * IN_DEG, 2),
         *errors,
         significant(None if radius is None else radius * IN_MM, 2),

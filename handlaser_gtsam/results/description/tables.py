@@ -15,7 +15,7 @@ ROWS_ON_PAGE = 200
 """Rows of beams, planes, readings or stations on a page, which more would make slow; the JSON has
 all."""
 ROWS_ON_SCREEN = 8
-"""Rows of a table on the default screen: half of it where the table stands in two parts."""
+"""Rows of a table on the default screen."""
 MINUS = "\N{MINUS SIGN}"
 Item = TypeVar("Item")
 Facts = tuple[tuple[str, str], ...]
